@@ -1,0 +1,79 @@
+"""Every refusal of the interpolator: one base class, specific kinds that carry their values."""
+
+from __future__ import annotations
+
+
+class InterpError(Exception):
+    """A request that cannot be carried out; the message says what is wrong and what to do."""
+
+
+class ProgramError(InterpError):
+    """
+    A part program that cannot be read.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong and what would be right.
+    source : str
+        File name, or ``<text>``.
+    line_number : int
+        Line in the file, from 1; 0 when the fault belongs to the whole file.
+    word : str
+        The offending word as written, or empty.
+
+    """
+
+    def __init__(self, message: str, source: str = '', line_number: int = 0, word: str = ''):
+        self.source, self.line_number, self.word = source, line_number, word
+        place = source + (f':{line_number}' if line_number else '')
+        at = f'{word}: ' if word else ''
+        super().__init__(f'{place}: {at}{message}' if place else f'{at}{message}')
+
+
+class MachineError(InterpError):
+    """A machine file that cannot be used; names the key."""
+
+    def __init__(self, message: str, key: str = ''):
+        self.key = key
+        super().__init__(f'{key}: {message}' if key else message)
+
+
+class BlockError(InterpError):
+    """
+    A block whose motion is refused before anything moves.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong and what to do.
+    line_number : int
+        Line of the part program, 0 when unknown.
+    axis : str
+        Name of the machine axis concerned, or empty.
+    value : float
+        The offending value in SI, NaN when there is none.
+
+    """
+
+    def __init__(
+        self, message: str, line_number: int = 0, axis: str = '', value: float = float('nan')
+    ):
+        self.line_number, self.axis, self.value = line_number, axis, value
+        super().__init__(f'line {line_number}: {message}' if line_number else message)
+
+
+class TravelError(BlockError):
+    """A pose outside the travel of an axis."""
+
+
+class SingularityError(BlockError):
+    """A path through a pose where a rotary axis is undefined."""
+
+
+class PlanningError(BlockError):
+    """A path along which no motion law within the limits was found."""
+
+
+class StreamError(InterpError):
+    """A message that breaks a stream's contract (gap, repeat, foreign program, wrong shape)."""

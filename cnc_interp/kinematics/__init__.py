@@ -1,0 +1,1 @@
+"""PathSegment -> AxisPath: tool tip and tool axis <-> machine axes, with exact derivatives."""

@@ -1,0 +1,1 @@
+"""text -> Block: part programs in the dialects that shops use."""

@@ -1,0 +1,1 @@
+"""Block -> PathSegment: corner rounding within tolerance, and smooth orientation connection."""

@@ -1,0 +1,14 @@
+"""Names for the units that people speak; everything inside is SI (``0.02 * MM``)."""
+
+from math import pi
+
+MM = 1e-3
+UM = 1e-6
+INCH = 25.4e-3
+DEG = pi / 180.0
+REV = 2.0 * pi
+MINUTE = 60.0
+MS = 1e-3
+MM_PER_MIN = MM / MINUTE
+M_PER_MIN = 1.0 / MINUTE
+REV_PER_MIN = REV / MINUTE

@@ -1,10 +1,33 @@
-"""Machine: axes, geometry and limits, read from a YAML file."""
+"""Machine: axes, geometry, limits and drives of a machine tool, read from a YAML file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+import yaml
+
+from cnc_interp.errors import MachineError
 from cnc_interp.program.blocks import FloatArray
+from cnc_interp.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
+
+#: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
+LINEAR_KEYS = {
+    'velocity_m_per_min': M_PER_MIN,
+    'acceleration_m_per_s2': 1.0,
+    'jerk_m_per_s3': 1.0,
+    'travel_mm': MM,
+}
+ROTARY_KEYS = {
+    'velocity_rev_per_min': REV_PER_MIN,
+    'acceleration_rev_per_s2': REV,
+    'jerk_rev_per_s3': REV,
+    'travel_deg': DEG,
+}
+#: Plausible size of velocity, acceleration and jerk limits in SI; beyond them a unit is wrong.
+PLAUSIBLE = ((1e-6, 1e3), (1e-4, 1e5), (1e-3, 1e7))
 
 
 @dataclass(frozen=True)
@@ -12,16 +35,35 @@ class Machine:
     """
     A machine tool: linear axes X Y Z, then the rotary axes, primary first.
 
+    The tool axis at rest is machine +Z. A rotary axis carries either the workpiece (``table``) or
+    the tool (``head``); the primary carries the secondary. With R_i the rotation of axis i about
+    its direction, on a table-table machine
+
+        p_M = R_1 (R_2 (p_W + workpiece_offset) + secondary_offset) + primary_offset
+        R_1 R_2 o_W = +Z
+
+    ``transform.py`` has the general formula, heads included.
+
     Parameters
     ----------
     name : str
         Name of the machine.
     axis_names : tuple of str
-        ('X', 'Y', 'Z', 'A', 'C') or ('X', 'Y', 'Z').
+        ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes.
     max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
         Limits [m/s or rad/s, per s, per s2].
     travel : ndarray, shape (n_axes, 2)
         Lowest and highest position, infinite for endless axes [m or rad].
+    rotary_direction : ndarray, shape (2, 3)
+        Unit vectors about which primary and secondary turn, in M at rest [-].
+    rotary_on_head : tuple of bool
+        True where the rotary axis carries the tool, False where it carries the workpiece.
+    offsets : ndarray, shape (3, 3)
+        Workpiece, secondary and primary offset [m].
+    tool_offset : ndarray, shape (2, 3)
+        On heads: from the tip to the secondary pivot, and from there to the primary pivot [m].
+    singular_cone : float
+        Smallest allowed angle between a turning tool axis and the pole [rad].
 
     """
 
@@ -31,3 +73,196 @@ class Machine:
     max_acceleration: FloatArray
     max_jerk: FloatArray
     travel: FloatArray
+    rotary_direction: FloatArray
+    rotary_on_head: tuple[bool, bool]
+    offsets: FloatArray
+    tool_offset: FloatArray
+    singular_cone: float
+
+    @property
+    def has_rotary(self) -> bool:
+        """Tell whether the machine has two rotary axes."""
+        return len(self.axis_names) == 5
+
+    @staticmethod
+    def load(path_or_name: str | Path) -> Machine:
+        """
+        Read a machine from a YAML file, or by the name of a bundled one.
+
+        Raises
+        ------
+        MachineError
+            If the file is missing or not YAML, or a value is missing, not positive or of the
+            wrong unit size; the message names the key.
+
+        """
+        path = find_machine_file(path_or_name)
+        try:
+            content = yaml.safe_load(path.read_text(encoding='utf-8'))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as problem:
+            raise MachineError(f'{path}: cannot be read as YAML: {one_line(problem)}') from None
+        if not isinstance(content, dict):
+            raise MachineError(f'{path}: not a machine file; see config/machines/xyzac.yaml')
+        try:
+            return from_mapping(content)
+        except MachineError as problem:
+            raise MachineError(f'{path}: {problem}', '') from None
+
+
+def one_line(problem: Exception) -> str:
+    """Fold the text of an exception into one line."""
+    return ' '.join(str(problem).split())
+
+
+def machines_directory() -> Path:
+    """Return the folder of the bundled machines: beside the package, or in the ROS share."""
+    source = Path(__file__).resolve().parents[2] / 'config' / 'machines'
+    if source.is_dir():
+        return source
+    from ament_index_python.packages import get_package_share_directory
+
+    return Path(get_package_share_directory('cnc_interp')) / 'config' / 'machines'
+
+
+def find_machine_file(path_or_name: str | Path) -> Path:
+    """Return the file of a machine given by path or bundled name."""
+    path = Path(path_or_name)
+    if path.is_file():
+        return path
+    bundled = machines_directory() / f'{path_or_name}.yaml'
+    if bundled.is_file():
+        return bundled
+    names = ', '.join(sorted(p.stem for p in machines_directory().glob('*.yaml')))
+    raise MachineError(f"no machine '{path_or_name}'; give a YAML file, or one of: {names}")
+
+
+def from_mapping(content: dict[str, Any]) -> Machine:
+    """Build a machine from the mapping of its file."""
+    rotary = content.get('rotary') or {}
+    names = ['X', 'Y', 'Z'] + [
+        str(entry(rotary, key, 'rotary', 'name')) for key in ('primary', 'secondary') if rotary
+    ]
+    limits = content.get('limits')
+    if not isinstance(limits, dict):
+        raise MachineError('missing; it holds velocity, acceleration, jerk of each axis', 'limits')
+    for name in limits:
+        if name not in names:
+            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
+    rows = [axis_limits(limits, name, linear=i < 3) for i, name in enumerate(names)]
+    table = np.array([row[0] for row in rows])
+    return Machine(
+        name=str(content.get('name', 'unnamed')),
+        axis_names=tuple(names),
+        max_velocity=table[:, 0],
+        max_acceleration=table[:, 1],
+        max_jerk=table[:, 2],
+        travel=np.array([row[1] for row in rows]),
+        **rotary_geometry(rotary),
+    )
+
+
+def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
+    """Return one value of a rotary axis, or say which is missing."""
+    if not isinstance(rotary.get(axis), dict) or key not in rotary[axis]:
+        raise MachineError('missing', f'{where}.{axis}.{key}')
+    return rotary[axis][key]
+
+
+def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
+    """Read directions, carriers and offsets of the rotary axes; zeros where there are none."""
+    if not rotary:
+        return {
+            'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]),
+            'rotary_on_head': (False, False),
+            'offsets': np.zeros((3, 3)),
+            'tool_offset': np.zeros((2, 3)),
+            'singular_cone': 0.0,
+        }
+    directions, on_head = [], []
+    for key in ('primary', 'secondary'):
+        about = np.asarray(numbers(entry(rotary, key, 'rotary', 'about'), 3, f'rotary.{key}.about'))
+        if not np.linalg.norm(about) > 0.0:
+            raise MachineError('must not be zero', f'rotary.{key}.about')
+        directions.append(about / np.linalg.norm(about))
+        carries = entry(rotary, key, 'rotary', 'carries')
+        if carries not in ('workpiece', 'tool'):
+            raise MachineError("must be 'workpiece' or 'tool'", f'rotary.{key}.carries')
+        on_head.append(carries == 'tool')
+    tilt = rotary.get('singular_cone_deg', 0.02)
+    cone = number(tilt, 'rotary.singular_cone_deg', 1e-4, 30.0) * DEG
+    if abs(directions[0] @ directions[1]) > 0.999:
+        raise MachineError('primary and secondary must not be parallel', 'rotary.secondary.about')
+    if abs(directions[1 if all(on_head) else int(on_head[1])][2]) > 0.999:
+        raise MachineError('the axis next to the tool must tilt it away from +Z', 'rotary')
+    return {
+        'rotary_direction': np.array(directions),
+        'rotary_on_head': (on_head[0], on_head[1]),
+        'offsets': np.array(
+            [
+                vector(rotary, f'{key}_offset_mm', optional=on_head[0] and on_head[1])
+                for key in ('workpiece', 'secondary', 'primary')
+            ]
+        ),
+        'tool_offset': np.array(
+            [
+                vector(rotary, f'{key}_mm', optional=not any(on_head))
+                for key in ('tip_to_secondary_pivot', 'secondary_to_primary_pivot')
+            ]
+        ),
+        'singular_cone': cone,
+    }
+
+
+def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> tuple[list[float], list[float]]:
+    """Read velocity, acceleration, jerk and travel of one axis in SI."""
+    values = limits.get(name)
+    if not isinstance(values, dict):
+        raise MachineError('missing; give velocity, acceleration, jerk', f'limits.{name}')
+    units = LINEAR_KEYS if linear else ROTARY_KEYS
+    for key in values:
+        if key not in units:
+            raise MachineError(f'unknown; known: {", ".join(units)}', f'limits.{name}.{key}')
+    *limit_keys, travel_key = units
+    found = []
+    for key, (low, high) in zip(limit_keys, PLAUSIBLE, strict=True):
+        if key not in values:
+            raise MachineError('missing', f'limits.{name}.{key}')
+        unit = units[key]
+        found.append(number(values[key], f'limits.{name}.{key}', low / unit, high / unit) * unit)
+    travel = [-np.inf, np.inf]
+    if travel_key in values:
+        low_high = numbers(values[travel_key], 2, f'limits.{name}.{travel_key}')
+        if not low_high[0] < low_high[1]:
+            raise MachineError('must be [lowest, highest]', f'limits.{name}.{travel_key}')
+        travel = [x * units[travel_key] for x in low_high]
+    return found, travel
+
+
+def number(value: Any, key: str, low: float, high: float) -> float:
+    """Check one positive number against the range in which its unit makes sense."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise MachineError(f'must be a number, not {value!r}', key)
+    if value <= 0.0:
+        raise MachineError(f'must be positive, not {value}', key)
+    if not low <= value <= high:
+        raise MachineError(f'{value} is outside {low:g} ... {high:g}; is the unit right?', key)
+    return float(value)
+
+
+def numbers(value: Any, count: int, key: str) -> list[float]:
+    """Check a list of finite numbers."""
+    if not isinstance(value, list) or len(value) != count:
+        raise MachineError(f'must be a list of {count} numbers', key)
+    for x in value:
+        if isinstance(x, bool) or not isinstance(x, (int, float)) or not np.isfinite(x):
+            raise MachineError(f'must hold numbers, not {x!r}', key)
+    return [float(x) for x in value]
+
+
+def vector(rotary: dict[str, Any], key: str, optional: bool) -> FloatArray:
+    """Read an offset in mm; zero where it is optional and missing."""
+    if key not in rotary:
+        if optional:
+            return np.zeros(3)
+        raise MachineError('missing; three numbers in mm', f'rotary.{key}')
+    return np.asarray(numbers(rotary[key], 3, f'rotary.{key}')) * MM

@@ -1,0 +1,325 @@
+"""
+The five-axis transformation: tool tip and tool axis in W <-> machine axes.
+
+With T the product of the rotary axes that carry the workpiece and H of those that carry the tool,
+
+    o_W = T^-1 H e_z = Rot(u, a) Rot(w, b) e_z
+    (x, y, z) = Table(p_W) + Head(rotary) - Head(0)
+
+where the *outer* axis u turns about the pole and the *inner* axis w, next to the tool, tilts:
+table-table: u secondary, w primary, both negated; head-head: u primary, w secondary;
+one of each: u the table axis, negated, w the head axis.
+
+``o . u = c0 + R cos(b - b0)`` gives the tilt, two branches (sign of the sine); the outer angle
+follows from the projections on the plane normal to u. Near the pole o -> +-u the sine is taken
+from |o x u|, which keeps full relative accuracy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, floor, pi, sin, sqrt
+
+import numpy as np
+from numba import njit
+
+from cnc_interp import jet
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.program.blocks import FloatArray
+
+#: Layout of the packed geometry: outer direction and sign, inner direction and sign, c0 c1 c2 ...
+#: see ``Transform.of``; one flat array keeps the kernels' signatures short.
+PRIMARY, SECONDARY, WORKPIECE, SECOND_OFFSET, FIRST_OFFSET, TIP_ARM, HEAD_ARM = range(0, 21, 3)
+ON_HEAD, OUTER, OUTER_SIGN, INNER_SIGN, HEAD_ZERO, SIZE = 21, 23, 24, 25, 26, 29
+
+
+@dataclass(frozen=True)
+class Transform:
+    """
+    Geometry of a machine, packed for the kernels.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    packed : ndarray, shape (29,)
+        Its geometry as one array.
+
+    """
+
+    machine: Machine
+    packed: FloatArray
+
+    @staticmethod
+    def of(machine: Machine) -> Transform:
+        """Pack the geometry of a machine."""
+        first_on_head, second_on_head = machine.rotary_on_head
+        if first_on_head == second_on_head:
+            outer = 0 if first_on_head else 1
+        else:
+            outer = 1 if first_on_head else 0
+        packed = np.zeros(SIZE)
+        packed[PRIMARY : PRIMARY + 6] = machine.rotary_direction.ravel()
+        packed[WORKPIECE : WORKPIECE + 9] = machine.offsets.ravel()
+        packed[TIP_ARM : TIP_ARM + 6] = machine.tool_offset.ravel()
+        packed[ON_HEAD : ON_HEAD + 2] = machine.rotary_on_head
+        packed[OUTER] = outer
+        packed[OUTER_SIGN] = 1.0 if machine.rotary_on_head[outer] else -1.0
+        packed[INNER_SIGN] = 1.0 if machine.rotary_on_head[1 - outer] else -1.0
+        packed[HEAD_ZERO : HEAD_ZERO + 3] = machine.tool_offset.sum(axis=0) * (
+            first_on_head or second_on_head
+        )
+        return Transform(machine, packed)
+
+    @property
+    def outer(self) -> int:
+        """Index of the rotary axis that is undefined at the pole: 0 primary, 1 secondary."""
+        return int(self.packed[OUTER])
+
+    @property
+    def pole(self) -> FloatArray:
+        """Direction in W at which the outer rotary axis is undefined, shape (3,)."""
+        return self.machine.rotary_direction[self.outer]
+
+    def tool_axis(self, rotary: FloatArray) -> FloatArray:
+        """
+        Return the tool axis of rotary positions.
+
+        Parameters
+        ----------
+        rotary : ndarray, shape (n, 2)
+            Primary and secondary rotary positions [rad].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit tool axis in W.
+
+        """
+        q = np.concatenate([np.zeros((len(rotary), 3)), np.asarray(rotary, float)], axis=1)
+        return forward(self.packed, q)[1]
+
+    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return tool tips and tool axes of axis positions.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n, n_axes)
+            Axis positions [m, rad].
+
+        Returns
+        -------
+        tip, axis : ndarray, shape (n, 3)
+            ``p_WT`` [m] and ``o_W`` [-].
+
+        """
+        q = np.asarray(q, float)
+        if q.shape[1] == 3:
+            q = np.concatenate([q, np.zeros((len(q), 2))], axis=1)
+        return forward(self.packed, q)  # type: ignore[no-any-return]
+
+    def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
+        """Return X Y Z [m], shape (n, 3), of tool tips [m] at given rotary positions [rad]."""
+        return np.array(
+            [linear_position(self.packed, p, r[0], r[1]) for p, r in zip(tip, rotary, strict=True)]
+        )
+
+    def rotary_solutions(self, axis: FloatArray) -> list[FloatArray]:
+        """
+        Return both branches of the rotary positions for one tool axis.
+
+        Parameters
+        ----------
+        axis : ndarray, shape (3,)
+            Unit tool axis in W.
+
+        Returns
+        -------
+        list of ndarray, shape (2,)
+            Primary and secondary position in (-pi, pi] [rad]; empty when unreachable.
+
+        """
+        o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
+        found = []
+        for branch in (1.0, -1.0):
+            tilt, turn, sine_squared = rotary_jets(self.packed, o, branch, 0.0, 0.0)
+            if sine_squared < -1e-12:
+                continue
+            pair = np.array([tilt[0], turn[0]] if self.outer == 1 else [turn[0], tilt[0]])
+            found.append(pair)
+        return found
+
+
+@njit(cache=True)
+def vector_at(packed, place):  # type: ignore[no-untyped-def]
+    """Read a constant vector as a tuple."""
+    return (packed[place], packed[place + 1], packed[place + 2])
+
+
+@njit(cache=True)
+def near(angle, reference):  # type: ignore[no-untyped-def]
+    """Return the angle plus the whole turns that bring it nearest to the reference."""
+    return angle + 2.0 * pi * floor((reference - angle) / (2.0 * pi) + 0.5)
+
+
+@njit(cache=True)
+def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-untyped-def]
+    """
+    Solve the rotary axes for a tool axis.
+
+    Returns
+    -------
+    tilt, turn : jet
+        Inner and outer axis position [rad], turned to the whole turn nearest to the references.
+    sine_squared : float
+        Negative where the orientation cannot be reached; zero at the pole, where the jets are
+        not finite.
+
+    """
+    outer = int(packed[OUTER])
+    u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
+    w = vector_at(packed, PRIMARY if outer == 1 else SECONDARY)
+    c0 = w[2] * (w[0] * u[0] + w[1] * u[1] + w[2] * u[2])
+    c1 = u[2] - c0
+    c2 = w[1] * u[0] - w[0] * u[1]  # (w x e_z) . u
+    radius = sqrt(c1 * c1 + c2 * c2)
+    x = jet.add(jet.add(jet.scale(o[0], u[0]), jet.scale(o[1], u[1])), jet.scale(o[2], u[2]))
+    cosine = (x[0] - c0, x[1], x[2], x[3])
+    cross = (
+        o[1][0] * u[2] - o[2][0] * u[1],
+        o[2][0] * u[0] - o[0][0] * u[2],
+        o[0][0] * u[1] - o[1][0] * u[0],
+    )
+    across = cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]
+    square = jet.multiply(cosine, cosine)
+    sine_squared = radius * radius - square[0]
+    if x[0] > 0.0:  # the same number without cancellation near the pole +u
+        sine_squared = (across / (1.0 + x[0]) + (radius + c0 - 1.0)) * (radius + cosine[0])
+    elif radius - c0 > 1.0 - 1e-12:
+        sine_squared = across / (1.0 - x[0]) * (radius - cosine[0])
+    nothing = jet.constant(0.0)
+    if sine_squared < -1e-12:
+        return nothing, nothing, sine_squared
+    floor_value = max(sine_squared, 1e-300)
+    sine = jet.square_root((floor_value, -square[1], -square[2], -square[3]))
+    inner = jet.arctangent(jet.scale(sine, branch), cosine)
+    inner = (inner[0] + atan2(c2, c1), inner[1], inner[2], inner[3])
+    s, c = jet.sine_cosine(inner)
+    one, zero = jet.constant(1.0), jet.constant(0.0)
+    a = jet.rotated(w, s, c, (zero, zero, one))
+    au = jet.add(jet.add(jet.scale(a[0], u[0]), jet.scale(a[1], u[1])), jet.scale(a[2], u[2]))
+    axo = (
+        jet.subtract(jet.multiply(a[1], o[2]), jet.multiply(a[2], o[1])),
+        jet.subtract(jet.multiply(a[2], o[0]), jet.multiply(a[0], o[2])),
+        jet.subtract(jet.multiply(a[0], o[1]), jet.multiply(a[1], o[0])),
+    )
+    y = jet.add(jet.add(jet.scale(axo[0], u[0]), jet.scale(axo[1], u[1])), jet.scale(axo[2], u[2]))
+    z = jet.subtract(jet.dot(a, o), jet.multiply(au, x))
+    turn = jet.scale(jet.arctangent(y, z), packed[OUTER_SIGN])
+    tilt = jet.scale(inner, packed[INNER_SIGN])
+    tilt = (near(tilt[0], tilt_near), tilt[1], tilt[2], tilt[3])
+    turn = (near(turn[0], turn_near), turn[1], turn[2], turn[3])
+    return tilt, turn, sine_squared
+
+
+@njit(cache=True, inline='always')
+def moved(v, packed, place):  # type: ignore[no-untyped-def]
+    """Add a constant vector to a vector jet."""
+    x, y, z = v
+    return (
+        (x[0] + packed[place], x[1], x[2], x[3]),
+        (y[0] + packed[place + 1], y[1], y[2], y[3]),
+        (z[0] + packed[place + 2], z[1], z[2], z[3]),
+    )
+
+
+@njit(cache=True)
+def linear_jets(packed, p, first, second):  # type: ignore[no-untyped-def]
+    """Return the jets of X Y Z for a tool tip and both rotary axes."""
+    s1, c1 = jet.sine_cosine(first)
+    s2, c2 = jet.sine_cosine(second)
+    u1, u2 = vector_at(packed, PRIMARY), vector_at(packed, SECONDARY)
+    first_on_head, second_on_head = packed[ON_HEAD] > 0.5, packed[ON_HEAD + 1] > 0.5
+    v = moved(p, packed, WORKPIECE)
+    if not second_on_head:
+        v = jet.rotated(u2, s2, c2, v)
+    v = moved(v, packed, SECOND_OFFSET)
+    if not first_on_head:
+        v = jet.rotated(u1, s1, c1, v)
+    v = moved(v, packed, FIRST_OFFSET)
+    if first_on_head or second_on_head:
+        zero = jet.constant(0.0)
+        arm = moved((zero, zero, zero), packed, TIP_ARM)
+        if second_on_head:
+            arm = jet.rotated(u2, s2, c2, arm)
+        arm = moved(arm, packed, HEAD_ARM)
+        if first_on_head:
+            arm = jet.rotated(u1, s1, c1, arm)
+        v = (jet.add(v[0], arm[0]), jet.add(v[1], arm[1]), jet.add(v[2], arm[2]))
+        rest = jet.constant(packed[HEAD_ZERO])
+        rest_y, rest_z = jet.constant(packed[HEAD_ZERO + 1]), jet.constant(packed[HEAD_ZERO + 2])
+        v = (jet.subtract(v[0], rest), jet.subtract(v[1], rest_y), jet.subtract(v[2], rest_z))
+    return v
+
+
+@njit(cache=True)
+def linear_position(packed, tip, first, second):  # type: ignore[no-untyped-def]
+    """Return X Y Z of one tool tip at given rotary positions."""
+    p = (jet.constant(tip[0]), jet.constant(tip[1]), jet.constant(tip[2]))
+    v = linear_jets(packed, p, jet.constant(first), jet.constant(second))
+    return np.array([v[0][0], v[1][0], v[2][0]])
+
+
+@njit(cache=True)
+def turned(u, angle, x, y, z):  # type: ignore[no-untyped-def]
+    """Rotate a vector about a unit axis by an angle."""
+    s, c = sin(angle), cos(angle)
+    along = (u[0] * x + u[1] * y + u[2] * z) * (1.0 - c)
+    return (
+        x * c + (u[1] * z - u[2] * y) * s + u[0] * along,
+        y * c + (u[2] * x - u[0] * z) * s + u[1] * along,
+        z * c + (u[0] * y - u[1] * x) * s + u[2] * along,
+    )
+
+
+@njit(cache=True)
+def forward(packed, q):  # type: ignore[no-untyped-def]
+    """Return tool tips and tool axes, shape (n, 3), of axis positions, shape (n, 5)."""
+    n = len(q)
+    tip, axis = np.empty((n, 3)), np.empty((n, 3))
+    u1, u2 = vector_at(packed, PRIMARY), vector_at(packed, SECONDARY)
+    first_on_head, second_on_head = packed[ON_HEAD] > 0.5, packed[ON_HEAD + 1] > 0.5
+    for i in range(n):
+        x, y, z = q[i, 0], q[i, 1], q[i, 2]
+        o = (0.0, 0.0, 1.0)
+        if first_on_head or second_on_head:
+            arm = vector_at(packed, TIP_ARM)
+            if second_on_head:
+                o = turned(u2, q[i, 4], o[0], o[1], o[2])
+                arm = turned(u2, q[i, 4], arm[0], arm[1], arm[2])
+            more = vector_at(packed, HEAD_ARM)
+            arm = (arm[0] + more[0], arm[1] + more[1], arm[2] + more[2])
+            if first_on_head:
+                o = turned(u1, q[i, 3], o[0], o[1], o[2])
+                arm = turned(u1, q[i, 3], arm[0], arm[1], arm[2])
+            x = x - arm[0] + packed[HEAD_ZERO]
+            y = y - arm[1] + packed[HEAD_ZERO + 1]
+            z = z - arm[2] + packed[HEAD_ZERO + 2]
+        x -= packed[FIRST_OFFSET]
+        y -= packed[FIRST_OFFSET + 1]
+        z -= packed[FIRST_OFFSET + 2]
+        if not first_on_head:
+            x, y, z = turned(u1, -q[i, 3], x, y, z)
+            o = turned(u1, -q[i, 3], o[0], o[1], o[2])
+        x -= packed[SECOND_OFFSET]
+        y -= packed[SECOND_OFFSET + 1]
+        z -= packed[SECOND_OFFSET + 2]
+        if not second_on_head:
+            x, y, z = turned(u2, -q[i, 4], x, y, z)
+            o = turned(u2, -q[i, 4], o[0], o[1], o[2])
+        tip[i, 0] = x - packed[WORKPIECE]
+        tip[i, 1] = y - packed[WORKPIECE + 1]
+        tip[i, 2] = z - packed[WORKPIECE + 2]
+        axis[i, 0], axis[i, 1], axis[i, 2] = o
+    return tip, axis

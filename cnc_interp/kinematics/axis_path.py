@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import numba
 import numpy as np
 
 from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
@@ -76,3 +77,163 @@ class AxisPath:
             cell_block=np.concatenate([p.cell_block for p in parts]),
             stop=np.concatenate(stop),
         )
+
+
+@numba.njit(cache=True)
+def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: FloatArray) -> None:
+    """
+    Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
+
+    The first four are the Taylor cubic of the left end; the others close its misfits d0..d3 (of
+    value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. On tiny cells d0 is all rounding and would
+    be blown up by 210/h^3 in q_sss: below rounding it is taken from the other three instead (the
+    integral of the quintic that they define).
+    """
+    h2, h3 = h * h, h * h * h
+    q0, q1, q2, q3 = left[0], left[1] * h, left[2] * h2 / 2, left[3] * h3 / 6
+    d1 = right[1] * h - q1 - 2 * q2 - 3 * q3
+    d2 = right[2] * h2 - 2 * q2 - 6 * q3
+    d3 = right[3] * h3 - 6 * q3
+    d0 = right[0] - q0 - q1 - q2 - q3
+    smooth = d1 / 2 - d2 / 10 + d3 / 120
+    if abs(d0 - smooth) <= 1e-15 * (abs(q0) + abs(right[0])) + 1e-18:
+        d0 = smooth
+    out[0], out[1], out[2], out[3] = q0, q1, q2, q3
+    out[4] = 35 * d0 - 15 * d1 + 2.5 * d2 - d3 / 6
+    out[5] = -84 * d0 + 39 * d1 - 7 * d2 + d3 / 2
+    out[6] = 70 * d0 - 34 * d1 + 6.5 * d2 - d3 / 2
+    out[7] = -20 * d0 + 10 * d1 - 2 * d2 + d3 / 6
+
+
+@numba.njit(cache=True)
+def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
+    """Write value and three derivatives by s of a septic in u = (s - s_left)/h (Horner)."""
+    value, first, second, third = c[7], 0.0, 0.0, 0.0
+    for k in range(6, -1, -1):
+        third = third * u + second
+        second = second * u + first
+        first = first * u + value
+        value = value * u + c[k]
+    out[0], out[1], out[2], out[3] = value, first / h, 2 * second / (h * h), 6 * third / (h * h * h)
+
+
+@numba.njit(cache=True)
+def evaluate_cells(
+    s_grid: FloatArray,
+    cell_left: FloatArray,
+    cell_right: FloatArray,
+    s: FloatArray,
+    cell: IntArray,
+) -> FloatArray:
+    """Evaluate q and three derivatives at s in the given cells, shape (4, M, n_axes)."""
+    n_axes = cell_left.shape[2]
+    out = np.empty((4, len(s), n_axes))
+    coefficients = np.empty((n_axes, 8))
+    jet = np.empty(4)
+    known = -1
+    for m in range(len(s)):
+        i = cell[m]
+        h = s_grid[i + 1] - s_grid[i]
+        if i != known:
+            for k in range(n_axes):
+                septic_coefficients(cell_left[:, i, k], cell_right[:, i, k], h, coefficients[k])
+            known = i
+        u = (s[m] - s_grid[i]) / h
+        for k in range(n_axes):
+            if u >= 1.0:
+                out[:, m, k] = cell_right[:, i, k]
+            elif u <= 0.0:
+                out[:, m, k] = cell_left[:, i, k]
+            else:
+                septic_value(coefficients[k], u, h, jet)
+                out[:, m, k] = jet
+    return out
+
+
+def evaluate(
+    path: AxisPath, s: FloatArray, cell: IntArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """
+    Evaluate the axes and their derivatives by s anywhere on the path.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path.
+    s : ndarray, shape (M,)
+        Path positions [m]; held at the ends of the path outside of it.
+    cell : ndarray of int, shape (M,), optional
+        Cell to use for each position; without it the cell on the right of a grid point.
+
+    Returns
+    -------
+    q, q_s, q_ss, q_sss : ndarray, shape (M, n_axes)
+        Axis positions and their geometric derivatives [m or rad, per m, per m2, per m3].
+
+    """
+    s = np.asarray(s, dtype=np.float64)
+    if cell is None:
+        found = np.searchsorted(path.s, s, side='right') - 1
+        cell = np.clip(found, 0, len(path.s) - 2).astype(np.int64)
+    jets = evaluate_cells(path.s, path.cell_left, path.cell_right, s, cell)
+    return jets[0], jets[1], jets[2], jets[3]
+
+
+def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
+    """
+    Subdivide cells at further path positions without changing the curve.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path.
+    s_new : ndarray, shape (M,)
+        Positions of the new grid points [m]; those that are grid points already, or lie outside,
+        are dropped.
+
+    Returns
+    -------
+    AxisPath
+        The same q(s) on the finer grid. Tip and tool axis of new points are interpolated (chord
+        and normalised chord).
+
+    """
+    s = np.union1d(path.s, s_new[(s_new > path.s[0]) & (s_new < path.s[-1])])
+    if len(s) == len(path.s):
+        return path
+    parent = np.clip(np.searchsorted(path.s, s, side='right') - 1, 0, len(path.s) - 2)
+    parent = parent.astype(np.int64)
+    of_cell = parent[:-1]
+    left = evaluate_cells(path.s, path.cell_left, path.cell_right, s[:-1], of_cell)
+    right = evaluate_cells(path.s, path.cell_left, path.cell_right, s[1:], of_cell)
+    old = np.searchsorted(s, path.s)
+    stop = np.zeros(len(s), dtype=np.bool_)
+    stop[old] = path.stop
+    tip = np.column_stack([np.interp(s, path.s, path.tip[:, k]) for k in range(3)])
+    axis = np.column_stack([np.interp(s, path.s, path.axis[:, k]) for k in range(3)])
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    tip[old], axis[old] = path.tip, path.axis
+    return AxisPath(
+        s=s,
+        cell_left=left,
+        cell_right=right,
+        tip=tip,
+        axis=axis,
+        cell_feed=path.cell_feed[of_cell],
+        cell_block=path.cell_block[of_cell],
+        stop=stop,
+    )
+
+
+def cut(path: AxisPath, first: int, last: int) -> AxisPath:
+    """Take the part of the path between two grid points."""
+    return AxisPath(
+        s=path.s[first : last + 1].copy(),
+        cell_left=path.cell_left[:, first:last].copy(),
+        cell_right=path.cell_right[:, first:last].copy(),
+        tip=path.tip[first : last + 1].copy(),
+        axis=path.axis[first : last + 1].copy(),
+        cell_feed=path.cell_feed[first:last].copy(),
+        cell_block=path.cell_block[first:last].copy(),
+        stop=path.stop[first : last + 1].copy(),
+    )

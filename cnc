@@ -1,0 +1,117 @@
+#!/usr/bin/env bash
+# Runs cnc_interp from a checkout and sets up everything it needs on first use, in .venv.
+#
+#   ./cnc run [PROGRAM ...]   stream a part program through the ROS 2 nodes to the simulated
+#                             machine; without PROGRAM the bundled examples/pyramid.ngc
+#   ./cnc test [ARGUMENTS]    the whole test suite; arguments go to pytest
+#   ./cnc lint                ruff and mypy
+#   ./cnc setup               only set up, check all of it, repair what is broken
+#   ./cnc COMMAND ...         any other command of cnc-interp (./cnc --help lists them)
+set -euo pipefail
+
+root=$(dirname -- "$(readlink -f -- "${BASH_SOURCE[0]}")")
+venv=$root/.venv
+stamp=$venv/.ready # what the environment was made from; written last, so without it it is unfinished
+
+say() { printf 'cnc: %s\n' "$*" >&2; }
+fail() { say "$*"; exit 1; }
+
+# One line per part of the environment: its name and the hash of the files it is made from.
+fingerprints() {
+  local part
+  for part in "$@"; do
+    case $part in
+      base) printf 'base %s\n' "$(hash_of requirements/{ros-jazzy,build,source,run}.txt)" ;;
+      project) printf 'project %s\n' "$(hash_of setup.py setup.cfg pyproject.toml)" ;;
+      messages) printf 'messages %s\n' "$(hash_of msg_defs/{CMakeLists.txt,package.xml,*/*})" ;;
+      test) printf 'test %s\n' "$(hash_of requirements/test.txt)" ;;
+    esac
+  done
+}
+
+hash_of() {
+  local sum
+  sum=$(cd "$root" && sha256sum "$@" | sha256sum)
+  printf '%s' "${sum%% *}"
+}
+
+# Warm check, a few hundredths of a second: finished, for this checkout, its Python runs, nothing
+# that setup installed has gone.
+sound() {
+  local kind value
+  [ -s "$stamp" ] || return 1
+  while read -r kind value; do
+    case $kind in
+      root) [ "$value" = "$root" ] || return 1 ;;
+      python) "$venv/bin/python" -I -S -c "import sys; sys.exit(sys.version[:4] != '$value')" \
+        2>/dev/null || return 1 ;;
+      file) [ -e "$venv/$value" ] || return 1 ;;
+    esac
+  done <"$stamp"
+}
+
+# True when every part named is made from the files as they are now.
+current() {
+  local line
+  while read -r line; do
+    grep -qxF "$line" "$stamp" || return 1
+  done < <(fingerprints "$@")
+}
+
+ensure() {
+  if ! { sound && current "$@"; }; then
+    # shellcheck source=tools/environment.sh
+    . "$root/tools/environment.sh"
+    make_environment "$@"
+  fi
+}
+
+# Another ROS 2 in this shell, or another environment of the same wheels, would be mixed with ours.
+leave_other_ros() {
+  if [ -n "${AMENT_PREFIX_PATH-}${_ROS_WHEELS_BOOTSTRAP_COMPLETE-}" ]; then
+    unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH
+    unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
+  fi
+  export AMENT_PREFIX_PATH=$venv RMW_IMPLEMENTATION=rmw_fastrtps_cpp
+  [ -w "${HOME-}" ] || export ROS_LOG_DIR="${ROS_LOG_DIR:-$venv/log}"
+}
+
+lint() {
+  cd "$root"
+  "$venv/bin/ruff" check .
+  "$venv/bin/ruff" format --check .
+  "$venv/bin/mypy"
+}
+
+main() {
+  local parts=(base project messages)
+  leave_other_ros
+  case ${1-} in
+    test)
+      shift
+      ensure "${parts[@]}" test
+      cd "$root"
+      exec "$venv/bin/python" -m pytest "$@"
+      ;;
+    lint)
+      ensure "${parts[@]}" test
+      lint
+      ;;
+    setup)
+      . "$root/tools/environment.sh"
+      ensure "${parts[@]}"
+      check_environment >/dev/null || { remake_environment "${parts[@]}"; }
+      say "ready: $venv"
+      ;;
+    '' | help)
+      sed -n '2,/^set/{/^#/s/^# \{0,1\}//p}' "${BASH_SOURCE[0]}"
+      ;;
+    *)
+      [ "$*" != run ] || set -- run "$root/examples/pyramid.ngc"
+      ensure "${parts[@]}"
+      exec "$venv/bin/cnc-interp" "$@"
+      ;;
+  esac
+}
+
+main "$@"

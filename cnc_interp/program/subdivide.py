@@ -1,0 +1,124 @@
+"""
+Cutting blocks into pieces on which the great circle of [B2013, Eq. 4] says what was programmed.
+
+Rotary axes that run linearly do not move the tool axis on a great circle. On a piece, the angle
+between both orientations at the same parameter shrinks with the square of the piece's length, so
+the number of pieces follows from the deviation measured on a trial division.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.units import DEG
+
+ToolAxis = Callable[[FloatArray], FloatArray]
+
+# The deviation of a short piece is a parabola plus an odd cubic; these points see the maximum of
+# either within 3 %, which the margin covers.
+_PROBES = (0.25, 0.5, 0.75)
+_MARGIN = 1.05
+_TRIAL_SWEEP = 15.0 * DEG
+_LARGEST_SWEEP = 89.9 * DEG
+
+
+def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatArray:
+    """
+    Orientation on the great circle from one tool axis to another.
+
+    ``o(u) = (sin((1 - u) theta) o_from + sin(u theta) o_to) / sin(theta)``
+
+    Parameters
+    ----------
+    o_from, o_to : ndarray, shape (n, 3)
+        Unit tool axes, not antiparallel [-].
+    u : ndarray, shape (n,)
+        Share of the angle, 0 to 1 [-].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Unit tool axes [-].
+
+    """
+    theta = angle_between(o_from, o_to)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        w_from = np.sin((1.0 - u) * theta) / np.sin(theta)
+        w_to = np.sin(u * theta) / np.sin(theta)
+    small = theta < 1e-9
+    w_from, w_to = np.where(small, 1.0 - u, w_from), np.where(small, u, w_to)
+    o = w_from[:, None] * o_from + w_to[:, None] * o_to
+    return np.asarray(o / np.linalg.norm(o, axis=1)[:, None])
+
+
+def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
+    """Angle between unit vectors, shape (n,), exact for small and for large angles [rad]."""
+    apart = np.linalg.norm(o_to - o_from, axis=1)
+    return np.asarray(2.0 * np.arctan2(apart, np.linalg.norm(o_to + o_from, axis=1)))
+
+
+def rotary_piece_counts(
+    tool_axis: ToolAxis, start: FloatArray, sweep: FloatArray, allowed: FloatArray
+) -> IntArray:
+    """
+    Pieces per block that keep linear rotary motion within an angle of their great circles.
+
+    Parameters
+    ----------
+    tool_axis : callable
+        Rotary positions, shape (n, 2) [rad], to unit tool axes, shape (n, 3).
+    start, sweep : ndarray, shape (n, 2)
+        Rotary position at the start of each block and its change over the block [rad].
+    allowed : ndarray, shape (n,)
+        Largest angle between both orientations at the same parameter [rad].
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Uniform pieces in the block's parameter, each turning less than 90 deg.
+
+    """
+    turned = np.abs(sweep).sum(axis=1)
+    fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
+    trial = np.maximum(np.ceil(turned / _TRIAL_SWEEP), 1.0)
+    ratio = _MARGIN * _largest_deviation(tool_axis, start, sweep, trial) / allowed
+    counts = np.maximum(fewest, np.ceil(trial * np.sqrt(ratio)))
+    open_rows = np.arange(len(counts))
+    while len(open_rows):
+        deviation = _largest_deviation(
+            tool_axis, start[open_rows], sweep[open_rows], counts[open_rows]
+        )
+        ratio = _MARGIN * deviation / allowed[open_rows]
+        wide = ratio > 1.0
+        open_rows, ratio = open_rows[wide], ratio[wide]
+        counts[open_rows] = np.maximum(
+            counts[open_rows] + 1.0, np.ceil(counts[open_rows] * np.sqrt(ratio))
+        )
+    return np.asarray(counts, dtype=np.int64)
+
+
+def _largest_deviation(
+    tool_axis: ToolAxis, start: FloatArray, sweep: FloatArray, counts: FloatArray
+) -> FloatArray:
+    """Largest angle per block between linear rotary motion and its pieces' great circles [rad]."""
+    block, piece = ragged(counts.astype(np.int64))
+    step = (sweep / counts[:, None])[block]
+    begin = start[block] + piece[:, None] * step
+    o_from, o_to = tool_axis(begin), tool_axis(begin + step)
+    worst = np.zeros(len(block))
+    for u in _PROBES:
+        o_linear = tool_axis(begin + u * step)
+        o_circle = great_circle(o_from, o_to, np.full(len(block), u))
+        worst = np.maximum(worst, angle_between(o_linear, o_circle))
+    first = np.concatenate([[0], np.cumsum(counts.astype(np.int64))[:-1]])
+    return np.asarray(np.maximum.reduceat(worst, first))
+
+
+def ragged(counts: IntArray) -> tuple[IntArray, IntArray]:
+    """Row and piece number, from 0, of every piece when row i has ``counts[i]`` of them."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    first = np.cumsum(counts) - counts
+    return row, np.arange(len(row)) - first[row]

@@ -1,0 +1,360 @@
+"""
+The look-ahead: blocks in, smooth segments out, the same however the blocks arrive.
+
+A vertex between two blocks becomes one of three things: a corner (rounded), a stop (the tool
+rests there), or nothing (the path goes straight on). A corner is final when the next one is
+sized, because the line between them may be so short that both take what is left of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.errors import BlockError
+from cnc_interp.program.blocks import BoolArray, Blocks, FloatArray, IntArray
+from cnc_interp.smoothing import corner
+from cnc_interp.smoothing.orientation import angles_between, rotations_between, turned_by_each
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
+from cnc_interp.units import DEG, MM
+
+#: A tip that moves less than this stands still [m].
+STANDSTILL = 1e-9
+#: Directions (relative to 1) and rates at flank height that differ less go straight on.
+STRAIGHT = 1e-9
+PASS, ROUND, STOP = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class SmoothingOptions:
+    """
+    How the look-ahead smooths.
+
+    Parameters
+    ----------
+    flank_height : float
+        Height h over the tip at which the orientation tolerance is measured [m].
+    ratio : float
+        L2/L1 of a corner where there is room [-].
+    left_over : float
+        A line shorter than this share of its block goes to the corners [-].
+    sharpest_turn : float
+        The tool stops where its path turns by more than this [rad].
+    pole : tuple of float or None
+        Direction at which a rotary axis is undefined; a turning tool stops there.
+    pole_cone : float
+        Angle around the pole within which that holds [rad].
+
+    """
+
+    flank_height: float = 30.0 * MM
+    ratio: float = 2.0
+    left_over: float = 0.05
+    sharpest_turn: float = 165.0 * DEG
+    pole: tuple[float, float, float] | None = None
+    pole_cone: float = 0.02 * DEG
+
+
+@dataclass
+class Legs:
+    """Geometry of the blocks between consecutive vertices, one row per block."""
+
+    length: FloatArray
+    direction: FloatArray
+    rotation: FloatArray
+    turn: FloatArray
+    resting: BoolArray
+
+    @staticmethod
+    def of(blocks: Blocks) -> Legs:
+        """Measure the blocks; row i leads from vertex i to vertex i + 1."""
+        step = np.diff(blocks.tip, axis=0)
+        length = np.sqrt((step**2).sum(axis=1))
+        resting = length < STANDSTILL
+        direction = step / np.where(resting, 1.0, length)[:, None]
+        rotation = rotations_between(blocks.axis[:-1], blocks.axis[1:])
+        turn = np.sqrt((rotation**2).sum(axis=1))
+        return Legs(length, direction, rotation, turn, resting)
+
+
+class LookAhead:
+    """
+    Round the corners of a stream of blocks.
+
+    Parameters
+    ----------
+    options : SmoothingOptions
+        How to smooth.
+
+    """
+
+    def __init__(self, options: SmoothingOptions | None = None):
+        self.options = options or SmoothingOptions()
+        self._blocks: Blocks | None = None
+        self._row = 0  # row in the program of the first block kept
+        self._outer_before = 0.0  # L2 of the corner at the first kept vertex, unstretched
+
+    def push(self, blocks: Blocks) -> PathSegments:
+        """
+        Take further blocks and return the segments that are final.
+
+        Parameters
+        ----------
+        blocks : Blocks
+            The next rows of the program; the very first row is the start pose.
+
+        Returns
+        -------
+        PathSegments
+            Possibly empty.
+
+        Raises
+        ------
+        BlockError
+            If a block's tool axis reverses (no plane of rotation).
+
+        """
+        self._blocks = blocks if self._blocks is None else Blocks.concatenate([self._blocks, blocks])
+        return self._advance(final=False)
+
+    def finish(self) -> PathSegments:
+        """Return the remaining segments; the tool rests at the end."""
+        return self._advance(final=True)
+
+    def _advance(self, final: bool) -> PathSegments:
+        """Emit every block whose both end vertices are final."""
+        blocks = self._blocks
+        if blocks is None or len(blocks) < 2:
+            return EMPTY
+        legs = Legs.of(blocks)
+        self._refuse_reversals(blocks, legs)
+        vertex = self._classify(blocks, legs)
+        inner, outer = self._size(blocks, legs, vertex)
+        outer[0, 1] = self._outer_before
+        # A vertex is final when its own corner is sized and its neighbour's too (left-overs).
+        last = len(blocks) - 1 if final else len(blocks) - 3
+        if last < 1:
+            return EMPTY
+        own_share = float(outer[last, 1])
+        self._share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
+        segments = self._emit(blocks, legs, vertex, inner, outer, last)
+        self._outer_before = own_share
+        self._blocks = blocks[last:]
+        self._row += last
+        return segments
+
+    def _refuse_reversals(self, blocks: Blocks, legs: Legs) -> None:
+        """Refuse blocks whose orientations are antiparallel: their great circle is undefined."""
+        cosine = (blocks.axis[:-1] * blocks.axis[1:]).sum(axis=1)
+        programmed = np.isfinite(blocks.rotary[1:]).all(axis=1) & legs.resting
+        bad = np.flatnonzero((cosine < -1.0 + 1e-12) & ~programmed)
+        if len(bad):
+            raise BlockError(
+                'the tool axis reverses within one block, so its plane of rotation is undefined; '
+                'add a block with an orientation in between',
+                int(blocks.line_number[bad[0] + 1]),
+            )
+
+    def _classify(self, blocks: Blocks, legs: Legs) -> IntArray:
+        """Decide what each vertex becomes, shape (n,); the ends are stops."""
+        kind = np.full(len(blocks), STOP)
+        before, after = slice(None, -1), slice(1, None)
+        resting = legs.resting[before] | legs.resting[after]
+        cosine = (legs.direction[before] * legs.direction[after]).sum(axis=1)
+        sharp = cosine < np.cos(self.options.sharpest_turn)
+        rate = legs.rotation / np.where(legs.resting, 1.0, legs.length)[:, None]
+        bend = np.sqrt((np.diff(legs.direction, axis=0) ** 2).sum(axis=1))
+        twist = np.sqrt((np.diff(rate, axis=0) ** 2).sum(axis=1)) * self.options.flank_height
+        straight = (bend < STRAIGHT) & (twist < STRAIGHT)
+        kind[1:-1] = np.where(straight, PASS, ROUND)
+        at_pole = np.zeros(len(kind) - 2, dtype=bool)
+        if self.options.pole is not None:
+            o = blocks.axis[1:-1]
+            pole = np.broadcast_to(np.asarray(self.options.pole), o.shape)
+            angle = angles_between(o, pole)
+            close = np.minimum(angle, np.pi - angle) < self.options.pole_cone
+            at_pole = close & ((legs.turn[before] > 0.0) | (legs.turn[after] > 0.0))
+        stop = resting | sharp | at_pole | blocks.exact_stop[1:-1]
+        kind[1:-1][stop] = STOP
+        return kind
+
+    def _rates(self, legs: Legs) -> FloatArray:
+        """Return the rotation vector per metre of each block [rad/m]."""
+        return np.asarray(legs.rotation / np.where(legs.resting, 1.0, legs.length)[:, None])
+
+    def _corner_inputs(
+        self, blocks: Blocks, legs: Legs, rows: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return legs (n, 2, 3), rates (n, 2, 3) and tolerances (n, 2) of the corners at rows."""
+        rate = self._rates(legs)
+        sides = np.stack([-legs.direction[rows - 1], legs.direction[rows]], axis=1)
+        rates = np.stack([rate[rows - 1], rate[rows]], axis=1)
+        tolerances = np.stack(
+            [
+                np.minimum(column[rows], column[rows + 1])
+                for column in (blocks.contour_tolerance, blocks.orientation_tolerance)
+            ],
+            axis=1,
+        )
+        return sides, rates, tolerances
+
+    def _size(
+        self, blocks: Blocks, legs: Legs, vertex: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return L1, shape (n,), and both L2, shape (n, 2), of every vertex; 0 without corner."""
+        inner, outer = np.zeros(len(blocks)), np.zeros((len(blocks), 2))
+        rows = np.flatnonzero(vertex == ROUND)
+        if len(rows):
+            sides, rates, tolerances = self._corner_inputs(blocks, legs, rows)
+            half = 0.5 * np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
+            turns = 0.5 * np.stack([legs.turn[rows - 1], legs.turn[rows]], axis=1)
+            l1, l2 = np.empty(len(rows)), np.empty((len(rows), 2))
+            corner.size_corners(
+                blocks.tip[rows], blocks.axis[rows], self.options.flank_height, sides, rates,
+                half, turns, tolerances, self.options.ratio, l1, l2,
+            )  # fmt: skip
+            inner[rows], outer[rows] = l1, l2
+        return inner, outer
+
+    def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
+        """Stretch the corners over lines that are too short to be worth keeping."""
+        used = outer[:known, 1] + outer[1 : known + 1, 0]
+        length = legs.length[:known]
+        rest = length - used
+        stretch = (rest < self.options.left_over * length) & (used > 0.0)
+        factor = np.where(stretch, length / np.where(used > 0.0, used, 1.0), 1.0)
+        outer[:known, 1] *= factor
+        outer[1 : known + 1, 0] *= factor
+
+    def _emit(
+        self,
+        blocks: Blocks,
+        legs: Legs,
+        vertex: IntArray,
+        inner: FloatArray,
+        outer: FloatArray,
+        last: int,
+    ) -> PathSegments:
+        """Build the segments of blocks 0 .. last - 1 and the corners at vertices 1 .. last."""
+        lines = self._lines(blocks, legs, vertex, outer, last)
+        rows = np.flatnonzero(vertex[: last + 1] == ROUND)
+        rows = rows[rows > 0]
+        if not len(rows):
+            return lines
+        corners = self._corners(blocks, legs, rows, inner, outer)
+        order = np.argsort(
+            np.concatenate([2 * (lines.block[:, 1] - self._row) - 1, 2 * rows]), kind='stable'
+        )
+        return PathSegments.concatenate([lines, corners])[order]
+
+    def _lines(
+        self, blocks: Blocks, legs: Legs, vertex: IntArray, outer: FloatArray, last: int
+    ) -> PathSegments:
+        """Return what the corners leave of the blocks, and the rotations of the resting tool."""
+        start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]
+        resting = legs.resting[:last]
+        rotary = np.stack([blocks.rotary[:last], blocks.rotary[1 : last + 1]], axis=1)
+        programmed = np.isfinite(rotary).all(axis=(1, 2))
+        swept = np.where(
+            programmed, np.sqrt((np.diff(rotary, axis=1)[:, 0] ** 2).sum(axis=1)), legs.turn[:last]
+        )
+        length = np.where(resting, self.options.flank_height * swept, end - start)
+        kept = np.flatnonzero(
+            np.where(resting, swept > 0.0, end - start > 1e-12 * legs.length[:last])
+            | ((vertex[1 : last + 1] == STOP) & (end - start > 0.0))
+        )
+        share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
+        rotation = legs.rotation[:last]
+        part = np.where(resting, 1.0, (end - start) / np.where(resting, 1.0, legs.length[:last]))
+        bottom = np.zeros((last, 5, 3))
+        bottom[:, 0] = blocks.tip[:last] + start[:, None] * legs.direction[:last]
+        bottom[:, 1] = blocks.tip[:last] + end[:, None] * legs.direction[:last]
+        from_corner, to_corner = outer[:last, 1] > 0.0, outer[1 : last + 1, 0] > 0.0
+        bottom[:, 1] = np.where(
+            (to_corner | resting)[:, None], bottom[:, 1], blocks.tip[1 : last + 1]
+        )
+        bottom[:, 0] = np.where(from_corner[:, None], bottom[:, 0], blocks.tip[:last])
+        axis = turned_by_each(blocks.axis[:last], rotation, share)
+        n = len(kept)
+        feed = self._feed(blocks, legs, np.arange(last), swept)
+        row = self._row + kept + 1
+        return PathSegments(
+            kind=np.where(resting, ROTATION, LINE)[kept],
+            bottom=bottom[kept],
+            top=np.zeros((n, 5, 3)),
+            connection=np.zeros((n, 6, 3)),
+            axis=axis[kept],
+            rotation=(rotation * part[:, None])[kept],
+            rotary=np.where(programmed[:, None, None], rotary, np.nan)[kept],
+            length=length[kept],
+            feed=np.repeat(feed[kept, None], 2, axis=1),
+            block=np.repeat(row[:, None], 2, axis=1),
+            line_number=blocks.line_number[kept + 1],
+            stop=(vertex[1 : last + 1] == STOP)[kept],
+            deviation=np.zeros((n, 2)),
+        )
+
+    def _feed(self, blocks: Blocks, legs: Legs, rows: IntArray, swept: FloatArray) -> FloatArray:
+        """
+        Return the programmed ds/dt of the blocks that start at rows [m/s].
+
+        A duration (G93) gives length / duration; a rotation of the resting tip is limited by its
+        duration or by the axes alone.
+        """
+        duration = blocks.duration[rows + 1]
+        timed = np.isfinite(duration)
+        resting = legs.resting[rows]
+        length = np.where(resting, self.options.flank_height * swept, legs.length[rows])
+        programmed = np.where(resting, np.inf, blocks.feedrate[rows + 1])
+        return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
+
+    def _corners(
+        self, blocks: Blocks, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
+    ) -> PathSegments:
+        """Return the corners at the given vertices."""
+        sides, rates, tolerances = self._corner_inputs(blocks, legs, rows)
+        n = len(rows)
+        bottom, top, connection = np.empty((n, 5, 3)), np.empty((n, 5, 3)), np.empty((n, 6, 3))
+        deviation = np.empty((n, 2))
+        l1 = inner[rows]
+        corner.fit_corners(
+            blocks.tip[rows], blocks.axis[rows], self.options.flank_height, sides, rates,
+            tolerances, l1, outer[rows], bottom, top, connection, deviation,
+        )  # fmt: skip
+        zero = np.zeros(n)
+        return PathSegments(
+            kind=np.full(n, CORNER),
+            bottom=bottom,
+            top=top,
+            connection=connection,
+            axis=(top[:, 0] - bottom[:, 0]) / self.options.flank_height,
+            rotation=np.zeros((n, 3)),
+            rotary=np.full((n, 2, 2), np.nan),
+            length=np.full(n, np.nan),
+            feed=np.stack(
+                [self._feed(blocks, legs, rows - 1, zero), self._feed(blocks, legs, rows, zero)],
+                axis=1,
+            ),
+            block=np.stack([self._row + rows, self._row + rows + 1], axis=1),
+            line_number=blocks.line_number[rows + 1],
+            stop=np.zeros(n, dtype=bool),
+            deviation=deviation,
+        )
+
+
+EMPTY = PathSegments(
+    kind=np.zeros(0, dtype=np.int64),
+    bottom=np.zeros((0, 5, 3)),
+    top=np.zeros((0, 5, 3)),
+    connection=np.zeros((0, 6, 3)),
+    axis=np.zeros((0, 3)),
+    rotation=np.zeros((0, 3)),
+    rotary=np.zeros((0, 2, 2)),
+    length=np.zeros(0),
+    feed=np.zeros((0, 2)),
+    block=np.zeros((0, 2), dtype=np.int64),
+    line_number=np.zeros(0, dtype=np.int64),
+    stop=np.zeros(0, dtype=bool),
+    deviation=np.zeros((0, 2)),
+)

@@ -1,0 +1,153 @@
+"""Imports run the way the data flows; ROS stays in one room."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / 'cnc_interp'
+
+# Upstream first: a room imports only itself and rooms above it.
+FLOW = (
+    'units',
+    'errors',
+    'jet',
+    'bspline',
+    'program',
+    'smoothing',
+    'kinematics',
+    'feedrate',
+    'interpolator',
+    'plan_files',
+    'machine',
+    'programmed_path',
+    'proof',
+    'verify',
+    'pipeline',
+    'cam',
+    'report',
+    'nodes',
+    'cli',
+    '__main__',
+)
+
+# The proof shares no code with the planner: what it may import, all of it.
+PROOF_ROOMS = ('programmed_path', 'proof', 'verify')
+PROOF_MAY_IMPORT = (
+    'cnc_interp.units',
+    'cnc_interp.errors',
+    'cnc_interp.plan_files',
+    'cnc_interp.program.blocks',
+    'cnc_interp.kinematics.machine',
+    'cnc_interp.kinematics.transform',
+    *(f'cnc_interp.{room}' for room in PROOF_ROOMS),
+)
+
+ROS_ROOM = 'nodes'
+# ament_index_python only finds installed files: any room may ask it.
+ROS_MODULES = ('rclpy', 'rosbags', 'rcl_interfaces', 'std_srvs')
+
+
+def modules():
+    return sorted(PACKAGE.rglob('*.py'))
+
+
+def dotted_name(path):
+    parts = ('cnc_interp', *path.relative_to(PACKAGE).with_suffix('').parts)
+    return '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
+
+
+def is_module(name):
+    place = PACKAGE.parent.joinpath(*name.split('.'))
+    return place.is_dir() or place.with_suffix('.py').is_file()
+
+
+def imported_names(source, module, is_package=False):
+    """Every module a source imports, wherever in it the statement stands."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ''
+            if node.level:
+                here = module.split('.')
+                keep = len(here) - node.level + (1 if is_package else 0)
+                base = '.'.join([*here[:keep], *([node.module] if node.module else [])])
+            inside = [f'{base}.{alias.name}' for alias in node.names]
+            modules_inside = [name for name in inside if base == 'cnc_interp' or is_module(name)]
+            yield from modules_inside or [base]
+
+
+def room_of(module):
+    parts = module.split('.')
+    return parts[1] if len(parts) > 1 else ''
+
+
+def faults(module, source, is_package=False):
+    """Say what is wrong with the imports of one module, one line each."""
+    room = room_of(module)
+    for name in imported_names(source, module, is_package):
+        top = name.split('.')[0]
+        if top in ROS_MODULES or top.endswith('_msgs'):
+            if room != ROS_ROOM:
+                yield f'{module} imports {name}: only {ROS_ROOM}/ speaks ROS'
+        elif top == 'cnc_interp' and room_of(name):
+            other = room_of(name)
+            if other not in FLOW:
+                # A value of the package itself, such as __version__, is no room.
+                if is_module(name):
+                    yield f'{module} imports {name}, a room that FLOW does not know: add it'
+            elif FLOW.index(other) > FLOW.index(room):
+                yield f'{module} imports {name}, which lies downstream of it'
+            if room in PROOF_ROOMS and not name.startswith(PROOF_MAY_IMPORT):
+                yield f'{module} imports {name}: the proof shares no code with the planner'
+
+
+def test_every_room_is_listed():
+    rooms = {room_of(dotted_name(path)) for path in modules()} - {''}
+    unknown = sorted(rooms - set(FLOW))
+    assert not unknown, f'add {unknown} to FLOW of this test, where the data passes it'
+
+
+@pytest.mark.parametrize('path', modules(), ids=dotted_name)
+def test_imports_follow_the_flow(path):
+    found = dotted_name(path)
+    if room_of(found) in FLOW:
+        assert not list(faults(found, path.read_text(), path.name == '__init__.py'))
+
+
+def test_package_itself_imports_no_room():
+    source = (PACKAGE / '__init__.py').read_text()
+    assert not [n for n in imported_names(source, 'cnc_interp', True) if n.startswith('cnc_')]
+
+
+@pytest.mark.parametrize(
+    ('module', 'source'),
+    [
+        ('cnc_interp.program.gcode', 'from cnc_interp.kinematics.machine import Machine'),
+        ('cnc_interp.program.gcode', 'import cnc_interp.cli'),
+        ('cnc_interp.program.gcode', 'from cnc_interp import nodes'),
+        ('cnc_interp.program.gcode', 'from ..kinematics import machine'),
+        ('cnc_interp.program.gcode', 'def read():\n    import rclpy.node'),
+        ('cnc_interp.report.html', 'from cnc_interp_msgs.msg import G1Block'),
+        ('cnc_interp.cli', 'from rosbags.rosbag2 import Reader'),
+        ('cnc_interp.verify', 'from cnc_interp.smoothing import corner'),
+        ('cnc_interp.verify', 'from cnc_interp.kinematics.path_builder import build'),
+    ],
+)
+def test_wrong_imports_are_seen(module, source):
+    assert list(faults(module, source))
+
+
+@pytest.mark.parametrize(
+    ('module', 'source'),
+    [
+        ('cnc_interp.kinematics.machine', 'from cnc_interp.program.blocks import Blocks'),
+        ('cnc_interp.nodes.program_node', 'import rclpy\nfrom cnc_interp_msgs.msg import G1Block'),
+        ('cnc_interp.cli', 'from cnc_interp import __version__, verify'),
+        ('cnc_interp.verify', 'from cnc_interp.kinematics.machine import Machine'),
+        ('cnc_interp.program.gcode', 'from .words import split_words'),
+    ],
+)
+def test_right_imports_pass(module, source):
+    assert not list(faults(module, source))

@@ -210,6 +210,8 @@ def _spoken(finding: Finding) -> tuple[str, str]:
         scale, unit = 60e3, 'mm/min'
     elif finding.what == 'rotation time':
         scale, unit = 1.0, 's'
+    elif 'rotary word' in finding.what:
+        scale, unit = 180.0 / np.pi, 'deg'
     elif order is not None:
         unit += f'/s{order}'
     return f'{_figure(finding.value * scale)} {unit}', f'{_figure(finding.limit * scale)} {unit}'

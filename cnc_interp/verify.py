@@ -196,14 +196,10 @@ def _prove_completeness(
     blocks, height = plan.blocks, plan.flank_height
     top, vertex_top = tip + height * axis, blocks['tip'] + height * blocks['axis']
     rows = np.arange(len(blocks['tip']))
-    label = np.maximum.accumulate(plan.block)
-    # A vertex lies between its own block and the next; rounding may shift labels by one more.
-    low = np.maximum(np.searchsorted(label, rows - 1) - 1, 0)
-    high = np.minimum(np.searchsorted(label, rows + 2, 'right'), len(tip) - 1)
     contour, orientation = vertex_tolerances(plan)
-    nearest, _ = approach(tip, blocks['tip'], low, high)
+    nearest, _ = _approach_widely(plan, tip, blocks['tip'], contour)
     ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
-    nearest_top, where_top = approach(top, vertex_top, low, high)
+    nearest_top, where = _approach_widely(plan, top, vertex_top, orientation)
     ledger.judge('vertex missed by top', nearest_top, orientation, slack=SLACK, rows=rows)
     for name, sample, row in (('first', 0, 0), ('last', len(tip) - 1, len(rows) - 1)):
         gap = max(
@@ -214,38 +210,66 @@ def _prove_completeness(
             gap <= SLACK,
             f'the motion is {gap * 1e3:.3g} mm off the {name} pose (line {blocks["line"][row]})',
         )
+    if plan.position.shape[1] == 5:
+        _prove_rotary_words(ledger, plan, where)
     stops = np.flatnonzero(blocks['exact_stop'])
     if len(stops):
         ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
         # Through rest an axis moves less than J T^3 / 3 in one period.
         crawl = machine.max_jerk * plan.period**3 / 3.0
         use = np.r_[np.max(np.abs(np.diff(plan.position, axis=0)) / crawl, axis=1), 0.0]
-        slowest = [float(use[max(i - 1, 0) : i + 2].min()) for i in where_top[stops]]
-        moving = stops[np.array(slowest) > 1.0 + 1e-3]
+        slowest = [float(use[max(i - 1, 0) : i + 2].min()) for i in where[stops]]
+        moving = stops[np.array(slowest) > ROUNDING]
         ledger.demand(
             not len(moving),
             f'no rest at the exact stop of line {blocks["line"][moving[:1]]}, '
             f'stops missed: {len(moving)}',
         )
-    _prove_rotary_words(ledger, plan, where_top)
+
+
+def _approach_widely(
+    plan: PlanFiles, points: FloatArray, vertices: FloatArray, tolerance: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Look for each vertex among the samples around it, and further off where it is missed."""
+    label = np.maximum.accumulate(plan.block)
+    rows = np.arange(len(vertices))
+
+    def samples(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
+        low = np.searchsorted(label, first) - 1
+        high = np.searchsorted(label, last, 'right')
+        return np.clip(low, 0, len(points) - 2), np.clip(high, 1, len(points) - 1)
+
+    # A vertex lies between its own block and the next; rounding may shift labels by one more.
+    nearest, where = approach(points, vertices, *samples(rows - 1, rows + 2))
+    far = nearest > tolerance + SLACK
+    if far.any():
+        way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
+        reach = REACH * tolerance[far]
+        first = np.searchsorted(way, way[far] - reach)
+        last = np.searchsorted(way, way[far] + reach, 'right')
+        first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
+        nearest[far], where[far] = approach(points, vertices[far], *samples(first, last))
+    return nearest, where
 
 
 def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> None:
     """Demand that rotary words keep their turns, and are met where the tip rests."""
-    rotary = plan.blocks['rotary']
+    rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
-    if not len(rows) or plan.position.shape[1] < 5:
-        return
     rows = rows[rows > 0]
-    gap = np.abs(plan.position[where[rows], -2:] - rotary[rows])
-    tilted = np.linalg.norm(plan.blocks['axis'][rows, :2], axis=1) > 1e-3
-    ledger.judge('turns of rotary words', gap.max(axis=1)[tilted], np.pi, rows=rows[tilted])
-    still = program_of(plan).by_axes[rows]
-    # The sample before the vertex may lie one period's way off it.
-    step = np.abs(np.diff(plan.position[:, -2:], axis=0, append=plan.position[-1:, -2:]))
-    near = np.maximum(gap - step[where[rows]], 0.0).max(axis=1)
-    allowed = vertex_tolerances(plan)[1][rows] / max(plan.flank_height, 1e-3)
-    ledger.judge('rotary word missed', near[still], allowed[still], slack=SLACK, rows=rows[still])
+    if not len(rows):
+        return
+    flat = np.zeros((len(plan.position), 1))
+    points = np.hstack([plan.position[:, -2:], flat])
+    words = np.hstack([np.nan_to_num(rotary), np.zeros((len(rotary), 1))])
+    angle = vertex_tolerances(plan)[1] / max(plan.flank_height, 1e-3)
+    gap, passed = _approach_widely(plan, points, words, angle)
+    tilted = rows[np.linalg.norm(plan.blocks['axis'][rows, :2], axis=1) > 1e-3]
+    ledger.judge('turns of rotary words', gap[tilted], np.pi, rows=tilted)
+    still = rows[program_of(plan).by_axes[rows]]
+    ledger.judge('rotary word missed', gap[still], angle[still], slack=SLACK, rows=still)
+    # About its own axis a tool turns without a trace in the workpiece frame.
+    where[still] = passed[still]
 
 
 def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
@@ -272,7 +296,7 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
                 allowed[i] = max(allowed[i], feed[row])
     finite = np.isfinite(allowed)
     ledger.judge('tip feed', np.where(finite, speed, 0.0), allowed, allowed=ROUNDING, slack=SLACK)
-    turning = np.flatnonzero(timed & (chord < SLACK))
+    turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK))
     if len(turning):
         spent = np.bincount(plan.block, minlength=len(feed))[turning] * period
         shortest = duration[turning] / ROUNDING - 2.0 * period

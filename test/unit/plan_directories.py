@@ -51,7 +51,8 @@ def files(
     tip = np.asarray(tip, float) + origin
     axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1)) if axis is None else np.asarray(axis)
     at, towards = transform.forward(motion[0])
-    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(at, axis=0), axis=1))]
+    turned = HEIGHT * np.abs(np.diff(motion[0][:, 3:], axis=0)).sum(axis=1)
+    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(at, axis=0), axis=1) + turned)]
     grid = np.flatnonzero(np.r_[True, np.diff(way) > 0.0])
     speed = np.linalg.norm(motion[1][:, :3], axis=1)
     rows = len(tip)

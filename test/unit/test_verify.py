@@ -1,0 +1,313 @@
+"""The proof proves what is right and names what is spoilt, at its axis and sample."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from plan_directories import HEIGHT, PERIOD, files, line_x, stroke, write
+from ruckig import InputParameter, Ruckig, Trajectory
+
+from cnc_interp.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.plan_files import read_plan
+from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.verify import verify, verify_plan
+
+MACHINE = Machine.load('xyzac')
+
+
+def turned_tip(a, c):
+    """Keep the tool tip where it is at A = C = 0 while A and C turn: X Y Z of the table, by hand."""
+    d = np.array([0.0, 0.15, 80.0]) * MM
+    around = np.stack([d[0] * np.cos(c) - d[1] * np.sin(c), d[0] * np.sin(c) + d[1] * np.cos(c)])
+    arm = np.stack([d[0] - around[0], d[1] - around[1], np.zeros_like(c)])
+    return np.stack([
+        arm[0], arm[1] * np.cos(a) - arm[2] * np.sin(a), arm[1] * np.sin(a) + arm[2] * np.cos(a)
+    ], axis=1)  # fmt: skip
+
+
+def tool_axis(a, c):
+    return np.stack([np.sin(a) * np.sin(c), np.sin(a) * np.cos(c), np.cos(a)], axis=-1)
+
+
+def rotation(a, c, vertices, **columns):
+    """Turn about the resting tip through given angles over time."""
+    position = np.column_stack([turned_tip(a, c), a, c])
+    rates = [np.gradient(position, PERIOD, axis=0)]
+    rates.append(np.gradient(rates[0], PERIOD, axis=0))
+    corners = np.array(vertices)
+    content = files(
+        MACHINE, np.stack([position, *rates]), np.ones(len(a), int),
+        np.zeros((len(corners), 3)), np.inf, tool_axis(corners[:, 0], corners[:, 1]),
+    )  # fmt: skip
+    content['blocks'] |= columns
+    content['blocks']['feed'] = np.full(len(corners), 0.1)
+    return content
+
+
+def proof_of(tmp_path, content):
+    return verify_plan(write(tmp_path, content), MACHINE)
+
+
+def only_failure(proof, *words):
+    assert not proof.ok
+    found = [line for line in proof.failures if all(word in line for word in words)]
+    assert found, proof.failures
+    return found[0]
+
+
+def test_a_sound_plan_is_proven(tmp_path):
+    proof = proof_of(tmp_path, line_x(MACHINE))
+    assert proof.ok, proof.failures
+    jerk = proof.largest('jerk', 'X')
+    assert jerk.ratio == pytest.approx(1.0, abs=1e-3)
+    assert proof.largest('tip feed').ratio == pytest.approx(1.0, abs=1e-6)
+    assert proof.largest('velocity', 'C').ratio == 0.0
+    assert 'proven' in proof.text()
+    assert json.loads(proof.to_json())['ok'] is True
+
+
+@pytest.mark.parametrize('axis', [0, 1, 2, 3, 4])
+def test_one_shifted_sample_is_named_with_its_axis(tmp_path, axis):
+    content = line_x(MACHINE)
+    content['setpoints']['position'][300, axis] += 1e-6
+    proof = proof_of(tmp_path, content)
+    failure = only_failure(proof, f'jerk of {MACHINE.axis_names[axis]} ', 'line 30')
+    # Two of the four third differences around a spike are equally large.
+    assert 'sample 300 ' in failure or 'sample 301 ' in failure
+    for other in set(MACHINE.axis_names) - {MACHINE.axis_names[axis]}:
+        assert proof.largest('jerk', other).ratio <= 1.001
+
+
+@pytest.mark.parametrize('end', [0, -1])
+def test_a_step_at_either_end_counts_as_motion_from_rest(tmp_path, end):
+    content = line_x(MACHINE)
+    last = len(content['setpoints']['position']) - 1
+    kept = slice(40, None) if end == 0 else slice(None, last - 40)
+    for name, column in content['setpoints'].items():
+        content['setpoints'][name] = column[kept]
+    content['setpoints']['time'] = content['setpoints']['time'] - content['setpoints']['time'][0]
+    proof = proof_of(tmp_path, content)
+    only_failure(proof, 'jerk of X')
+    only_failure(proof, 'off the first pose' if end == 0 else 'off the last pose')
+
+
+def test_a_jerk_limit_exceeded_by_one_percent_is_caught_but_rounding_is_not(tmp_path):
+    for factor, ok in ((0.9995, True), (0.99, False)):
+        content = line_x(MACHINE)
+        held = content['setpoints']['time'][-1]
+        # The same stroke on a faster clock: jerk grows with the cube.
+        clock = content['setpoints']['time'] * factor ** (-1 / 3)
+        x, v, a = (stroke_at(clock.clip(0, held), k) for k in range(3))
+        content['setpoints']['position'][:, 0] = x
+        content['setpoints']['velocity'][:, 0] = v * factor ** (-1 / 3)
+        content['setpoints']['acceleration'][:, 0] = a * factor ** (-2 / 3)
+        content['blocks']['feed'] *= 2
+        proof = proof_of(tmp_path, content)
+        assert proof.ok is ok, proof.failures
+        assert proof.largest('jerk', 'X').ratio == pytest.approx(1 / factor, rel=2e-4)
+
+
+def stroke_at(clock, derivative):
+    request = InputParameter(1)
+    request.current_position, request.target_position = [0.0], [60 * MM]
+    request.max_velocity, request.max_acceleration = [6000 * MM_PER_MIN], [2.5]
+    request.max_jerk = [5.0]
+    profile = Trajectory(1)
+    Ruckig(1).calculate(request, profile)
+    return np.array([profile.at_time(min(t, profile.duration))[derivative][0] for t in clock])
+
+
+def test_contour_error_is_the_distance_from_the_lines(tmp_path):
+    content = line_x(MACHINE)
+    ramp = np.sin(np.linspace(0, np.pi, len(content['setpoints']['time']))) ** 4
+    for height, ok in ((9.9 * UM, True), (10.1 * UM, False)):
+        content['setpoints']['position'][:, 1] = height * ramp
+        proof = verify(read_plan(write(tmp_path, content)), MACHINE)
+        assert proof.largest('contour error').value == pytest.approx(height, rel=1e-4)
+        assert ('contour' in ' '.join(proof.failures)) is not ok
+
+
+def test_the_smaller_tolerance_of_two_blocks_counts_at_their_vertex(tmp_path):
+    content = line_x(MACHINE)
+    content['blocks']['contour_tolerance'][3] = 1 * UM
+    x = content['setpoints']['position'][:, 0]
+    middle = int(np.searchsorted(x, 29 * MM))
+    content['setpoints']['position'][middle, 1] = 2 * UM
+    only_failure(proof_of(tmp_path, content), 'contour error', f'sample {middle} ', 'line 30')
+
+
+def test_orientation_counts_at_flank_height(tmp_path):
+    content = line_x(MACHINE)
+    tilt = 5e-4 * np.sin(np.linspace(0, np.pi, len(content['setpoints']['time']))) ** 4
+    flat = content['setpoints']['position'][:, 0]
+    content['setpoints']['position'][:, 3] = tilt
+    content['setpoints']['position'][:, :3] = turned_tip(tilt, 0 * tilt)
+    # The reference arm at X = x stays x in front of the table's rotation about X.
+    content['setpoints']['position'][:, 0] = flat
+    proof = proof_of(tmp_path, content)
+    assert proof.largest('contour error').value < 1e-9
+    assert proof.largest('orientation error').value == pytest.approx(HEIGHT * 5e-4, rel=1e-3)
+    only_failure(proof, 'orientation error')
+
+
+def test_a_cut_corner_misses_its_vertex(tmp_path):
+    content = line_x(MACHINE)
+    origin = content['blocks']['tip'][0]
+    content['blocks']['tip'][1] = origin + np.array([15 * MM, 0.3 * MM, 0.0])
+    proof = proof_of(tmp_path, content)
+    failure = only_failure(proof, 'vertex missed by tip', 'line 20')
+    assert '0.3 mm' in failure
+
+
+def test_a_motion_faster_than_its_block_is_caught(tmp_path):
+    content = line_x(MACHINE)
+    content['blocks']['feed'][2] = 5900 * MM_PER_MIN
+    failure = only_failure(proof_of(tmp_path, content), 'tip feed', 'line 30')
+    assert '6000 mm/min, limit 5900 mm/min' in failure
+
+
+def test_inverse_time_and_rapid_blocks(tmp_path):
+    content = line_x(MACHINE)
+    content['blocks']['feed'][:] = np.nan
+    length = np.array([1.0, 15, 15, 30]) * MM
+    content['blocks']['duration'] = length / (6000 * MM_PER_MIN)
+    assert proof_of(tmp_path, content).ok
+    content['blocks']['duration'] = content['blocks']['duration'] * 1.01
+    only_failure(proof_of(tmp_path, content), 'tip feed')
+    content['blocks']['rapid'][:] = True
+    assert proof_of(tmp_path, content).ok
+
+
+def test_order_time_and_exact_stops(tmp_path):
+    content = line_x(MACHINE)
+    content['blocks']['exact_stop'] = np.array([False, False, True, True])
+    only_failure(proof_of(tmp_path, content), 'no rest at the exact stop of line [30]')
+    content = line_x(MACHINE)
+    content['setpoints']['block'] = content['setpoints']['block'][::-1].copy()
+    only_failure(proof_of(tmp_path, content), 'runs backwards')
+    content = line_x(MACHINE)
+    content['setpoints']['time'][500:] += 0.2 * PERIOD
+    only_failure(proof_of(tmp_path, content), 'time is not uniform')
+
+
+def test_travel_is_checked(tmp_path):
+    content = line_x(MACHINE, length=510 * MM)
+    failure = only_failure(proof_of(tmp_path, content), 'travel of X')
+    assert 'by 0.01' in failure
+
+
+def test_spoilt_columns_and_path_are_caught(tmp_path):
+    for file, name, words in (
+        ('setpoints', 'velocity', 'velocity column of X'),
+        ('setpoints', 'acceleration', 'acceleration column of X'),
+        ('path', 'tip', 'path pose against its axes'),
+        ('path', 'feed', 'planned feed'),
+    ):
+        content = line_x(MACHINE)
+        row = content[file][name]
+        row[200] += 0.2
+        only_failure(proof_of(tmp_path, content), words)
+
+
+def test_a_pure_rotation_follows_the_great_circle(tmp_path):
+    angle, _, _ = stroke(20 * DEG, MACHINE.max_velocity[3], MACHINE.max_acceleration[3], 5.0)
+    content = rotation(angle, 0 * angle, [(0.0, 0.0), (20 * DEG, 0.0)])
+    proof = proof_of(tmp_path, content)
+    assert proof.ok, proof.failures
+    assert proof.remarks['largest_twist'] < 1e-9
+    content['blocks']['axis'][1] = tool_axis(np.array(20.1 * DEG), np.array(0.0))
+    only_failure(proof_of(tmp_path, content), 'vertex missed by top')
+    only_failure(proof_of(tmp_path, content), 'off the last pose')
+
+
+def test_rotary_words_rule_a_pure_rotation(tmp_path):
+    turn, _, _ = stroke(90 * DEG, MACHINE.max_velocity[4], MACHINE.max_acceleration[4], 5.0)
+    tilt = np.full_like(turn, 15 * DEG)
+    ends = [(15 * DEG, 0.0), (15 * DEG, 90 * DEG)]
+    worded = rotation(tilt, turn, ends, rotary=np.array(ends))
+    shift = worded['path']['tip'][0] - worded['blocks']['tip'][0]
+    worded['blocks']['tip'] += shift
+    proof = proof_of(tmp_path, worded)
+    assert proof.ok, proof.failures
+    vector = rotation(tilt, turn, ends)
+    vector['blocks']['tip'] += shift
+    only_failure(proof_of(tmp_path, vector), 'orientation error')
+    worded['blocks']['rotary'] = np.array([ends[0], (15 * DEG, 450 * DEG)])
+    only_failure(proof_of(tmp_path, worded), 'turns of rotary words')
+
+
+def test_a_rotation_about_the_tool_axis_must_reach_its_word(tmp_path):
+    turn, _, _ = stroke(90 * DEG, MACHINE.max_velocity[4], MACHINE.max_acceleration[4], 5.0)
+    ends = [(0.0, 0.0), (0.0, 90 * DEG)]
+    content = rotation(0 * turn, turn, ends, rotary=np.array(ends))
+    assert proof_of(tmp_path, content).ok
+    content['blocks']['rotary'][1, 1] = 91 * DEG
+    only_failure(proof_of(tmp_path, content), 'rotary word missed')
+
+
+def test_blocks_far_shorter_than_the_tolerance(tmp_path, monkeypatch):
+    content = line_x(MACHINE, length=6 * MM)
+    tip = np.zeros((12001, 3))
+    tip[:, 0] = np.linspace(0, 6 * MM, 12001)
+    long = content['blocks']
+    dense = {name: np.repeat(column[:1], 12001, axis=0) for name, column in long.items()}
+    dense['tip'] = long['tip'][0] + tip
+    dense['line'] = np.arange(12001)
+    x = content['setpoints']['position'][:, 0]
+    # Labels lag by thirty blocks, 15 um, as a fitted curve's labels may.
+    block = (np.searchsorted(tip[:, 0], x) - 30).clip(1, 12000)
+    content['setpoints']['block'] = block
+    content['blocks'] = dense
+    content['path']['block'] = np.interp(
+        content['path']['s'], x[np.r_[True, np.diff(x) > 0]], block[np.r_[True, np.diff(x) > 0]]
+    ).astype(int)
+    proof = proof_of(tmp_path, content)
+    assert proof.ok, proof.failures
+    monkeypatch.setattr('cnc_interp.verify.REACH', 0.0)
+    only_failure(verify_plan(tmp_path, MACHINE), 'contour error')
+
+
+def test_unreadable_files_are_named(tmp_path):
+    with pytest.raises(InterpError, match='no such directory'):
+        read_plan(tmp_path / 'nowhere')
+    directory = write(tmp_path, line_x(MACHINE))
+    whole = (directory / 'setpoints.npz').read_bytes()
+    for spoilt in (b'', whole[: len(whole) // 2], b'not an archive'):
+        (directory / 'setpoints.npz').write_bytes(spoilt)
+        with pytest.raises(InterpError, match=r'setpoints\.npz: cannot be read'):
+            read_plan(directory)
+    (directory / 'setpoints.npz').unlink()
+    with pytest.raises(InterpError, match=r'setpoints\.npz: cannot be read \(missing\)'):
+        read_plan(directory)
+
+
+@pytest.mark.parametrize(
+    ('file', 'name', 'value', 'words'),
+    [
+        ('blocks', 'feed', None, 'column feed is missing'),
+        ('setpoints', 'position', np.zeros((5, 5)), 'column position has shape'),
+        ('setpoints', 'velocity', 'nan', 'velocity is not finite in row 7'),
+        ('setpoints', 'block', 'big', 'block runs from'),
+    ],
+)
+def test_wrong_columns_are_named(tmp_path, file, name, value, words):
+    content = line_x(MACHINE)
+    if value is None:
+        del content[file][name]
+    elif isinstance(value, str):
+        content[file][name][7] = np.nan if value == 'nan' else 99
+    else:
+        content[file][name] = value
+    with pytest.raises(InterpError, match=words):
+        read_plan(write(tmp_path, content))
+
+
+def test_three_axes(tmp_path):
+    machine = Machine.load('xyz')
+    directory = write(tmp_path, line_x(machine))
+    proof = verify_plan(directory, machine)
+    assert proof.ok, proof.failures
+    only_failure(verify_plan(directory, MACHINE), '3 axes in the plan, 5 on machine xyzac')

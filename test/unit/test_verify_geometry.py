@@ -1,0 +1,88 @@
+"""The proof's distances against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cnc_interp.programmed_path import ProgrammedPath, approach
+from cnc_interp.units import MM
+
+HEIGHT = 30 * MM
+
+
+def slerp(first, last, part):
+    angle = np.arccos(np.clip(first @ last, -1, 1))
+    share = np.asarray(part)[:, None]
+    return (np.sin((1 - share) * angle) * first + np.sin(share * angle) * last) / np.sin(angle)
+
+
+def brute_force(tip, axis, point, rounds=5):
+    """Nearest distance to the locus of one block: ever finer grids around every coarse minimum."""
+    best = np.inf
+    part = np.linspace(0, 1, 2001)
+    step = part[1]
+
+    def distance(at):
+        return np.linalg.norm(
+            tip[0] + at[:, None] * (tip[1] - tip[0]) + HEIGHT * slerp(*axis, at) - point, axis=1
+        )
+
+    coarse = distance(part)
+    for j in np.argsort(coarse)[:3]:
+        centre, width = part[j], step
+        for _ in range(rounds):
+            fine = np.linspace(max(0, centre - width), min(1, centre + width), 401)
+            found = distance(fine)
+            centre, width = fine[np.argmin(found)], width / 100
+            best = min(best, found.min())
+    return best
+
+
+@pytest.mark.parametrize('seed', range(30))
+def test_distances_to_one_turning_block(seed):
+    rng = np.random.default_rng(seed)
+    tip = rng.normal(scale=10.0 ** rng.uniform(-3, -1), size=(2, 3))
+    axis = rng.normal(size=(2, 3))
+    axis[1] = axis[0] + 10.0 ** rng.uniform(-3, 1) * axis[1]
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    part = rng.uniform(size=4)
+    pose = tip[0] + part[:, None] * (tip[1] - tip[0])
+    pose = pose + rng.normal(scale=10.0 ** rng.uniform(-6, -3), size=pose.shape)
+    towards = slerp(*axis, part) + rng.normal(scale=1e-3, size=(4, 3))
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    program = ProgrammedPath.of(tip, axis, np.full((2, 2), np.nan), HEIGHT)
+    found = program.deviation(pose, towards, np.ones(4, dtype=np.int64))
+    for i in range(4):
+        best = brute_force(tip, axis, pose[i] + HEIGHT * towards[i])
+        assert found.orientation[i] == pytest.approx(best, abs=1e-9)
+        along = np.clip(
+            (pose[i] - tip[0]) @ (tip[1] - tip[0]) / np.sum((tip[1] - tip[0]) ** 2), 0, 1
+        )
+        foot = tip[0] + along * (tip[1] - tip[0])
+        assert found.contour[i] == pytest.approx(np.linalg.norm(pose[i] - foot), abs=1e-12)
+        angle = np.arccos(np.clip(slerp(*axis, np.array([along]))[0] @ towards[i], -1, 1))
+        assert found.twist[i] == pytest.approx(HEIGHT * angle, abs=1e-8)
+
+
+def test_the_nearest_of_several_blocks_is_found():
+    corners = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0.0]]) * MM
+    up = np.tile([0.0, 0.0, 1.0], (4, 1))
+    program = ProgrammedPath.of(corners, up, np.full((4, 2), np.nan), HEIGHT)
+    tip = np.array([[9.0, 0.4, 0.0], [9.7, 5.0, 0.0]]) * MM
+    found = program.deviation(tip, up[:2], np.array([1, 1]))
+    assert found.contour == pytest.approx([0.4 * MM, 0.3 * MM])
+    assert list(found.row) == [1, 2]
+    assert found.part == pytest.approx([0.9, 0.5])
+    assert found.orientation == pytest.approx(found.contour)
+
+
+def test_a_vertex_is_approached_between_two_samples_of_an_arc():
+    radius, step = 5 * MM, 0.05
+    angle = (np.arange(20) + 0.5) * step - 10 * step
+    points = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    vertex = np.array([[radius + 2e-6, 0.0, 0.0]])
+    nearest, where = approach(points, vertex, np.array([0]), np.array([19]))
+    # The arc itself is 2 um away; its chords are 3.6 um away.
+    assert nearest[0] == pytest.approx(2e-6, abs=2e-8)
+    assert where[0] == 9

@@ -284,7 +284,10 @@ class AxisPathBuilder:
                 line,
                 name,
             )
-        self._check_travel(np.concatenate([left[0], right[0, -1:]]), line)
+        q = np.concatenate([left[0], right[0, -1:]])
+        self._check_travel(q, line)
+        if mode == PROGRAMMED:  # the tool axis follows the rotary words
+            tools = self.transform.tool_axis(q[:, 3:])
         half = (np.arange(len(steps)) >= early).astype(int) if kind == CORNER else 1
         return Cells(
             steps, left, right, tips, tools,

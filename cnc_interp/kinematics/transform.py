@@ -163,7 +163,7 @@ def near(angle, reference):  # type: ignore[no-untyped-def]
     return angle + 2.0 * pi * floor((reference - angle) / (2.0 * pi) + 0.5)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model='numpy')  # at the pole the jets are not finite
 def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-untyped-def]
     """
     Solve the rotary axes for a tool axis.

@@ -1,0 +1,230 @@
+"""The `cnc-interp` command: words of the shop floor in, one clear line per mistake out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cnc_interp import __version__
+from cnc_interp.errors import InterpError
+from cnc_interp.units import MM, MM_PER_MIN, MS
+
+FINE, FAILED, BAD_INPUT = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """
+    Run the command line.
+
+    Returns
+    -------
+    int
+        0 fine, 1 a failed run or an unproven plan, 2 bad input.
+
+    """
+    options = parser().parse_args(arguments)
+    try:
+        return int(options.command(options))
+    except InterpError as problem:
+        print(f'cnc-interp: {problem}', file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print('cnc-interp: interrupted', file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return FINE
+
+
+def parser() -> argparse.ArgumentParser:
+    """Declare every command and option."""
+    top = argparse.ArgumentParser(
+        prog='cnc-interp',
+        description='5-axis CNC interpolator: smooth, plan and run part programs, every setpoint '
+        'proven.',
+    )
+    top.add_argument('--version', action='version', version=f'cnc-interp {__version__}')
+    commands = top.add_subparsers(required=True, metavar='COMMAND')
+
+    run = command(
+        commands, 'run', run_command,
+        'stream a program through the ROS 2 nodes to the simulated machine',
+        'cnc-interp run examples/pyramid.apt --out out/pyramid',
+    )  # fmt: skip
+    program_options(run)
+    run.add_argument(
+        '--out', type=Path, metavar='DIR', help='write what the machine received as plan files'
+    )
+
+    plan = command(
+        commands, 'plan', plan_command,
+        'plan a program without ROS and write the plan files',
+        'cnc-interp plan examples/pyramid.apt --out out/pyramid',
+    )  # fmt: skip
+    program_options(plan)
+    plan.add_argument(
+        '--out', type=Path, metavar='DIR', required=True, help='folder for the plan files'
+    )
+
+    check = command(
+        commands, 'check', check_command,
+        'prove every setpoint of a plan against limits and tolerances',
+        'cnc-interp check out/pyramid',
+    )  # fmt: skip
+    check.add_argument('directory', type=Path, metavar='DIR', help='folder with plan files')
+    check.add_argument('--machine', metavar='M', help='another machine than the plan names')
+    check.add_argument('--json', action='store_true', help='print the proof as JSON')
+
+    report = command(
+        commands, 'report', report_command,
+        'write one self-contained HTML page about a plan',
+        'cnc-interp report out/pyramid --html out/pyramid.html',
+    )  # fmt: skip
+    report.add_argument('directory', type=Path, metavar='DIR', help='folder with plan files')
+    report.add_argument(
+        '--html', type=Path, metavar='FILE', help='page to write (default: DIR/report.html)'
+    )
+    return top
+
+
+def command(
+    commands: Any, name: str, function: Any, purpose: str, example: str
+) -> argparse.ArgumentParser:
+    """Add one command with an example in its help."""
+    added: argparse.ArgumentParser = commands.add_parser(
+        name,
+        help=purpose,
+        description=purpose[0].upper() + purpose[1:] + '.',
+        epilog=f'example: {example}',
+    )
+    added.set_defaults(command=function)
+    return added
+
+
+def program_options(added: argparse.ArgumentParser) -> None:
+    """Add the options that `run` and `plan` share."""
+    added.add_argument('program', type=Path, metavar='PROGRAM', help='G-code or CL data file')
+    added.add_argument(
+        '--machine', default='xyzac', metavar='M', help='bundled machine or YAML file (xyzac)'
+    )
+    length(added, '--contour-tolerance', 0.02, 'largest deviation of the tool tip')
+    length(added, '--orientation-tolerance', 0.02, 'largest deviation at flank height')
+    length(added, '--flank-height', 30.0, 'height at which orientation is measured')
+    added.add_argument(
+        '--force-tolerances', action='store_true', help='ignore the tolerances of the program'
+    )
+    added.add_argument(
+        '--feed', type=positive, metavar='MM_PER_MIN', help='feedrate where the program has no F'
+    )
+    added.add_argument(
+        '--ratio', type=positive, default=2.0, metavar='L2/L1', help='shape of the corners (2)'
+    )
+    added.add_argument(
+        '--period', type=positive, default=1.0, metavar='MS', help='interpolation period (1 ms)'
+    )
+    added.add_argument('--json', action='store_true', help='print the summary as JSON')
+
+
+def length(added: argparse.ArgumentParser, name: str, default: float, meaning: str) -> None:
+    """Add an option in millimetres."""
+    added.add_argument(
+        name, type=positive, default=default, metavar='MM', help=f'{meaning} ({default:g} mm)'
+    )
+
+
+def positive(text: str) -> float:
+    """Read a positive number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f'must be a positive number, not {text!r}')
+    return value
+
+
+def plan_command(options: argparse.Namespace) -> int:
+    """Plan a program and write the plan files."""
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.kinematics.transform import Transform
+    from cnc_interp.pipeline import ChainOptions, describe, plan_program, summary_of, write_plan
+    from cnc_interp.program import read_program
+
+    machine = Machine.load(options.machine)
+    chain = ChainOptions(options.flank_height * MM, options.ratio, options.period * MS)
+    geometry = Transform.of(machine)
+    program = read_program(options.program, geometry, read_options(options))
+    tell(program.notices)
+    progress = show_progress if sys.stderr.isatty() and not options.json else None
+    plan = plan_program(program, machine, chain, progress)
+    write_plan(plan, options.out)
+    summary = summary_of(plan)
+    print(json.dumps(summary, indent=2) if options.json else describe(summary))
+    if not options.json:
+        print(f'plan files     {options.out}')
+    return FINE
+
+
+def read_options(options: argparse.Namespace) -> Any:
+    """Turn the shop's units into the reader's options."""
+    from cnc_interp.program import ReadOptions
+
+    return ReadOptions(
+        contour_tolerance=options.contour_tolerance * MM,
+        orientation_tolerance=options.orientation_tolerance * MM,
+        force_tolerances=options.force_tolerances,
+        flank_height=options.flank_height * MM,
+        feedrate=None if options.feed is None else options.feed * MM_PER_MIN,
+    )
+
+
+def check_command(options: argparse.Namespace) -> int:
+    """Prove a plan."""
+    from cnc_interp.plan_files import read_plan
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.verify import verify_plan
+
+    name = options.machine or read_plan(options.directory).summary.get('machine', '')
+    proof = verify_plan(options.directory, Machine.load(name))
+    print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
+    return FINE if proof.ok else FAILED
+
+
+def report_command(options: argparse.Namespace) -> int:
+    """Write the HTML page of a plan."""
+    from cnc_interp.report import write_report
+
+    page = options.html or options.directory / 'report.html'
+    write_report(options.directory, page)
+    print(f'report         {page}')
+    return FINE
+
+
+def run_command(options: argparse.Namespace) -> int:
+    """Stream a program through the nodes."""
+    from cnc_interp.nodes.session import RunRequest, run_session
+
+    result = run_session(RunRequest.from_options(options))
+    print(json.dumps(result.to_json(), indent=2) if options.json else result.text())
+    return FINE if result.ok else FAILED
+
+
+def tell(notices: Sequence[str]) -> None:
+    """Print what the reader noticed."""
+    for notice in notices:
+        print(f'note: {notice}', file=sys.stderr)
+
+
+def show_progress(share: float) -> None:
+    """Draw the progress on a terminal."""
+    end = '\n' if share >= 1.0 else ''
+    print(f'\rplanning {share:4.0%}', end=end, file=sys.stderr, flush=True)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""The five-axis transformation against explicit rotation matrices and its own inverse."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.kinematics.machine import Machine, from_mapping
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.units import MM
+
+LIMITS = {
+    **{n: {'velocity_m_per_min': 30, 'acceleration_m_per_s2': 2, 'jerk_m_per_s3': 5} for n in 'XYZ'},
+    **{
+        n: {'velocity_rev_per_min': 15, 'acceleration_rev_per_s2': 1, 'jerk_rev_per_s3': 5}
+        for n in 'UV'
+    },
+}
+
+
+def machine_with(first, second, carried):
+    """Build a machine with given rotary directions and what they carry."""
+    rotary = {
+        'primary': {'name': 'U', 'about': first, 'carries': carried[0]},
+        'secondary': {'name': 'V', 'about': second, 'carries': carried[1]},
+        'workpiece_offset_mm': [40.0, -70.0, 60.0],
+        'secondary_offset_mm': [1.0, 0.15, 80.0],
+        'primary_offset_mm': [5.0, 6.0, 7.0],
+        'tip_to_secondary_pivot_mm': [1.0, 2.0, 150.0],
+        'secondary_to_primary_pivot_mm': [3.0, 4.0, 50.0],
+    }
+    return from_mapping({'name': 'test', 'rotary': rotary, 'limits': LIMITS})
+
+
+MACHINES = {
+    'AC table': machine_with([1, 0, 0], [0, 0, 1], ['workpiece', 'workpiece']),
+    'BC table': machine_with([0, 1, 0], [0, 0, 1], ['workpiece', 'workpiece']),
+    'nutating table': machine_with([0, 1, 1], [0, 0, 1], ['workpiece', 'workpiece']),
+    'C table A head': machine_with([0, 0, 1], [1, 0, 0], ['workpiece', 'tool']),
+    'B head C table': machine_with([0, 1, 0], [0, 0, 1], ['tool', 'workpiece']),
+    'CA head': machine_with([0, 0, 1], [1, 0, 0], ['tool', 'tool']),
+}
+RNG = np.random.default_rng(7)
+Q = np.column_stack([RNG.uniform(-0.3, 0.3, (60, 3)), RNG.uniform(-3.0, 3.0, (60, 2))])
+
+
+def pose_by_matrices(machine, q):
+    """Tool tip and axis of one position, from rotation matrices written out."""
+    first, second = (
+        Rotation.from_rotvec(angle * direction).as_matrix()
+        for angle, direction in zip(q[3:], machine.rotary_direction, strict=True)
+    )
+    one = np.eye(3)
+    on_head = machine.rotary_on_head
+    m, d, e = machine.offsets
+    table_1, table_2 = (one if on_head[0] else first), (one if on_head[1] else second)
+    head_1, head_2 = (first if on_head[0] else one), (second if on_head[1] else one)
+    arms = machine.tool_offset
+    reach = head_1 @ (head_2 @ arms[0] + arms[1]) - arms.sum(axis=0)
+    if not any(on_head):
+        reach = np.zeros(3)
+    inner = table_1.T @ (q[:3] - reach - e) - d
+    return table_2.T @ inner - m, (table_1 @ table_2).T @ head_1 @ head_2 @ [0, 0, 1]
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_forward_is_the_product_of_rotations(name):
+    machine = MACHINES[name]
+    tip, axis = Transform.of(machine).forward(Q)
+    for i, q in enumerate(Q):
+        expected_tip, expected_axis = pose_by_matrices(machine, q)
+        assert np.allclose(tip[i], expected_tip, atol=1e-14)
+        assert np.allclose(axis[i], expected_axis, atol=1e-14)
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_one_of_both_branches_is_where_we_came_from_and_both_are_right(name):
+    transform = Transform.of(MACHINES[name])
+    tip, axis = transform.forward(Q)
+    for i, q in enumerate(Q):
+        solutions = transform.rotary_solutions(axis[i])
+        gaps = [np.abs(np.angle(np.exp(1j * (pair - q[3:])))).max() for pair in solutions]
+        assert min(gaps) < 1e-7
+        for pair in solutions:
+            assert np.allclose(transform.tool_axis(pair[None])[0], axis[i], atol=1e-9)
+    assert np.allclose(transform.linear(tip, Q[:, 3:]), Q[:, :3], atol=1e-14)
+
+
+def test_reference_machine_formula():
+    """p_M = R_x(A) (R_z(C) (p_W + m) + d) + e, o = (sin A sin C, sin A cos C, cos A)."""
+    transform = Transform.of(Machine.load('xyzac'))
+    a, c = 0.4, -1.1
+    p = np.array([12.0, -7.0, 33.0]) * MM
+    m, d = np.array([40.0, -70.0, 60.0]) * MM, np.array([0.0, 0.15, 80.0]) * MM
+    r_x, r_z = Rotation.from_euler('x', a).as_matrix(), Rotation.from_euler('z', c).as_matrix()
+    linear = transform.linear(p[None], np.array([[a, c]]))[0]
+    assert np.allclose(linear, r_x @ (r_z @ (p + m) + d), atol=1e-15)
+    expected = [np.sin(a) * np.sin(c), np.sin(a) * np.cos(c), np.cos(a)]
+    assert np.allclose(transform.tool_axis(np.array([[a, c]]))[0], expected, atol=1e-15)
+
+
+def test_unreachable_orientation_has_no_solution():
+    """A nutating table at 45 deg tilts by at most 90 deg."""
+    transform = Transform.of(MACHINES['nutating table'])
+    assert transform.rotary_solutions(np.array([0.0, np.sin(2.0), np.cos(2.0)])) == []
+    assert len(transform.rotary_solutions(np.array([0.0, np.sin(1.0), np.cos(1.0)]))) == 2

@@ -1,0 +1,147 @@
+"""What limits the feed: Eq. 10 of [B2013], and the use of every limit along a motion law."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numba
+import numpy as np
+
+from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
+from cnc_interp.program.blocks import FloatArray
+
+
+class AxisLimits(Protocol):
+    """Limits of the axes: a Machine, or anything else that carries these three arrays."""
+
+    @property
+    def max_velocity(self) -> FloatArray:
+        """Velocity limits, shape (n_axes,) [m/s or rad/s]."""
+
+    @property
+    def max_acceleration(self) -> FloatArray:
+        """Acceleration limits, shape (n_axes,) [m/s2 or rad/s2]."""
+
+    @property
+    def max_jerk(self) -> FloatArray:
+        """Jerk limits, shape (n_axes,) [m/s3 or rad/s3]."""
+
+
+def limit_table(limits: AxisLimits) -> FloatArray:
+    """Stack the velocity, acceleration and jerk limits, shape (3, n_axes)."""
+    rows = (limits.max_velocity, limits.max_acceleration, limits.max_jerk)
+    return np.array(rows, dtype=np.float64)
+
+
+def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
+    """
+    Upper limit of the feed at the grid points [B2013, Eq. 10].
+
+    ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over the axes, with the derivatives and
+    the programmed feed of both neighbouring cells.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path, N grid points.
+    limits : AxisLimits
+        Limits of its axes.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Largest admissible s_dot where s_ddot and s_dddot vanish [m/s]; exact there, an upper
+        limit elsewhere.
+
+    """
+    table = limit_table(limits)
+    out = np.full(len(path.s), np.inf)
+    for jets, at in ((path.cell_left, slice(None, -1)), (path.cell_right, slice(1, None))):
+        with np.errstate(divide='ignore'):
+            sides = [(table[k] / np.abs(jets[k + 1])) ** (1 / (k + 1)) for k in range(3)]
+        bound = np.minimum.reduce([side.min(axis=1) for side in sides])
+        out[at] = np.minimum(out[at], np.minimum(bound, path.cell_feed))
+    return out
+
+
+@numba.njit(cache=True)
+def limit_use(
+    h: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    duration: FloatArray,
+    table: FloatArray,
+    points: int,
+    use: FloatArray,
+) -> FloatArray:
+    """
+    Use of every limit on every cell of a motion law, from the true curve.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n,)
+        Cell widths [m].
+    left, right : ndarray, shape (4, n, n_axes)
+        Jets of the path at both ends of the cells.
+    feed : ndarray, shape (n,)
+        Programmed feedrate in the cells [m/s].
+    v, a : ndarray, shape (n + 1,)
+        s_dot and s_ddot at the nodes.
+    duration : ndarray, shape (n,)
+        Time spent in each cell, at constant s_dddot [s].
+    table : ndarray, shape (3, n_axes)
+        Velocity, acceleration and jerk limits.
+    points : int
+        Instants per cell, both ends included.
+    use : ndarray, shape (n, 4, n_axes)
+        Takes the largest |velocity|, |acceleration|, |jerk| over its limit; row 3 holds the
+        programmed feed's in column 0.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        The largest of each over all cells.
+
+    """
+    n, n_axes = len(h), left.shape[2]
+    coefficients = np.empty((n_axes, 8))
+    jet = np.empty(4)
+    worst = np.zeros(4)
+    use[:] = 0.0
+    for i in range(n):
+        curved = False
+        for k in range(n_axes):
+            septic_coefficients(left[:, i, k], right[:, i, k], h[i], coefficients[k])
+            for c in range(2, 8):
+                curved = curved or coefficients[k, c] != 0.0
+        t = duration[i]
+        j = (a[i + 1] - a[i]) / t
+        for p in range(points):
+            dt = t * p / (points - 1)
+            s = dt * (v[i] + dt * (a[i] / 2 + dt * j / 6))
+            s_dot, s_ddot = v[i] + dt * (a[i] + dt * j / 2), a[i] + dt * j
+            u = min(max(s / h[i], 0.0), 1.0)
+            use[i, 3, 0] = max(use[i, 3, 0], s_dot / feed[i])
+            if s_dot < 0.0:
+                use[i, 3, 0] = max(use[i, 3, 0], 1.0 - s_dot / (v[i] + v[i + 1]))
+            for k in range(n_axes):
+                if p == 0 or not curved:
+                    q_s, q_ss, q_sss = left[1, i, k], left[2, i, k], left[3, i, k]
+                elif p == points - 1:
+                    q_s, q_ss, q_sss = right[1, i, k], right[2, i, k], right[3, i, k]
+                else:
+                    septic_value(coefficients[k], u, h[i], jet)
+                    q_s, q_ss, q_sss = jet[1], jet[2], jet[3]
+                velocity = abs(q_s * s_dot) / table[0, k]
+                acceleration = abs(q_ss * s_dot * s_dot + q_s * s_ddot) / table[1, k]
+                jerk = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j) / table[2, k]
+                use[i, 0, k] = max(use[i, 0, k], velocity)
+                use[i, 1, k] = max(use[i, 1, k], acceleration)
+                use[i, 2, k] = max(use[i, 2, k], jerk)
+        for c in range(4):
+            for k in range(n_axes):
+                worst[c] = max(worst[c], use[i, c, k])
+    return worst

@@ -1,0 +1,279 @@
+"""
+Windows: the feed planner for a path that arrives in parts.
+
+Every plan ends at rest at the end of what is known. Of a plan that fills its window the first part
+is committed and never revised; the rest is planned again when the next window is full. Windows
+follow from the path alone, never from how it was cut into pushes or when it came: the same path
+gives the same bits.
+
+A window fails when no law within the limits was found from the committed state. Then the plan
+before it, which is complete down to its own stop, is driven on, half of what is left at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from cnc_interp.errors import PlanningError
+from cnc_interp.feedrate import grid
+from cnc_interp.feedrate.jerk_stage import PlanOptions, Stretch, coarser, plan
+from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
+from cnc_interp.program.blocks import FloatArray
+
+KEPT_CELLS = 6
+"""Cells of the older plan that the next window keeps, at the limits without margin."""
+
+HORIZON = 3.0
+"""Stopping distances that must lie between a committed state and the end of its plan."""
+
+
+@dataclass(frozen=True)
+class PlannedPiece:
+    """
+    A committed part of the motion.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path on the planner's grid.
+    law : MotionLaw
+        The motion along it, one piece per cell; time goes on from piece to piece.
+
+    """
+
+    path: AxisPath
+    law: MotionLaw
+
+    @staticmethod
+    def join(parts: list[PlannedPiece]) -> PlannedPiece:
+        """Join pieces that follow each other."""
+        laws, first_cell = [], 0
+        for part in parts:
+            law = part.law
+            shifted = law.cell + first_cell
+            laws.append(
+                MotionLaw(
+                    law.time, law.duration, law.s, law.s_dot, law.s_ddot, law.jerk, shifted
+                )
+            )
+            first_cell += len(part.path.s) - 1
+        return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws))
+
+
+@numba.njit(cache=True)
+def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
+    """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
+    return v * np.sqrt(v / jerk) + v * v / (2 * acceleration)
+
+
+@numba.njit(cache=True)
+def window_end(
+    s: FloatArray, bounds: FloatArray, v_start: float, ratio: float, most_cells: int
+) -> int:
+    """
+    Find the node at which the window that starts at node 0 is full, or -1.
+
+    It is full at ``ratio`` horizons for the fastest speed that an optimistic forward guess reaches.
+    """
+    v, farthest = v_start, 0.0
+    for i in range(len(bounds)):
+        h = s[i + 1] - s[i]
+        # twice the guess's jerk and more acceleration: rather a window too long
+        v = min(bounds[i, 1], grid.reach(v, h, 2 * bounds[i, 2], 4 * bounds[i, 3]))
+        farthest = max(farthest, stopping_distance(v, bounds[i, 2], bounds[i, 3]))
+        if s[i + 1] - s[0] >= ratio * HORIZON * farthest or i + 1 >= most_cells:
+            return i + 1
+    return -1
+
+
+@numba.njit(cache=True)
+def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
+    """Find the last node from which a whole horizon is left at the speeds planned."""
+    n = len(bounds)
+    farthest = 0.0
+    for i in range(n - 1, 0, -1):
+        speed = max(v[i], v[i + 1])
+        farthest = max(farthest, stopping_distance(speed, bounds[i, 2], bounds[i, 3]))
+        if s[n] - s[i] >= HORIZON * farthest:
+            return i
+    return 0
+
+
+class FeedPlanner:
+    """
+    Plan the motion along a path that arrives in parts.
+
+    Parameters
+    ----------
+    limits : AxisLimits
+        Limits of the axes, for instance a Machine.
+    options : PlanOptions, optional
+        Settings.
+
+    """
+
+    def __init__(self, limits: AxisLimits, options: PlanOptions | None = None):
+        self.options = options or PlanOptions()
+        self._table = limit_table(limits)
+        self._path: AxisPath | None = None
+        self._start = (0.0, 0.0)
+        self._kept = 0
+        self._time = 0.0
+        self._older: Stretch | None = None
+        self._ratio = self.options.window_ratio
+
+    def push(self, path: AxisPath) -> list[PlannedPiece]:
+        """
+        Take the next part of the path, and plan the windows that it fills.
+
+        Parameters
+        ----------
+        path : AxisPath
+            Begins at the grid point where the part before ended.
+
+        Returns
+        -------
+        list of PlannedPiece
+            What is committed now, in order; often nothing.
+
+        Raises
+        ------
+        PlanningError
+            If there is no law within the limits at all.
+
+        """
+        self._path = path if self._path is None else AxisPath.join([self._path, path])
+        return self._plan_windows(finished=False)
+
+    def finish(self) -> list[PlannedPiece]:
+        """Plan all that is left, down to rest at the end of the path; ready for another path."""
+        pieces = self._plan_windows(finished=True)
+        self._path, self._start, self._kept, self._older = None, (0.0, 0.0), 0, None
+        return pieces
+
+    def _plan_windows(self, finished: bool) -> list[PlannedPiece]:
+        pieces: list[PlannedPiece] = []
+        while self._path is not None and len(self._path.s) > 1:
+            last, at_stop = self._next_window(finished)
+            if last < 0:
+                break
+            pieces.extend(self._plan_window(last, at_stop))
+        return pieces
+
+    def _next_window(self, finished: bool) -> tuple[int, bool]:
+        """Find the last node of the next window, -1 while it is not full; True at a stop."""
+        path = self._path
+        assert path is not None
+        n = len(path.s) - 1
+        stops = np.flatnonzero(path.stop[1:])
+        stop = int(stops[0]) + 1 if len(stops) else n
+        known = len(stops) > 0 or finished
+        part = slice(0, stop)
+        bounds = grid.speed_bounds(
+            np.diff(path.s[: stop + 1]), path.cell_left[:, part], path.cell_right[:, part],
+            path.cell_feed[part], self._table,
+        )
+        full = window_end(
+            path.s[: stop + 1], bounds, self._start[0], self._ratio, self.options.window_cells
+        )
+        if 0 < full < stop:
+            return full, False
+        return (stop, True) if known else (-1, False)
+
+    def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
+        """Plan the window up to a node, commit what is due."""
+        assert self._path is not None
+        stretch = plan(
+            cut(self._path, 0, last), self._table, self._start, self.options, self._kept
+        )
+        if stretch is None:
+            stretch = plan(
+                cut(self._path, 0, last), self._table, self._start, coarser(self.options, 0.5),
+                self._kept,
+            )
+        if stretch is None:
+            return self._drive_on()
+        n = len(stretch.duration)
+        if at_stop:
+            return [self._commit(stretch, n)]
+        bounds = grid.speed_bounds(
+            np.diff(stretch.path.s), stretch.path.cell_left, stretch.path.cell_right,
+            stretch.path.cell_feed, self._table,
+        )
+        node = commit_node(stretch.path.s, stretch.v, bounds)
+        enough = last >= self.options.window_cells
+        least = int(np.searchsorted(stretch.path.s, 0.75 * stretch.path.s[0] + 0.25 * stretch.path.s[-1]))
+        if node < max(least, 1) and not enough:
+            # faster than the window was made for: wait for a longer one
+            self._ratio *= 1.5
+            return []
+        self._ratio = self.options.window_ratio
+        return [self._commit(stretch, max(node, least, 1))]
+
+    def _drive_on(self) -> list[PlannedPiece]:
+        """Commit a part of the older plan instead of a window that failed."""
+        older = self._older
+        if older is None:
+            assert self._path is not None
+            block = int(self._path.cell_block[0])
+            raise PlanningError(
+                f'no motion within the axis limits along block {block}: '
+                'check the path for jumps and the limits of the machine file',
+            )
+        return [self._commit(older, max(1, len(older.duration) // 2))]
+
+    def _commit(self, stretch: Stretch, node: int) -> PlannedPiece:
+        """Hand out the first cells of a plan and keep the rest for the next window."""
+        assert self._path is not None
+        law = stretch.law(self._time, 0, node)
+        piece = PlannedPiece(cut(stretch.path, 0, node), law)
+        self._time = law.end_time
+        n = len(stretch.duration)
+        position = stretch.path.s[node]
+        self._kept = min(KEPT_CELLS, n - node)
+        rest = refine(self._path, stretch.path.s[node : node + self._kept + 1])
+        self._path = cut(rest, int(np.searchsorted(rest.s, position)), len(rest.s) - 1)
+        if node == n:
+            self._start, self._older = (0.0, 0.0), None
+        else:
+            self._start = (float(stretch.v[node]), float(stretch.a[node]))
+            self._older = Stretch(
+                cut(stretch.path, node, n), stretch.v[node:], stretch.a[node:],
+                stretch.duration[node:], stretch.use,
+            )
+        return piece
+
+
+def plan_path(
+    path: AxisPath, limits: AxisLimits, options: PlanOptions | None = None
+) -> PlannedPiece:
+    """
+    Plan a whole path at once: push, finish, join.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path, stops included.
+    limits : AxisLimits
+        Limits of the axes, for instance a Machine.
+    options : PlanOptions, optional
+        Settings.
+
+    Returns
+    -------
+    PlannedPiece
+        The path on the planner's grid and the motion law along it.
+
+    Raises
+    ------
+    PlanningError
+        If there is no law within the limits at all.
+
+    """
+    planner = FeedPlanner(limits, options)
+    return PlannedPiece.join(planner.push(path) + planner.finish())

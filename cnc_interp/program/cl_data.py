@@ -19,7 +19,7 @@ from cnc_interp.units import INCH, MINUTE, MM
 _FARTHEST = 1e5 * MM
 _UNIT_VECTOR = 5e-3  # published points carry four decimals
 
-_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?'
+_NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:E[-+]?\d++)?'
 _NEXT = rf'(?:\s*,\s*|\s+)({_NUMBER})'
 _GOTO = re.compile(rf'GOTO\s*/?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
 _STATEMENT = re.compile(r'([A-Z][A-Z0-9]*)\s*(?:/\s*(.*)|(.*))')
@@ -59,7 +59,7 @@ class ClReader:
     Parameters
     ----------
     geometry : RotaryGeometry
-        Tells whether the machine can tilt the tool.
+        Of the machine; CL data name no rotary axes, so only its presence matters here.
     options : ReadOptions
         Tolerances, and the feedrate of files without FEDRAT.
     source : str
@@ -118,7 +118,7 @@ class ClReader:
             raise self._fault('the file ends inside a continued statement ($)')
 
     def _fault(self, message: str, word: str = '') -> ProgramError:
-        return ProgramError(message, self.source, self.line_number, word)
+        return ProgramError(message, self.source, self.line_number, word[:40])
 
     def _notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.line_number, f'{key}: {text}')

@@ -139,3 +139,8 @@ HARMLESS_KEYS = {
     'DRIVE', 'FNORM', 'DIAMOF', 'CFC', 'CFTCP', 'CFIN', 'ORIWKS', 'SPOS', 'RTLION', 'RTLIOF',
 }  # fmt: skip
 INTERPOLATION_KEYS = {'ORIVECT': True, 'ORIAXES': False}
+
+
+def refused_key(key: str) -> str:
+    """Say why a word of several letters is refused, empty if it is not."""
+    return next((why for head, why in REFUSED_KEYS.items() if key.startswith(head)), '')

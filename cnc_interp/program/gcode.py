@@ -66,13 +66,12 @@ class GcodeReader:
 
     def read(self, lines: Iterable[str]) -> None:
         """Read all lines up to the end of the program."""
-        begun = False
+        percent_seen = False
         plain = PLAIN_MOTION.fullmatch
         for self.line_number, raw in enumerate(lines, start=1):
             line = raw.strip().upper()
             if match := plain(line):
                 g, x, y, z, a, b, c, f = match.groups()
-                begun = begun or bool(line)
                 if g:
                     self.rapid = g == '0'
                 if f:
@@ -87,17 +86,16 @@ class GcodeReader:
                         bool(f),
                     )
             elif line[0] == '%':
-                if begun:
+                if percent_seen or not self.targets.empty:
                     return
-                begun = True
+                percent_seen = True
             else:
-                begun = True
                 self._execute(split_words(self._strip_skip(line), self.source, self.line_number))
                 if self.ended:
                     return
 
     def _fault(self, message: str, word: str = '') -> ProgramError:
-        return ProgramError(message, self.source, self.line_number, word)
+        return ProgramError(message, self.source, self.line_number, word[:40])
 
     def _notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.line_number, f'{key}: {text}')
@@ -225,8 +223,8 @@ class GcodeReader:
         elif key in codes.HARMLESS_KEYS:
             self._notice(key, 'passed on, it does not move the tool')
         else:
-            reasons = (why for head, why in codes.REFUSED_KEYS.items() if key.startswith(head))
-            raise self._fault(next(reasons, 'unknown word; remove it or correct it'), key)
+            unknown = 'unknown word; remove it, or write a letter and a number as X10'
+            raise self._fault(codes.refused_key(key) or unknown, key)
 
     def _set_feed(self, value: float, word: str) -> None:
         if not 0.0 < value < inf:
@@ -292,7 +290,11 @@ class GcodeReader:
             here_y = here_y if y is None else y * unit
             here_z = here_z if z is None else z * unit
         if max(abs(here_x), abs(here_y), abs(here_z)) > _FARTHEST:
-            raise self._fault('a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)')
+            value, letter = max(zip(map(abs, (here_x, here_y, here_z)), 'XYZ', strict=True))
+            raise self._fault(
+                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
+                f'{letter} {value / unit:g}',
+            )
         self.tip = (here_x, here_y, here_z)
         if rotary is not None or not self.tcp:
             self._turn(rotary)
@@ -340,16 +342,19 @@ class GcodeReader:
             )
             self.named = 1.0
             if max(abs(self.rotary[0]), abs(self.rotary[1])) > _MOST_TURN:
-                raise self._fault('a rotary axis beyond 1000 turns; correct the angle')
+                raise self._fault(
+                    'a rotary axis beyond 1000 turns; correct the angle', self._spelled(rotary)
+                )
         if self.tcp or not self.rotary_letters:
             return
         if any(before) or any(self.rotary):
             raise self._fault(
                 'motion with turned rotary axes needs tool-tip programming; switch it on with '
                 f'{codes.TCP_ON_WORDS} before this line (axis coordinates are not supported yet)',
-                ' '.join(
-                    f'{letter}{word:g}'
-                    for letter, word in zip(self.rotary_letters, rotary or (), strict=False)
-                    if word is not None
-                ),
+                self._spelled(rotary),
             )
+
+    def _spelled(self, rotary: tuple[float | None, float | None] | None) -> str:
+        """Rotary words as they were meant, for errors."""
+        pairs = zip(self.rotary_letters, rotary or (), strict=False)
+        return ' '.join(f'{letter}{angle:g}' for letter, angle in pairs if angle is not None)

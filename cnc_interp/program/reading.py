@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from io import StringIO
 from itertools import chain, islice
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def read_text(text: str, source: str, geometry: RotaryGeometry, options: ReadOpt
     array([[0.01, 0.  , 0.  ]])
 
     """
-    return _read(text.splitlines(), source, geometry, options)
+    return _read(StringIO(text, newline=None), source, geometry, options)
 
 
 def _read(

@@ -6,8 +6,10 @@ import re
 from dataclasses import dataclass, field
 
 from cnc_interp.errors import ProgramError
+from cnc_interp.program.codes import refused_key
 
-_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)'
+# Possessive quantifiers: a line of a million digits must fail at once, not be tried in every way.
+_NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)'
 _AXES = ''.join(rf'(?:{letter}\s*({_NUMBER})\s*)?' for letter in 'XYZABC')
 
 # Nearly every line of a program has this form. Groups: G0 or G1, X Y Z A B C, F.
@@ -20,7 +22,7 @@ _TOKEN = re.compile(
     (?P<letter>[A-Z])\s*=?\s*(?P<number>{_NUMBER})(?![\d.=])
     | (?P<text>T\s*=\s*"[^"]*")
     | (?P<key>\#\s*TRAFO\s+(?:ON|OFF)\b | [A-Z_][A-Z_]+\w*) (?P<call>\((?:"[^"]*"|[^()"])*\))?
-    | (?P<comment>\([^()]*\) | ;.*)
+    | (?P<comment>\((?:[^()]|\([^()]*+\))*+\) | ;.*)
     | (?P<space>\s+)
     """,
     re.VERBOSE,
@@ -69,6 +71,10 @@ def split_words(line: str, source: str, line_number: int) -> BlockWords:
     while at < len(line):
         token = _TOKEN.match(line, at)
         if token is None:
+            # After a word such as IF or DEF the rest follows other rules: name that word instead.
+            for key in words.keys:
+                if why := refused_key(key):
+                    raise ProgramError(why, source, line_number, key)
             raise _fault(line, at, source, line_number)
         at = token.end()
         letter, key = token['letter'], token['key']
@@ -99,6 +105,8 @@ def _fault(line: str, at: int, source: str, line_number: int) -> ProgramError:
         message = 'the comment is not closed; add )'
     elif any(sign in chunk for sign in '=#[]<>"*'):
         message, chunk = _EXPRESSION, line[line.rfind(' ', 0, at) + 1 :].split()[0]
+    elif not chunk.isprintable():
+        message, chunk = 'this is no text; give a part program', ascii(chunk)
     elif rest[0].isdigit() or rest[0] in '+-.':
         message = 'a number without a letter; write for example X10'
     elif re.fullmatch(r'[A-Z]', chunk) or re.match(r'[A-Z][-+.]*(?![\d.A-Z])', chunk):
@@ -107,4 +115,4 @@ def _fault(line: str, at: int, source: str, line_number: int) -> ProgramError:
         message = 'not a number; write for example X10.5'
     else:
         message = 'not a word of G-code; remove it or put it into a comment'
-    return ProgramError(message, source, line_number, chunk)
+    return ProgramError(message, source, line_number, chunk[:40])

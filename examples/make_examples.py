@@ -1,0 +1,87 @@
+"""
+Write the part programs of this folder: ``python examples/make_examples.py``.
+
+Both parts are flank milled: the tool axis stays in the plane of a wall and turns along it, so
+that every wall is flat. Between two given axes the great circle lies in their common plane, hence
+the programs need points at the corners only.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, degrees, hypot, radians, sin, sqrt, tan
+from pathlib import Path
+
+Vector = tuple[float, float, float]
+
+HERE = Path(__file__).resolve().parent
+FEED_MM_PER_MIN = 3000
+
+
+def unit(v: Vector) -> Vector:
+    """Scale a vector to length one."""
+    length = sqrt(sum(component**2 for component in v))
+    return v[0] / length, v[1] / length, v[2] / length
+
+
+def pyramid() -> list[tuple[Vector, Vector]]:
+    """
+    Tip [mm] and tool axis at the corners of a square, walls tilted outward by 15 deg.
+
+    At a corner the axis runs along the pyramid's edge, where both neighbouring walls meet.
+    """
+    slope = tan(radians(15.0))
+    corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]
+    return [((30.0 * x, 30.0 * y, 0.0), unit((slope * x, slope * y, 1.0))) for x, y in corners]
+
+
+def pocket_corner() -> list[tuple[Vector, Vector]]:
+    """
+    Tip [mm] and tool axis along two walls of a pocket, tilted outward by 15 and 12 deg.
+
+    At the free ends the axis is square to the path; at the corner it is the line in which both
+    walls meet.
+    """
+    first, second = radians(15.0), radians(12.0)
+    return [
+        ((-60.0, 0.0, 0.0), (0.0, -sin(first), cos(first))),
+        ((0.0, 0.0, 0.0), unit((tan(second), -tan(first), 1.0))),
+        ((0.0, 60.0, 0.0), (sin(second), 0.0, cos(second))),
+    ]
+
+
+def cl_data(name: str, points: list[tuple[Vector, Vector]]) -> str:
+    """Write points as CL data."""
+    lines = [f'PARTNO {name}', 'UNITS/MM', 'MULTAX/ON']
+    for number, (tip, axis) in enumerate(points):
+        words = [f'{value:.4f}' for value in tip] + [f'{value:.9f}' for value in axis]
+        lines.append('GOTO/' + ','.join(words))
+        if number == 0:
+            lines.append(f'FEDRAT/{FEED_MM_PER_MIN},MMPM')
+    return '\n'.join([*lines, 'FINI', ''])
+
+
+def gcode(name: str, points: list[tuple[Vector, Vector]]) -> str:
+    """Write points as G-code for the table-tilting machine xyzac, C never jumping by a turn."""
+    lines = ['%', f'({name}: tool tip programming, tool axis on great circles)']
+    lines += ['G21 G90 G94', 'G64 P0.02', 'TRAORI', 'ORIVECT']
+    c = 0.0
+    for number, (tip, (i, j, k)) in enumerate(points):
+        a = degrees(atan2(hypot(i, j), k))
+        c += (degrees(atan2(i, j)) - c + 180.0) % 360.0 - 180.0
+        words = [f'{letter}{value:.4f}' for letter, value in zip('XYZ', tip, strict=True)]
+        words += [f'A{a:.9f}', f'C{c:.9f}']
+        feed = f' F{FEED_MM_PER_MIN}' if number == 1 else ''
+        lines.append(f'G{min(number, 1)} {" ".join(words)}{feed}')
+    return '\n'.join([*lines, 'TRAFOOF', 'M30', '%', ''])
+
+
+def main() -> None:
+    """Write all files beside this script."""
+    (HERE / 'pyramid.apt').write_text(cl_data('PYRAMID', pyramid()), encoding='ascii')
+    (HERE / 'pyramid.ngc').write_text(gcode('PYRAMID', pyramid()), encoding='ascii')
+    corner = cl_data('POCKET CORNER', pocket_corner())
+    (HERE / 'pocket_corner.apt').write_text(corner, encoding='ascii')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,165 @@
+"""Whole programs: golden files, the bundled examples, and real ones where they are at hand."""
+
+import csv
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_program_subdivision import TableAC
+
+from cnc_interp.errors import ProgramError
+from cnc_interp.program import ReadOptions, read_program
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / 'examples'
+SHARED = ROOT.parent / 'shared' / 'programs'
+READABLE = {
+    'cnclite-blend-mpf', 'cnclite-square-apt', 'cnclite-tulsyan-apt', 'creo-finition-ncl',
+    'hust-yelun-cl', 'linuxcnc-impeller-xyzac', 'pycam-sample',
+}  # fmt: skip
+
+
+def read(path, **options):
+    return read_program(path, TableAC(), ReadOptions(**options))
+
+
+def shared(name):
+    files = [path for path in (SHARED / name).glob('*') if path.name != 'SOURCE']
+    if not files:
+        pytest.skip('the collection of real programs is not at hand')
+    return files[0]
+
+
+def test_golden_tilted_square():
+    folder = ROOT / 'test' / 'golden' / 'program'
+    blocks = read(folder / 'tilted_square.ngc').blocks
+    with (folder / 'tilted_square.csv').open() as rows:
+        wanted = [
+            {key: float(value) for key, value in row.items()} for row in csv.DictReader(rows)
+        ]
+    ends = np.flatnonzero(np.diff(blocks.line_number, append=-1))
+    assert blocks.line_number[ends].tolist() == [row['line'] for row in wanted]
+    for row, end in zip(wanted, ends, strict=True):
+        pieces = blocks.line_number == row['line']
+        np.testing.assert_allclose(blocks.tip[end] * 1e3, [row[k] for k in 'xyz'], atol=1e-9)
+        np.testing.assert_allclose(np.degrees(blocks.rotary[end]), [row['a'], row['c']], atol=1e-9)
+        np.testing.assert_allclose(blocks.feedrate[pieces] * 6e4, row['feed'])
+        np.testing.assert_allclose(blocks.duration[pieces].sum(), row['duration'])
+        assert blocks.exact_stop[pieces].sum() == row['exact_stop']
+
+
+def test_examples_are_what_their_script_writes(tmp_path):
+    script = tmp_path / 'make_examples.py'
+    script.write_text((EXAMPLES / 'make_examples.py').read_text())
+    subprocess.run([sys.executable, str(script)], check=True)
+    for name in ('pyramid.apt', 'pyramid.ngc', 'pocket_corner.apt'):
+        assert (tmp_path / name).read_text() == (EXAMPLES / name).read_text()
+
+
+def wall_tilt(blocks, row):
+    """Angle of the wall between two blocks against the vertical [deg]."""
+    along = blocks.tip[row] - blocks.tip[row - 1]
+    normal = np.cross(along, blocks.axis[row])
+    other = np.cross(along, blocks.axis[row - 1])
+    np.testing.assert_allclose(
+        normal / np.linalg.norm(normal), other / np.linalg.norm(other), atol=1e-8
+    )
+    return np.degrees(np.arcsin(normal[2] / np.linalg.norm(normal)))
+
+
+@pytest.mark.parametrize('name', ['pyramid.apt', 'pyramid.ngc'])
+def test_pyramid_has_four_flat_walls_tilted_outward(name):
+    blocks = read(EXAMPLES / name).blocks
+    assert len(blocks) == 5
+    for row in range(1, 5):
+        assert abs(wall_tilt(blocks, row)) == pytest.approx(15.0, abs=1e-6)
+        assert np.linalg.norm(blocks.tip[row] - blocks.tip[row - 1]) == pytest.approx(0.06)
+        assert blocks.tip[row, :2] @ blocks.axis[row, :2] > 0.0
+    np.testing.assert_allclose(blocks.feedrate[1:], 0.05)
+    np.testing.assert_allclose(blocks.tip[0], blocks.tip[-1])
+    np.testing.assert_allclose(blocks.contour_tolerance, 2e-5)
+
+
+def test_both_pyramids_are_the_same_path():
+    first, second = (read(EXAMPLES / name).blocks for name in ('pyramid.apt', 'pyramid.ngc'))
+    np.testing.assert_allclose(first.tip, second.tip, atol=1e-12)
+    np.testing.assert_allclose(first.axis, second.axis, atol=1e-8)
+
+
+def test_pocket_corner_has_walls_of_15_and_12_deg():
+    blocks = read(EXAMPLES / 'pocket_corner.apt').blocks
+    assert [abs(wall_tilt(blocks, row)) for row in (1, 2)] == pytest.approx([15, 12], abs=1e-6)
+    for end, row in ((0, 1), (2, 2)):
+        along = blocks.tip[row] - blocks.tip[row - 1]
+        assert along @ blocks.axis[end] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_impeller_against_a_plain_reading_of_its_lines():
+    path = shared('linuxcnc-impeller-xyzac')
+    program = read(path)
+    blocks = program.blocks
+    ends = np.flatnonzero(np.diff(blocks.line_number, append=-1))
+    at = dict(zip(blocks.line_number[ends].tolist(), ends.tolist(), strict=True))
+    position = dict.fromkeys('XYZAC', 0.0)
+    before, compared = None, 0
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        if not line.startswith(('G0 ', 'G1 ')):
+            continue
+        words = {k: float(v) for k, v in re.findall(r'([XYZACF])\s*(-?[\d.]+)', line)}
+        position.update({k: v for k, v in words.items() if k != 'F'})
+        now = tuple(position.values())
+        if now == before:
+            assert number not in at
+            continue
+        before = now
+        end = at[number]
+        found = [*blocks.tip[end] * 1e3, *np.degrees(blocks.rotary[end])]
+        np.testing.assert_allclose(found, now, atol=1e-9)
+        pieces = blocks.line_number == number
+        if line.startswith('G1'):
+            assert blocks.duration[pieces].sum() == pytest.approx(60.0 / words['F'])
+        else:
+            assert blocks.rapid[pieces].all() and np.isinf(blocks.feedrate[pieces]).all()
+        compared += 1
+    assert compared == len(ends) and compared > 4000
+    np.testing.assert_allclose(np.linalg.norm(blocks.axis, axis=1), 1.0, atol=1e-12)
+
+
+def test_creo_points_against_a_plain_reading():
+    path = shared('creo-finition-ncl')
+    joined = path.read_text().replace('$\n', ' ')
+    points = np.array(
+        [
+            [float(word) for word in line.split('/')[1].split(',')]
+            for line in joined.splitlines()
+            if line.startswith('GOTO')
+        ]
+    )
+    blocks = read(path).blocks
+    keep = np.concatenate([[True], (np.abs(np.diff(points, axis=0)) > 0).any(axis=1)])
+    np.testing.assert_allclose(blocks.tip, points[keep, :3] * 0.0254, atol=1e-12)
+    np.testing.assert_allclose(blocks.axis, points[keep, 3:], atol=1e-9)
+    assert blocks.rapid.sum() == joined.count('RAPID\n') - 1 + blocks.rapid[0]
+    np.testing.assert_allclose(blocks.feedrate[1:][~blocks.rapid[1:]], 1193.663081 * 0.0254 / 60)
+
+
+def test_every_real_program_is_read_or_refused_in_one_line():
+    if not SHARED.is_dir():
+        pytest.skip('the collection of real programs is not at hand')
+    readable = set()
+    for folder in SHARED.iterdir():
+        path = shared(folder.name)
+        try:
+            blocks = read(path, feedrate=0.05).blocks
+        except ProgramError as error:
+            assert error.line_number > 0 and error.word and '\n' not in str(error)
+            continue
+        readable.add(folder.name)
+        for name in ('tip', 'axis', 'contour_tolerance'):
+            assert np.isfinite(getattr(blocks, name)).all()
+        moving = np.isnan(blocks.feedrate[1:]) != np.isnan(blocks.duration[1:])
+        assert moving.all() and blocks.exact_stop[-1]
+    assert readable == READABLE

@@ -1,0 +1,101 @@
+"""What a program may not say: one line that names file, line, word and what to do."""
+
+import pytest
+from test_program_subdivision import TableAC
+
+from cnc_interp.errors import ProgramError
+from cnc_interp.program import ReadOptions, read_text
+
+SYNTAX = [
+    ('G0 X1 X2', 'X2', 'twice'),
+    ('G0 G1 X2', 'G1', 'G0 stands in the same block'),
+    ('G90 G91 X2', 'G91', 'G90 stands in the same block'),
+    ('G0 X', 'X', 'without a number'),
+    ('G0 X Y2', 'X', 'without a number'),
+    ('G0 12', '12', 'without a letter'),
+    ('G0 X1.2.3', 'X1.2.3', 'not a number'),
+    ('G0 X1 (open', '(OPEN', 'not closed'),
+    ('G0 XNAN', 'XNAN', 'unknown word'),
+    ('G0 X1e9999', 'E9999', 'no meaning'),
+    ('G0 X' + '9' * 400, 'X inf', '100,000 mm'),
+    ('G0 Y-100001', 'Y 100001', '100,000 mm'),
+    ('FROBNICATE', 'FROBNICATE', 'unknown word'),
+    ('G0 E5', 'E5', 'no meaning'),
+    ('G0 X1 I2', 'I2', 'no meaning'),
+    ('G0 U5', 'U5', 'axis'),
+    ('G0 B5', 'B5', 'no axis B'),
+    ('G1 X1 F0', 'F0', 'greater than zero'),
+    ('G1 X1 F-5', 'F-5', 'greater than zero'),
+    ('G64 P0', 'P0', 'greater than zero'),
+    ('G64 P-0.1', 'P-0.1', 'greater than zero'),
+    ('G1 X1', '', 'no feedrate'),
+    ('G93\nG1 X1', '', 'G93'),
+    ('G1 F60 X1\nG93\nX2', '', 'G93'),
+    ('G93\nG1 X1 F60\nG94\nX2', '', 'no feedrate'),
+    ('G4 Y5', 'G4', 'two lines'),
+    ('M428\nG0 C400000', 'C400000', '1000 turns'),
+    ('\x00\x01', "'\\x00\\x01'", 'no text'),
+]
+UNSUPPORTED = [
+    'G2 X1 R1', 'G3 X1 I1', 'G5 X1', 'G10 L2 P1', 'G16', 'G28', 'G30', 'G41 D1', 'G42', 'G51 X0',
+    'G52 X1', 'G53 X0', 'G54.1 P1', 'G68 R30', 'G68.2', 'G73', 'G81 Z-5 R2', 'G83', 'G89', 'G92',
+    'G95', 'G96 S100', 'G38.2 Z-5', 'G43.1 Z5', 'G43.5', 'G65 P1', 'M98 P2', 'M97', 'M99', 'M430',
+    'G123', 'R1=5', 'X=R1', 'X[1+2]', '#100=5', 'X#5', 'DEF REAL A1', 'SUPA G0 X1', 'AROT Y90',
+    'CYCLE81(1,2)', 'MCALL', 'IF 1 GOTOF END', 'O100 SUB', 'BSPLINE SD=3', 'TRANS X5',
+]  # fmt: skip
+
+
+def refused(text, start='G0 X0\n'):
+    with pytest.raises(ProgramError) as caught:
+        read_text(start + text, 'part.ngc', TableAC(), ReadOptions())
+    assert '\n' not in str(caught.value) and str(caught.value).startswith('part.ngc:')
+    return caught.value
+
+
+@pytest.mark.parametrize(('text', 'word', 'part'), SYNTAX)
+def test_faulty_blocks_are_named(text, word, part):
+    error = refused(text)
+    assert error.line_number == 2 + text.count('\n')
+    assert part in str(error)
+    assert error.word == word[:40]
+
+
+@pytest.mark.parametrize('text', UNSUPPORTED)
+def test_unsupported_constructs_are_refused_with_a_remedy(text):
+    error = refused(text)
+    assert error.line_number == 2 and error.word
+    assert 'support' in str(error) or 'unknown word' in str(error)
+
+
+def test_axis_words_need_a_motion_code_first():
+    error = refused('X5', start='')
+    assert error.line_number == 1 and 'G0 or G1' in str(error)
+
+
+def test_the_work_offset_must_not_change():
+    error = refused('G55\nG0 X1\nG55\nG54\nG0 X2')
+    assert (error.line_number, error.word) == (5, 'G54') and 'G55' in str(error)
+
+
+def test_texts_without_motion_are_refused():
+    for text in ('', '(nothing)', 'G21\nM30', '%\n%'):
+        with pytest.raises(ProgramError, match='no motion'):
+            read_text(text, 'part.ngc', TableAC(), ReadOptions())
+
+
+def test_heidenhain_plain_text_is_told_apart():
+    with pytest.raises(ProgramError, match=r'part\.h:1: .*Heidenhain'):
+        read_text('0 BEGIN PGM 12 MM\n1 L X+5 FMAX', 'part.h', TableAC(), ReadOptions())
+
+
+@pytest.mark.parametrize(
+    'bad', [{'contour_tolerance': 0.0}, {'feedrate': -1.0}, {'flank_height': float('nan')}]
+)
+def test_options_must_be_greater_than_zero(bad):
+    with pytest.raises(ProgramError, match=next(iter(bad))):
+        ReadOptions(**bad)
+
+
+def test_a_line_of_a_million_characters_fails_at_once():
+    for text in ('X' + '1' * 1000000 + 'Q', '(' * 1000000, 'Y' * 1000000, '1' * 1000000):
+        assert len(str(refused(text))) < 200

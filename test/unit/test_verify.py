@@ -19,7 +19,7 @@ MACHINE = Machine.load('xyzac')
 
 
 def turned_tip(a, c):
-    """Keep the tool tip where it is at A = C = 0 while A and C turn: X Y Z of the table, by hand."""
+    """Find by hand the X Y Z that keep the tip where it is at A = C = 0."""
     d = np.array([0.0, 0.15, 80.0]) * MM
     around = np.stack([d[0] * np.cos(c) - d[1] * np.sin(c), d[0] * np.sin(c) + d[1] * np.cos(c)])
     arm = np.stack([d[0] - around[0], d[1] - around[1], np.zeros_like(c)])

@@ -1,0 +1,405 @@
+"""
+The simulated machine: drives with following error, soft limits and a small state machine.
+
+Every axis is a position loop with velocity feed-forward around a velocity loop that answers as a
+first-order lag,
+
+    x' = v,    tau v' = kv (r - x) + f r' - v,
+
+so X/R = (f s + kv) / (tau s^2 + s + kv): stable for all kv, tau > 0, damping 1 / (2 sqrt(kv tau)).
+On a ramp of speed V it lags by (1 - f) V / kv, under constant acceleration a by tau a / kv more.
+Between two setpoints the drive interpolates r and r' linearly (first-order hold). The step over
+one period is then exact, by the matrix exponential, whatever the period. No clock, no ROS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+
+from cnc_interp.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import FloatArray
+
+# A step this many times faster than an axis can go is no setpoint but a fault of the sender.
+GROSS = 1.5
+# Soft limits forgive rounding [m, rad].
+TRAVEL_SLACK = 1e-9
+# The path on which the contour error is measured reaches back by this many lags of the drives.
+LAGS_REMEMBERED = 5.0
+LONGEST_MEMORY = 1000
+
+
+class State(Enum):
+    """What the machine is doing."""
+
+    INACTIVE = 'inactive'  # drives off
+    IDLE = 'idle'  # drives on, at rest, no program
+    RUNNING = 'running'  # following setpoints
+    HOLDING = 'holding'  # feed hold: stopped, or stopping, on the path
+    STARVED = 'starved'  # setpoints did not come in time: followed the stop tail
+    FAULT = 'fault'  # refused a setpoint, or emergency stop
+
+
+class Event(Enum):
+    """What changes the state."""
+
+    ACTIVATE = 'activate'
+    DEACTIVATE = 'deactivate'
+    START = 'start'
+    FINISH = 'finish'
+    HOLD = 'hold'
+    STARVE = 'starve'
+    RESUME = 'resume'
+    RESET = 'reset'
+    FAIL = 'fail'
+
+
+TRANSITIONS: dict[tuple[State, Event], State] = {
+    (State.INACTIVE, Event.ACTIVATE): State.IDLE,
+    (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
+    (State.IDLE, Event.START): State.RUNNING,
+    (State.IDLE, Event.RESET): State.IDLE,
+    (State.IDLE, Event.FAIL): State.FAULT,
+    (State.RUNNING, Event.FINISH): State.IDLE,
+    (State.RUNNING, Event.HOLD): State.HOLDING,
+    (State.RUNNING, Event.STARVE): State.STARVED,
+    (State.RUNNING, Event.FAIL): State.FAULT,
+    (State.HOLDING, Event.RESUME): State.RUNNING,
+    (State.HOLDING, Event.RESET): State.IDLE,
+    (State.HOLDING, Event.FAIL): State.FAULT,
+    (State.STARVED, Event.RESUME): State.RUNNING,
+    (State.STARVED, Event.RESET): State.IDLE,
+    (State.STARVED, Event.FAIL): State.FAULT,
+    (State.FAULT, Event.RESET): State.IDLE,
+    (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
+    (State.FAULT, Event.FAIL): State.FAULT,
+}
+
+# Setpoints are followed in these states; on hold and when starved they are those of the stop.
+FOLLOWING = frozenset({State.RUNNING, State.HOLDING, State.STARVED})
+
+
+@dataclass(frozen=True)
+class Drives:
+    """
+    Parameters of the drives, the same for all axes.
+
+    Parameters
+    ----------
+    position_gain : float
+        ``kv`` [1/s].
+    feed_forward : float
+        Share ``f`` of the setpoint's velocity that is fed forward, 0 to 1.
+    time_constant : float
+        Lag ``tau`` of the velocity loop [s].
+
+    """
+
+    position_gain: float = 100.0
+    feed_forward: float = 1.0
+    time_constant: float = 2e-3
+
+    def __post_init__(self) -> None:
+        for name in ('position_gain', 'time_constant'):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise StreamError(f'{name} of the drives must be positive')
+        if not 0.0 <= self.feed_forward <= 1.0:
+            raise StreamError('feed_forward of the drives must lie between 0 and 1')
+
+    def discretise(self, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """
+        Solve one period exactly for inputs (r, r') that run linearly.
+
+        Returns
+        -------
+        transition, held, rising : ndarray, shape (2, 2)
+            ``z+ = transition z + held u + rising (u+ - u)`` with ``z = (x, v)``.
+
+        """
+        kv, f, tau = self.position_gain, self.feed_forward, self.time_constant
+        # z' = A z + B u, u' = constant: one exponential of the three stacked.
+        stacked = np.zeros((6, 6))
+        stacked[0, 1] = 1.0
+        stacked[1, :4] = np.array([-kv, -1.0, kv, f]) / tau
+        stacked[2:4, 4:6] = np.eye(2) / period
+        step = expm(stacked * period)
+        return step[:2, :2].copy(), step[:2, 2:4].copy(), step[:2, 4:6].copy()
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """
+    What the machine reports after one period.
+
+    Parameters
+    ----------
+    state : State
+        State of the machine.
+    message : str
+        Why it is in FAULT, else empty.
+    setpoint, position, velocity, following_error : ndarray, shape (n_axes,)
+        Commanded and actual axes and their difference [m, rad, per s].
+    tip, axis : ndarray, shape (3,)
+        Actual tool tip [m] and tool axis [-] in W.
+    tip_lag : float
+        Distance of the actual tip from the commanded tip [m].
+    contour_error : float
+        Distance of the actual tip from the path of the latest commanded tips [m].
+
+    """
+
+    state: State
+    message: str
+    setpoint: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    following_error: FloatArray
+    tip: FloatArray
+    axis: FloatArray
+    tip_lag: float
+    contour_error: float
+
+
+@dataclass(frozen=True)
+class Recording:
+    """
+    A whole run of the drives: the arrays of `Feedback`, one row per setpoint.
+
+    Parameters
+    ----------
+    position, velocity, following_error : ndarray, shape (K, n_axes)
+        Actual axes [m, rad, per s].
+    tip, axis : ndarray, shape (K, 3)
+        Actual tool tip [m] and tool axis [-].
+    tip_lag, contour_error : ndarray, shape (K,)
+        Distances from the commanded tip and from the commanded path [m].
+    largest_use : ndarray, shape (3, n_axes)
+        Largest velocity, acceleration and jerk of the setpoints over their limits.
+
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    following_error: FloatArray
+    tip: FloatArray
+    axis: FloatArray
+    tip_lag: FloatArray
+    contour_error: FloatArray
+    largest_use: FloatArray
+
+
+class SimulatedMachine:
+    """
+    A machine that follows setpoints one period at a time.
+
+    Parameters
+    ----------
+    machine : Machine
+        Axes, limits, travel and geometry.
+    period : float
+        Interpolation period [s].
+    position : ndarray, shape (n_axes,)
+        Where the axes stand when it is switched on [m, rad].
+    drives : Drives
+        Parameters of the drives.
+
+    """
+
+    def __init__(
+        self, machine: Machine, period: float, position: FloatArray, drives: Drives | None = None
+    ):
+        if not 0.0 < period < np.inf:
+            raise StreamError('the interpolation period must be positive')
+        self.machine, self.period, self.drives = machine, period, drives or Drives()
+        self.state, self.message = State.INACTIVE, ''
+        self._transform = Transform.of(machine)
+        self._model = self.drives.discretise(period)
+        lag = 1.0 / self.drives.position_gain + self.drives.time_constant
+        self._memory = min(LONGEST_MEMORY, int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1)
+        self._limits = np.stack(
+            [machine.max_velocity, machine.max_acceleration, machine.max_jerk]
+        ) * np.array([[period], [period**2], [period**3]])
+        self.place(position)
+
+    def place(self, position: FloatArray) -> None:
+        """Set the axes at rest somewhere, without moving there, and forget all figures."""
+        start = np.array(position, dtype=float)
+        fault = self._fault_of_position(start)
+        if fault:
+            raise StreamError(fault)
+        self._setpoints = np.tile(start, (4, 1))
+        self._axes = np.stack([start, np.zeros_like(start)])
+        self._velocity = np.zeros_like(start)
+        self._tips = np.tile(self._transform.forward(start[None, :])[0], (self._memory, 1))
+        self.largest_use = np.zeros_like(self._limits)
+
+    def handle(self, event: Event, message: str = '') -> State:
+        """
+        Change the state by the table.
+
+        Raises
+        ------
+        StreamError
+            If the event is not possible in this state; the state stays.
+
+        """
+        following = TRANSITIONS.get((self.state, event))
+        if following is None:
+            possible = ', '.join(e.value for s, e in TRANSITIONS if s is self.state)
+            raise StreamError(
+                f'{event.value} is not possible while {self.state.value}; possible: {possible}'
+            )
+        if event is Event.FAIL:
+            self.message = message or 'emergency stop; reset to go on'
+        elif event is not Event.HOLD:
+            self.message = message
+        self.state = following
+        return following
+
+    def step(self, setpoint: FloatArray, velocity: FloatArray) -> Feedback:
+        """
+        Follow one setpoint for one period, or refuse it and go to FAULT.
+
+        Raises
+        ------
+        StreamError
+            If the machine does not follow setpoints in its state.
+
+        """
+        if self.state not in FOLLOWING:
+            raise StreamError(f'setpoint while {self.state.value}; activate and start first')
+        wanted = np.array(setpoint, dtype=float)
+        fault = self._fault_of_step(wanted, np.asarray(velocity, dtype=float))
+        if fault:
+            self.handle(Event.FAIL, fault)
+            return self.rest()
+        return self._advance(wanted, np.array(velocity, dtype=float))
+
+    def rest(self) -> Feedback:
+        """Let one period pass at the last setpoint, with the drives settling."""
+        return self._advance(self._setpoints[-1], np.zeros_like(self._velocity))
+
+    def simulate(self, positions: FloatArray, velocities: FloatArray | None = None) -> Recording:
+        """
+        Run all setpoints at once from rest at the first one; the same as stepping through them.
+
+        Parameters
+        ----------
+        positions : ndarray, shape (K, n_axes)
+            Setpoints [m, rad].
+        velocities : ndarray, shape (K, n_axes), optional
+            Their velocities; central differences when not given [per s].
+
+        """
+        r = np.ascontiguousarray(positions, dtype=float)
+        rate = np.gradient(r, self.period, axis=0) if velocities is None else velocities
+        rate = np.ascontiguousarray(rate, dtype=float)
+        at_rest = np.stack([r[0], np.zeros_like(r[0])])
+        x, v = _drive(*self._model, at_rest, r[0], np.zeros_like(r[0]), r, rate)
+        commanded = self._transform.forward(r)[0]
+        tip, axis = self._transform.forward(x)
+        trail = np.concatenate([np.tile(commanded[:1], (self._memory - 1, 1)), commanded])
+        error = _path_errors(trail, tip, self._memory)
+        held = np.concatenate([np.tile(r[:1], (3, 1)), r])
+        largest = [np.abs(np.diff(held, k, axis=0)).max(axis=0) for k in (1, 2, 3)]
+        lag = np.sqrt(np.sum((tip - commanded) ** 2, axis=1))
+        return Recording(x, v, r - x, tip, axis, lag, error, np.stack(largest) / self._limits)
+
+    def _advance(self, setpoint: FloatArray, velocity: FloatArray) -> Feedback:
+        x, v = _drive(
+            *self._model, self._axes, self._setpoints[-1], self._velocity, setpoint[None, :],
+            velocity[None, :],
+        )  # fmt: skip
+        self._axes, self._velocity = np.stack([x[0], v[0]]), velocity
+        self._setpoints = np.concatenate([self._setpoints[1:], setpoint[None, :]])
+        for k in range(3):
+            change = np.abs(np.diff(self._setpoints[2 - k :], k + 1, axis=0)[0]) / self._limits[k]
+            self.largest_use[k] = np.maximum(self.largest_use[k], change)
+        tips, axes = self._transform.forward(np.stack([x[0], setpoint]))
+        self._tips = np.concatenate([self._tips[1:], tips[1:]])
+        lag = float(np.sqrt(np.sum((tips[0] - tips[1]) ** 2)))
+        error = float(_path_errors(self._tips, tips[:1], self._memory)[0])
+        return Feedback(
+            self.state, self.message, setpoint, x[0], v[0], setpoint - x[0], tips[0], axes[0],
+            lag, error,
+        )  # fmt: skip
+
+    def _fault_of_position(self, wanted: FloatArray) -> str:
+        names, travel = self.machine.axis_names, self.machine.travel
+        if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
+            return f'setpoint must be {len(names)} finite numbers, not {wanted.tolist()}'
+        outside = (wanted < travel[:, 0] - TRAVEL_SLACK) | (wanted > travel[:, 1] + TRAVEL_SLACK)
+        if outside.any():
+            k = int(np.argmax(outside))
+            return (
+                f'soft limit: {names[k]} to {wanted[k]:.6g}, travel is '
+                f'{travel[k, 0]:.6g} to {travel[k, 1]:.6g} (m, rad); reset and move inside'
+            )
+        return ''
+
+    def _fault_of_step(self, wanted: FloatArray, velocity: FloatArray) -> str:
+        fault = self._fault_of_position(wanted)
+        if fault:
+            return fault
+        if velocity.shape != wanted.shape or not np.isfinite(velocity).all():
+            return f'setpoint velocity must be {len(wanted)} finite numbers'
+        use = np.abs(wanted - self._setpoints[-1]) / self._limits[0]
+        if (use > GROSS).any():
+            k = int(np.argmax(use))
+            return (
+                f'{self.machine.axis_names[k]} asked to jump at {use[k]:.3g} times its largest '
+                'velocity; setpoints lost or out of order, reset and restart the program'
+            )
+        return ''
+
+
+@njit(cache=True)
+def _drive(transition: Any, held: Any, rising: Any, axes: Any, setpoint: Any, velocity: Any,
+           setpoints: Any, velocities: Any) -> Any:  # fmt: skip
+    """Advance the drives from (x, v) ``axes`` over rows of setpoints; all axes are alike."""
+    x, v = np.empty_like(setpoints), np.empty_like(setpoints)
+    for j in range(setpoints.shape[1]):
+        x0, v0, r0, f0 = axes[0, j], axes[1, j], setpoint[j], velocity[j]
+        for i in range(len(setpoints)):
+            dr, df = setpoints[i, j] - r0, velocities[i, j] - f0
+            # Relative to the last setpoint, so that rounding does not depend on where the axis is.
+            gap = x0 - r0
+            x[i, j] = (
+                r0 + transition[0, 0] * gap + transition[0, 1] * v0
+                + held[0, 1] * f0 + rising[0, 0] * dr + rising[0, 1] * df
+            )  # fmt: skip
+            v[i, j] = (
+                transition[1, 0] * gap + transition[1, 1] * v0
+                + held[1, 1] * f0 + rising[1, 0] * dr + rising[1, 1] * df
+            )  # fmt: skip
+            x0, v0, r0, f0 = x[i, j], v[i, j], setpoints[i, j], velocities[i, j]
+    return x, v
+
+
+@njit(cache=True)
+def _path_errors(trail: Any, tips: Any, memory: int) -> Any:
+    """Measure each tip against the chords of the ``memory`` commanded tips up to its own."""
+    errors = np.empty(len(tips))
+    for i in range(len(tips)):
+        nearest = np.inf
+        for k in range(i, i + memory - 1):
+            along, length_sq = 0.0, 0.0
+            for c in range(3):
+                chord = trail[k + 1, c] - trail[k, c]
+                along += (tips[i, c] - trail[k, c]) * chord
+                length_sq += chord * chord
+            part = min(1.0, max(0.0, along / length_sq)) if length_sq > 0.0 else 0.0
+            distance_sq = 0.0
+            for c in range(3):
+                gap = tips[i, c] - trail[k, c] - part * (trail[k + 1, c] - trail[k, c])
+                distance_sq += gap * gap
+            nearest = min(nearest, distance_sq)
+        errors[i] = np.sqrt(nearest)
+    return errors

@@ -45,9 +45,8 @@ def test_following_error_on_a_ramp(period, feed_forward):
     rate = np.zeros_like(setpoints)
     rate[:, 0] = speed
     run = SimulatedMachine(MACHINE, period, HOME, drives).simulate(setpoints, rate)
-    assert run.following_error[-1, 0] == pytest.approx(
-        (1 - feed_forward) * speed / 40.0, abs=1e-12
-    )
+    lag = (1 - feed_forward) * speed / 40.0
+    assert run.following_error[-1, 0] == pytest.approx(lag, abs=1e-12)
     assert run.velocity[-1, 0] == pytest.approx(speed)
     assert np.all(run.following_error[:, 1:] == 0.0)
     assert run.contour_error[-1] < 1e-12
@@ -162,9 +161,7 @@ def test_every_pair_of_state_and_event(state, event):
         assert machine.handle(event) is TRANSITIONS[state, event]
         assert bool(machine.message) is (event is Event.FAIL)
     else:
-        with pytest.raises(
-            StreamError, match=f'{event.value} is not possible while {state.value}'
-        ):
+        with pytest.raises(StreamError, match=refusal):
             machine.handle(event)
         assert machine.state is state
 

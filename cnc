@@ -45,7 +45,7 @@ sound() {
       root) [ "$value" = "$root" ] || return 1 ;;
       python) "$venv/bin/python" -I -S -c "import sys; sys.exit(sys.version[:4] != '$value')" \
         2>/dev/null || return 1 ;;
-      file) [ -e "$venv/$value" ] || return 1 ;;
+      file) [ -s "$venv/$value" ] || return 1 ;;
     esac
   done <"$stamp"
 }
@@ -98,9 +98,10 @@ main() {
       lint
       ;;
     setup)
-      . "$root/tools/environment.sh"
       ensure "${parts[@]}"
-      check_environment >/dev/null || { remake_environment "${parts[@]}"; }
+      # shellcheck source=tools/environment.sh
+      . "$root/tools/environment.sh"
+      check_environment >/dev/null || remake_environment "${parts[@]}"
       say "ready: $venv"
       ;;
     '' | help)

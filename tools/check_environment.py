@@ -6,7 +6,7 @@ import importlib
 import sys
 
 COMPILED = ('numpy', 'scipy.interpolate', 'numba', 'ruckig', 'yaml', 'apsw', 'rclpy')
-INTERFACE_PACKAGES = ('cnc_interp_msgs', 'sensor_msgs', 'diagnostic_msgs', 'std_srvs')
+INTERFACE_PACKAGES = ('cnc_interp_msgs', 'sensor_msgs', 'diagnostic_msgs')
 
 
 def check_imports() -> None:
@@ -15,26 +15,27 @@ def check_imports() -> None:
         importlib.import_module(name)
 
 
-def check_type_support() -> None:
-    """Load the C type support of the interface packages, which importing alone does not."""
+def check_messages() -> None:
+    """Serialise a message of each type: only that loads all of its libraries."""
+    from rclpy.serialization import deserialize_message, serialize_message
+
     for package in INTERFACE_PACKAGES:
-        for kind in ('msg', 'srv', 'action'):
-            try:
-                module = importlib.import_module(f'{package}.{kind}')
-            except ModuleNotFoundError as missing:
-                if kind == 'msg' and package != 'std_srvs':
-                    raise ImportError(f'{package}.{kind} is missing') from missing
-                continue
-            for name in dir(module):
-                loader = getattr(type(getattr(module, name)), '__import_type_support__', None)
-                if loader is not None:
-                    loader()
+        module = importlib.import_module(f'{package}.msg')
+        for name in sorted(vars(module)):
+            kind = getattr(module, name)
+            if isinstance(kind, type):
+                deserialize_message(serialize_message(kind()), kind)
+    for module_name, name in (
+        ('cnc_interp_msgs.action', 'RunProgram'),
+        ('std_srvs.srv', 'Trigger'),
+    ):
+        type(getattr(importlib.import_module(module_name), name)).__import_type_support__()
 
 
 if __name__ == '__main__':
     try:
         check_imports()
-        check_type_support()
+        check_messages()
     except Exception as reason:  # a broken binary raises anything from OSError to SystemError
         sys.exit(f'{type(reason).__name__}: {reason}')
     print('environment complete')

@@ -100,7 +100,7 @@ install_system_packages() {
 # --- the environment ---------------------------------------------------------------------------
 
 start_over() {
-  say 'setting up .venv: about two minutes and 1.2 GB, once'
+  say 'setting up .venv: about a minute and 0.9 GB, once'
   local free
   rm -rf "$venv"
   free=$(df -Pk "$root" | awk 'NR == 2 {print int($4 / 1024)}')
@@ -194,7 +194,7 @@ write_stamp() {
     printf '%s\n' "${had_test-}"
     cd "$venv"
     for path in bin/* lib/*.so lib/python*/site-packages/* lib/python*/site-packages/*/*.so; do
-      printf 'file %s\n' "$path"
+      [ ! -s "$path" ] || printf 'file %s\n' "$path"
     done
   } >"$stamp.new"
   mv "$stamp.new" "$stamp"
@@ -209,14 +209,17 @@ stop_background() {
   for job in $(jobs -p); do kill "$job" 2>/dev/null || true; done
 }
 
+said() { tail -n 30 "$log" | grep -qiE "$1"; }
+
 # Ends with the tail of the log and one line that says what to do.
 explain() {
   local advice="see $log"
-  if grep -qi 'no space left' "$log"; then
+  if said 'no space left'; then
     advice='the disk is full; free 2 GB and try again'
-  elif grep -qiE 'temporary failure|name resolution|newconnectionerror|connection (refused|reset|timed)|timed out|could not resolve|network is unreachable|unable to connect' "$log"; then
+  elif said 'temporary failure|name resolution|newconnectionerror|could not resolve' \
+    || said 'connection (refused|reset|timed)|timed out|unreachable|unable to connect'; then
     advice='no network to the package registry; check the connection or proxy and try again'
-  elif grep -qi 'no matching distribution' "$log"; then
+  elif said 'no matching distribution'; then
     advice='a pinned package is not in the package registry that pip is set up to use'
   fi
   tail -n 12 "$log" | sed 's/^/  | /' >&2

@@ -19,8 +19,8 @@ import numpy as np
 
 from cnc_interp import __version__
 from cnc_interp.errors import ProgramError
-from cnc_interp.feedrate.limits import AxisLimits, feed_limit
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, PlanOptions
+from cnc_interp.feedrate.limits import feed_limit
+from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
@@ -87,7 +87,7 @@ class Chain:
         transform = Transform.of(machine)
         self.lookahead = LookAhead(smoothing_options(transform, options))
         self.builder = AxisPathBuilder(transform, options.flank_height)
-        self.planner = FeedPlanner(AxisLimits.of(machine), PlanOptions())
+        self.planner = FeedPlanner(machine)
         self.interpolator = Interpolator(options.period)
         self.seconds = {'smoothing': 0.0, 'kinematics': 0.0, 'feedrate': 0.0, 'interpolation': 0.0}
         self.segments: list[PathSegments] = []
@@ -286,7 +286,7 @@ def path_columns(plan: Plan) -> dict[str, Any]:
     """Return the columns of ``path.npz``, on the planner's grid."""
     path = AxisPath.join([piece.path for piece in plan.pieces])
     pieces = plan.pieces
-    feed = np.concatenate([piece.s_dot[:-1] for piece in pieces] + [pieces[-1].s_dot[-1:]])
+    feed = np.concatenate([piece.law.s_dot for piece in pieces] + [[0.0]])  # one piece a cell
     cells = path.cell_feed
     programmed = np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]])
     return {
@@ -297,7 +297,7 @@ def path_columns(plan: Plan) -> dict[str, Any]:
         'cell_left': path.cell_left,
         'cell_right': path.cell_right,
         'programmed_feed': programmed,
-        'feed_limit': feed_limit(path, AxisLimits.of(plan.machine)),
+        'feed_limit': feed_limit(path, plan.machine),
         'feed': feed,
         'block': np.r_[path.cell_block, path.cell_block[-1:]],
         'stop': path.stop,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
@@ -98,6 +98,10 @@ def test_exact_stop_modes_and_program_stops():
     np.testing.assert_allclose(stops, [1, 3, 5, 6, 7])
 
 
+def test_g9_is_for_its_own_block_only():
+    assert not read('G0 X0\nG9\nG1 X1 F600\nG1 X2').blocks.exact_stop[1]
+
+
 def test_dwell_words_are_no_motion():
     assert tips('G0 X1\nG4 X5\nG04F2\nG0 Y1') == [[1, 0, 0], [1, 1, 0]]
     assert any('dwell' in notice for notice in read('G0 X1\nG4 X5').notices)
@@ -153,6 +157,8 @@ def test_tool_tip_programming_switches(on, off):
     np.testing.assert_allclose(blocks.tip[-1] * 1e3, [3, 0, 0])
     with pytest.raises(ProgramError, match=r'part\.ngc:5: .*tool-tip programming'):
         read(f'{on}\nG0 X1 A10 C20\nG0 X2\n{off}\nG0 X3\nM30')
+    with pytest.raises(ProgramError, match=r'part\.ngc:4: .*tool-tip programming'):
+        read(f'{on}\nG0 X1 A10 C20\n{off}\nG0 X2 A0 C0')
     with pytest.raises(ProgramError, match=r'A5.*TRAORI'):
         read(f'{on}\n{off}\nG0 X1 A5')
 
@@ -204,6 +210,7 @@ def test_the_batch_size_changes_nothing(rows, monkeypatch):
 NUMBERS = st.integers(-99999, 99999).map(lambda n: n / 1000)
 
 
+@settings(deadline=None)
 @given(
     points=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=2, max_size=20),
     spaced=st.booleans(),
@@ -223,6 +230,7 @@ def test_any_polyline_comes_back(points, spaced, incremental):
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
+@settings(deadline=None)
 @given(st.text(alphabet='GMXYZACFNT0123456789.-+ ()/;%#=\n$,O', max_size=60))
 def test_any_text_is_read_or_refused_in_one_line(text):
     try:

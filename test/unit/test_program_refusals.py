@@ -32,6 +32,7 @@ SYNTAX = [
     ('G93\nG1 X1', '', 'G93'),
     ('G1 F60 X1\nG93\nX2', '', 'G93'),
     ('G93\nG1 X1 F60\nG94\nX2', '', 'no feedrate'),
+    ('G1 X1 F60\nG93 X2 F60\nG94 X3', '', 'no feedrate'),
     ('G4 Y5', 'G4', 'two lines'),
     ('M428\nG0 C400000', 'C400000', '1000 turns'),
     ('\x00\x01', "'\\x00\\x01'", 'no text'),

@@ -7,6 +7,7 @@ import sys
 
 COMPILED = ('numpy', 'scipy.interpolate', 'numba', 'ruckig', 'yaml', 'apsw', 'rclpy')
 INTERFACE_PACKAGES = ('cnc_interp_msgs', 'sensor_msgs', 'diagnostic_msgs')
+INTERFACES_WITH_PARTS = (('cnc_interp_msgs.action', 'RunProgram'), ('std_srvs.srv', 'Trigger'))
 
 
 def check_imports() -> None:
@@ -25,10 +26,7 @@ def check_messages() -> None:
             kind = getattr(module, name)
             if isinstance(kind, type):
                 deserialize_message(serialize_message(kind()), kind)
-    for module_name, name in (
-        ('cnc_interp_msgs.action', 'RunProgram'),
-        ('std_srvs.srv', 'Trigger'),
-    ):
+    for module_name, name in INTERFACES_WITH_PARTS:
         type(getattr(importlib.import_module(module_name), name)).__import_type_support__()
 
 

@@ -286,13 +286,14 @@ def path_columns(plan: Plan) -> dict[str, Any]:
     """Return the columns of ``path.npz``, on the planner's grid."""
     path = AxisPath.join([piece.path for piece in plan.pieces])
     pieces = plan.pieces
+    tip, axis = Transform.of(plan.machine).forward(path.q)
     feed = np.concatenate([piece.law.s_dot for piece in pieces] + [[0.0]])  # one piece a cell
     cells = path.cell_feed
     programmed = np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]])
     return {
         's': path.s,
-        'tip': path.tip,
-        'axis': path.axis,
+        'tip': tip,
+        'axis': axis,
         'q': path.q,
         'cell_left': path.cell_left,
         'cell_right': path.cell_right,

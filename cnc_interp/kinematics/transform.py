@@ -72,6 +72,11 @@ class Transform:
         return Transform(machine, packed)
 
     @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Letters of the machine's axes."""
+        return self.machine.axis_names
+
+    @property
     def outer(self) -> int:
         """Index of the rotary axis that is undefined at the pole: 0 primary, 1 secondary."""
         return int(self.packed[OUTER])

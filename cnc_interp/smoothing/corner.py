@@ -22,7 +22,7 @@ from cnc_interp.smoothing.segments import corner_jets
 
 #: Parameters at which the deviation of a corner is measured; the middle is the largest of a plain
 #: corner (Eq. 2), the others matter where the axis turns at different rates on both sides.
-PROBES = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
+PROBES = np.arange(1, 16) / 16.0
 #: Shortest ratio L2/L1 where the lines are too short for the tolerance.
 LEAST_RATIO = 1.5
 #: The tool axis turns at most this much on each side inside one corner [rad].
@@ -101,9 +101,9 @@ def deviations(tip, axis, height, legs, rates, outer, bottom, top, connection): 
     Return the contour and the orientation deviation of a corner [m].
 
     The contour deviation is the distance of the middle from the programmed corner (Eq. 3). The
-    orientation deviation is the larger of two, at flank height: the distance of the point on the
-    tool axis from the programmed top locus, and the change of the axis against the programmed
-    one at the tool tip's nearest point.
+    orientation deviation is the largest of three, at flank height: the distance of the middle from
+    the programmed top corner (Eq. 3 again), of the point on the tool axis from the programmed top
+    locus, and the change of the axis against the programmed one at the tip's nearest point.
     """
     largest = 0.0
     contour = 0.0
@@ -114,6 +114,7 @@ def deviations(tip, axis, height, legs, rates, outer, bottom, top, connection): 
         point_top = point + height * tool
         if u == 0.5:
             contour = sqrt(((point - tip) ** 2).sum())
+            largest = max(largest, sqrt(((point_top - top[2]) ** 2).sum()))
         nearest, swing, slip = 1e300, 0.0, 1e300
         for side in range(2):
             x = ((point - tip) * legs[side]).sum()

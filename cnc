@@ -17,23 +17,19 @@ say() { printf 'cnc: %s\n' "$*" >&2; }
 fail() { say "$*"; exit 1; }
 
 # One line per part of the environment: its name and the hash of the files it is made from.
-fingerprints() {
-  local part
+fingerprints() (
+  cd "$root"
   for part in "$@"; do
     case $part in
-      base) printf 'base %s\n' "$(hash_of requirements/{ros-jazzy,build,source,run}.txt)" ;;
-      project) printf 'project %s\n' "$(hash_of setup.py setup.cfg pyproject.toml)" ;;
-      messages) printf 'messages %s\n' "$(hash_of msg_defs/{CMakeLists.txt,package.xml,*/*})" ;;
-      test) printf 'test %s\n' "$(hash_of requirements/test.txt)" ;;
+      base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
+      project) set -- setup.py setup.cfg ;;
+      messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
+      test) set -- requirements/test.txt ;;
     esac
+    sum=$(sha256sum "$@" | sha256sum)
+    printf '%s %s\n' "$part" "${sum%% *}"
   done
-}
-
-hash_of() {
-  local sum
-  sum=$(cd "$root" && sha256sum "$@" | sha256sum)
-  printf '%s' "${sum%% *}"
-}
+)
 
 # Warm check, a few hundredths of a second: finished, for this checkout, its Python runs, nothing
 # that setup installed has gone.

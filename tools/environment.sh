@@ -1,4 +1,4 @@
-# shellcheck shell=bash
+# shellcheck shell=bash disable=SC2154
 # Makes the environment of ./cnc, which sources this file when .venv is missing, out of date or
 # broken. An unfinished or broken environment is started over; one that is only out of date
 # (requirements, messages, project files) is brought up to date in place.
@@ -6,7 +6,6 @@
 log=$venv/setup.log
 pip_install=("$venv/bin/python" -m pip install --quiet --no-deps --no-compile
   --no-warn-script-location --disable-pip-version-check)
-debian_packages='python3 python3-venv python3-dev g++'
 
 make_environment() {
   # Only one setup at a time. The lock is on the script itself: .venv may be thrown away, and
@@ -71,30 +70,42 @@ PY
   return 1
 }
 
+# Prints the Debian packages that make what is here complete, or fails where none would.
+packages_for() {
+  local found=$1 version
+  if [ -n "$found" ]; then
+    version=${found##*/}
+    printf '%s-venv %s-dev g++' "$version" "$version"
+  elif version=$(python3 --version 2>/dev/null); then
+    fail "needs Python 3.11 or 3.12, and python3 is $version; install one of them beside it"
+  else
+    printf 'python3 python3-venv python3-dev g++'
+  fi
+}
+
 install_system_packages() {
-  local apt=() found
+  local apt=() packages
   if [ -n "$(find_python --complete)" ] && command -v c++ >/dev/null && command -v cc >/dev/null
   then return; fi
-  if ! command -v apt-get >/dev/null; then
-    fail "needs Python 3.11 or 3.12 with venv and headers, and g++; install them and try again"
-  fi
+  command -v apt-get >/dev/null \
+    || fail 'needs Python 3.11 or 3.12 with venv and headers, and g++; install them and try again'
+  packages=$(packages_for "$(find_python)") || exit 1
   if [ "$(id -u)" != 0 ]; then
     sudo -n true 2>/dev/null || {
       say 'needs system packages; install them with this line, then run the command again:'
-      printf '  sudo apt-get update && sudo apt-get install -y %s\n' "$debian_packages" >&2
+      printf '  sudo apt-get update && sudo apt-get install -y %s\n' "$packages" >&2
       exit 2
     }
     apt=(sudo -n)
   fi
   apt+=(env DEBIAN_FRONTEND=noninteractive apt-get -q)
-  say "installing system packages: $debian_packages"
+  say "installing system packages: $packages"
   # shellcheck disable=SC2086
   { logged "${apt[@]}" update \
-    && logged "${apt[@]}" install -y --no-install-recommends $debian_packages; } \
+    && logged "${apt[@]}" install -y --no-install-recommends $packages; } \
     || explain 'installing the system packages failed'
-  found=$(python3 --version 2>/dev/null || true)
   [ -n "$(find_python --complete)" ] \
-    || fail "needs Python 3.11 or 3.12; this system's is ${found:-missing}. Install one of them"
+    || fail "needs Python 3.11 or 3.12; this system has $(python3 --version 2>&1)"
 }
 
 # --- the environment ---------------------------------------------------------------------------
@@ -116,13 +127,13 @@ start_over() {
 # The numeric packages are fetched while the messages compile: one waits for the network, the
 # other for the processor.
 complete_environment() {
-  local had
+  local had building='' kept_parts='' testing=''
+  case " $* " in *' test '*) testing=1 ;; esac
   had=$(grep -E '^(base|project|messages|test) ' "$stamp" 2>/dev/null || true)
-  rm -f "$stamp"
   out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
+  forget_parts
   if out_of_date base; then install_ros; fi
   if out_of_date base || out_of_date project; then install_project; fi
-  local building=
   if out_of_date base || out_of_date messages; then
     say 'building the message package'
     build_messages >"$venv/messages.log" 2>&1 &
@@ -133,14 +144,29 @@ complete_environment() {
     log=$venv/messages.log
     explain 'building the message package failed'
   fi
-  if [[ " $* " == *' test '* ]] && out_of_date test; then
+  if [ -z "$testing" ]; then
+    kept_parts=$(grep '^test ' <<<"$had") || true
+  elif out_of_date test; then
     say 'installing the test tools'
     logged "${pip_install[@]}" -r "$root/requirements/test.txt" \
       || explain 'installing the test tools failed'
   fi
   say 'checking that everything imports'
-  check_environment >>"$log" 2>&1 || return 1
-  write_stamp "$@" "$had"
+  if ! check_environment >>"$log" 2>&1; then
+    rm -f "$stamp"
+    say "it does not hold together: $(tail -n 1 "$log")"
+    return 1
+  fi
+  write_stamp "$kept_parts" "$@"
+}
+
+# A build that fails or is killed can be taken up again; half an installation cannot.
+forget_parts() {
+  if out_of_date base || out_of_date project || { [ -n "$testing" ] && out_of_date test; }; then
+    rm -f "$stamp"
+  else
+    sed -i '/^messages /d' "$stamp"
+  fi
 }
 
 install_ros() {
@@ -184,15 +210,14 @@ check_environment() { "$venv/bin/python" "$root/tools/check_environment.py"; }
 
 # What every later start checks: the parts, and that nothing installed at the top level has gone.
 write_stamp() {
-  local had=${*: -1} python path
-  set -- "${@:1:$#-1}"
-  [[ " $* " == *' test '* ]] || ! grep -q '^test ' <<<"$had" || had_test=$(grep '^test ' <<<"$had")
+  local kept_parts=$1 python path
+  shift
   python=$("$venv/bin/python" -I -S -c 'import sys; print(sys.version[:4])')
   {
     printf 'root %s\npython %s\n' "$root" "$python"
     fingerprints "$@"
-    printf '%s\n' "${had_test-}"
-    cd "$venv"
+    printf '%s\n' "$kept_parts"
+    cd "$venv" || return 1
     for path in bin/* lib/*.so lib/python*/site-packages/* lib/python*/site-packages/*/*.so; do
       [ ! -s "$path" ] || printf 'file %s\n' "$path"
     done

@@ -185,8 +185,8 @@ def read_options(options: argparse.Namespace) -> Any:
 
 def check_command(options: argparse.Namespace) -> int:
     """Prove a plan."""
-    from cnc_interp.plan_files import read_plan
     from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.plan_files import read_plan
     from cnc_interp.verify import verify_plan
 
     name = options.machine or read_plan(options.directory).summary.get('machine', '')

@@ -110,7 +110,7 @@ class Interpolator:
 
     def _at_rest(self, piece: PlannedPiece) -> Setpoints:
         """Return the sample after the piece, as if the motion ended there."""
-        still = np.zeros((1, piece.path.cell_left.shape[2]))
+        still: FloatArray = np.zeros((1, piece.path.cell_left.shape[2]))
         return Setpoints(
             time=np.array([self._next * self.period]),
             position=piece.path.cell_right[0, -1:].copy(),

@@ -318,10 +318,13 @@ def describe(summary: dict[str, Any]) -> str:
     ]
     for name, use in summary['largest_use'].items():
         values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
-        lines.append(f'{name + " use":<15}{values}')
+        lines.append(f'{name:<15}{values}')
+    contour, orientation, height = (
+        summary[key] / MM
+        for key in ('largest_contour_error', 'largest_orientation_error', 'flank_height')
+    )
     lines.append(
-        f'deviation      contour {summary["largest_contour_error"] / MM:.4f} mm, orientation '
-        f'{summary["largest_orientation_error"] / MM:.4f} mm at {summary["flank_height"] / MM:g} mm'
+        f'deviation      contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
+        f'{height:g} mm'
     )
     return '\n'.join(lines)
-

@@ -114,7 +114,8 @@ def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
         second = second * u + first
         first = first * u + value
         value = value * u + c[k]
-    out[0], out[1], out[2], out[3] = value, first / h, 2 * second / (h * h), 6 * third / (h * h * h)
+    h2 = h * h
+    out[0], out[1], out[2], out[3] = value, first / h, 2 * second / h2, 6 * third / (h2 * h)
 
 
 @numba.njit(cache=True)

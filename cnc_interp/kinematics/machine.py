@@ -180,7 +180,8 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
         }
     directions, on_head = [], []
     for key in ('primary', 'secondary'):
-        about = np.asarray(numbers(entry(rotary, key, 'rotary', 'about'), 3, f'rotary.{key}.about'))
+        direction = entry(rotary, key, 'rotary', 'about')
+        about = np.asarray(numbers(direction, 3, f'rotary.{key}.about'))
         if not np.linalg.norm(about) > 0.0:
             raise MachineError('must not be zero', f'rotary.{key}.about')
         directions.append(about / np.linalg.norm(about))
@@ -213,7 +214,9 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> tuple[list[float], list[float]]:
+def axis_limits(
+    limits: dict[str, Any], name: str, linear: bool
+) -> tuple[list[float], list[float]]:
     """Read velocity, acceleration, jerk and travel of one axis in SI."""
     values = limits.get(name)
     if not isinstance(values, dict):

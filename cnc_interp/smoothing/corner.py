@@ -5,9 +5,9 @@ Bottom polygon: P2 the programmed corner, P1 and P3 at L1 from it, P0 and P4 at 
 lines. The largest deviation is that of the middle, |C(0.5) - P2| = |L1 (v + w)| / 4 (Eq. 3, A.3).
 
 Top polygon: P12 = P2 + h o; P10 and P14 lie on the programmed axis at entry and exit. Its inner
-points divide the legs like those of the bottom polygon (*in step*), so u_top = u_bottom is right to
-first order; where the top then deviates by more than the orientation tolerance, L1 shrinks. The
-paper sets the inner points from the orientation tolerance alone and bends the parametrization.
+points divide the legs like those of the bottom polygon (*in step*), so u_top = u_bottom is right
+to first order; where the top then deviates by more than the orientation tolerance, L1 shrinks.
+The paper sets the inner points from the orientation tolerance alone and bends the parametrization.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.errors import BlockError
-from cnc_interp.program.blocks import BoolArray, Blocks, FloatArray, IntArray
+from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray, IntArray
 from cnc_interp.smoothing import corner
 from cnc_interp.smoothing.orientation import angles_between, rotations_between, turned_by_each
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
@@ -115,7 +115,8 @@ class LookAhead:
             If a block's tool axis reverses (no plane of rotation).
 
         """
-        self._blocks = blocks if self._blocks is None else Blocks.concatenate([self._blocks, blocks])
+        known = [] if self._blocks is None else [self._blocks]
+        self._blocks = Blocks.concatenate([*known, blocks])
         return self._advance(final=False)
 
     def finish(self) -> PathSegments:
@@ -199,9 +200,7 @@ class LookAhead:
         )
         return sides, rates, tolerances
 
-    def _size(
-        self, blocks: Blocks, legs: Legs, vertex: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def _size(self, blocks: Blocks, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return L1, shape (n,), and both L2, shape (n, 2), of every vertex; 0 without corner."""
         inner, outer = np.zeros(len(blocks)), np.zeros((len(blocks), 2))
         rows = np.flatnonzero(vertex == ROUND)

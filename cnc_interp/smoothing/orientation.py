@@ -8,9 +8,9 @@ is left of its first two derivatives, the residual
 
     r(u) = h o(s(u)) - D(u),     r(0) = r(1) = 0,
 
-is added as the quintic Hermite polynomial E(u) with E' = r' and E'' = r'' at both ends. Then o, o_s
-and o_ss are continuous, to rounding, for any walls; E is small of second order in the angle that
-the axis turns inside the corner.
+is added as the quintic Hermite polynomial E(u) with E' = r' and E'' = r'' at both ends. Then o,
+o_s and o_ss are continuous, to rounding, for any walls; E is small of second order in the angle
+that the axis turns inside the corner.
 """
 
 from __future__ import annotations
@@ -26,9 +26,7 @@ from cnc_interp.program.blocks import FloatArray
 @njit(cache=True)
 def rotation_between(a, b):  # type: ignore[no-untyped-def]
     """Return the rotation vector [rad], shape (3,), of the great circle from a to b."""
-    k = np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    k = np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
     sine = sqrt(k[0] * k[0] + k[1] * k[1] + k[2] * k[2])
     if sine < 1e-15:
         return np.zeros(3)

@@ -1,4 +1,4 @@
-"""PathSegments: the smooth path in the workpiece frame (the arrow from smoothing to kinematics)."""
+"""PathSegments: the smooth path in the workpiece frame (from smoothing to kinematics)."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def corner_jets(bottom, top, connection, u, second_half):  # type: ignore[no-unt
 
 @njit(cache=True)
 def great_circle_jets(axis, rotation, u):  # type: ignore[no-untyped-def]
-    """Return the jet in u of the tool axis turned by u times the rotation vector [B2013, Eq. 4]."""
+    """Return the jet in u of the axis turned by u times the rotation vector [B2013, Eq. 4]."""
     o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
     angle = np.sqrt(rotation[0] ** 2 + rotation[1] ** 2 + rotation[2] ** 2)
     if angle == 0.0:

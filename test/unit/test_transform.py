@@ -9,7 +9,10 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.units import MM
 
 LIMITS = {
-    **{n: {'velocity_m_per_min': 30, 'acceleration_m_per_s2': 2, 'jerk_m_per_s3': 5} for n in 'XYZ'},
+    **{
+        n: {'velocity_m_per_min': 30, 'acceleration_m_per_s2': 2, 'jerk_m_per_s3': 5}
+        for n in 'XYZ'
+    },
     **{
         n: {'velocity_rev_per_min': 15, 'acceleration_rev_per_s2': 1, 'jerk_rev_per_s3': 5}
         for n in 'UV'

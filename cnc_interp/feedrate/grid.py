@@ -12,7 +12,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
+from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
 from cnc_interp.program.blocks import FloatArray
 
 SAMPLES = 96
@@ -20,6 +20,9 @@ SAMPLES = 96
 
 GROWTH = 0.15
 """Growth of cells in steady cruise, per cell."""
+
+ROUNDS = 3
+"""Most rounds of guessing and refining."""
 
 FASTEST = 100.0
 """Speed cap where nothing else limits [m/s]."""
@@ -71,9 +74,7 @@ def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
 
 
 @numba.njit(cache=True)
-def guess_speed(
-    h: FloatArray, bounds: FloatArray, v_start: float, v_end: float
-) -> FloatArray:
+def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float) -> FloatArray:
     """Guess the speed at the nodes: 0.9 of Eq. 10, and reachable from both sides."""
     n = len(h)
     v = np.empty(n + 1)
@@ -100,9 +101,15 @@ def speed_inside(
 
 @numba.njit(cache=True)
 def cell_nodes(
-    h: float, v0: float, v1: float, bound: FloatArray, tau: float, out: FloatArray
+    h: float,
+    v0: float,
+    v1: float,
+    bound: FloatArray,
+    tau: float,
+    least: float,
+    out: FloatArray,
 ) -> int:
-    """Write the inner nodes of one cell, evenly in time, and return their number."""
+    """Write the inner nodes of one cell, even in time, but ``least`` cells; returns how many."""
     x, count = np.empty(SAMPLES + 1), np.zeros(SAMPLES + 1)
     time, cruise = np.zeros(SAMPLES + 1), np.zeros(SAMPLES + 1, dtype=np.bool_)
     speed = np.empty(SAMPLES + 1)
@@ -120,7 +127,8 @@ def cell_nodes(
     for p in range(SAMPLES):
         middle = (time[p] + time[p + 1]) / 2
         away = max(0.0, min(middle - time[first], time[last] - middle)) if last > first else 0.0
-        count[p + 1] = count[p] + (time[p + 1] - time[p]) / (tau + GROWTH * away)
+        by_time = (time[p + 1] - time[p]) / (tau + GROWTH * away)
+        count[p + 1] = count[p] + max(by_time, least * (x[p + 1] - x[p]) / h)
     cells = int(np.ceil(count[SAMPLES]))
     cells = min(max(cells, 1), len(out) + 1)
     p = 0
@@ -136,8 +144,40 @@ def cell_nodes(
 
 
 @numba.njit(cache=True)
+def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
+    """
+    Measure how far one cell is from rows that are linear along it, relative to the limits.
+
+    That much a limit may be passed between two nodes that keep it.
+    """
+    worst = 0.0
+    c, jet = np.empty(8), np.empty(4)
+    for k in range(left.shape[1]):
+        septic_coefficients(left[:, k], right[:, k], h, c)
+        if c[3] == 0.0 and c[4] == 0.0 and c[5] == 0.0 and c[6] == 0.0 and c[7] == 0.0:
+            continue
+        by_jerk, by_acceleration = v**3 / table[2, k], v**2 / table[1, k]
+        for p in range(1, 8):
+            u = p / 8
+            septic_value(c, u, h, jet)
+            straight = left[3, k] + u * (right[3, k] - left[3, k])
+            worst = max(worst, abs(jet[3] - straight) * by_jerk)
+            straight = left[2, k] + u * (right[2, k] - left[2, k])
+            worst = max(worst, abs(jet[2] - straight) * by_acceleration)
+    return worst
+
+
+@numba.njit(cache=True)
 def grid_nodes(
-    s: FloatArray, bounds: FloatArray, v: FloatArray, tau: float, whole: int
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    table: FloatArray,
+    bounds: FloatArray,
+    v: FloatArray,
+    tau: float,
+    most_bend: float,
+    whole: int,
 ) -> FloatArray:
     """Write the new nodes of all cells from ``whole`` on; cells before it stay as they are."""
     n = len(bounds)
@@ -147,9 +187,14 @@ def grid_nodes(
     for i in range(whole, n):
         h = s[i + 1] - s[i]
         slowest = min(v[i], v[i + 1])
-        if slowest > 0.0 and h < slowest * tau:
-            continue
-        new = cell_nodes(h, v[i], v[i + 1], bounds[i], tau, inner)
+        # the guess is slower than the law by up to 2^(2/3) on ramps
+        fastest = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
+        fastest = min(1.5 * max(fastest, max(v[i], v[i + 1])), bounds[i, 1])
+        by_bend = np.sqrt(bend(left[:, i], right[:, i], h, fastest, table) / most_bend)
+        new = 0
+        if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * tau):
+            least = by_bend if by_bend > 1.0 else 0.0
+            new = cell_nodes(h, v[i], v[i + 1], bounds[i], tau, least, inner)
         if total + new > len(found):
             larger = np.empty(2 * len(found) + new)
             larger[:total] = found[:total]
@@ -160,16 +205,29 @@ def grid_nodes(
     return found[:total].copy()
 
 
-def planning_nodes(
+@numba.njit(cache=True)
+def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
+    """Guess the duration of the motion [s]."""
+    total = 0.0
+    for i in range(len(h)):
+        middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
+        for end in (v[i], v[i + 1]):
+            factor = 1.5 if end == 0.0 else 1.0
+            total += factor * h[i] / (end + middle)
+    return total
+
+
+def planning_grid(
     path: AxisPath,
     table: FloatArray,
     v_start: float,
     cell_time: tuple[float, float],
     share: float,
+    most_bend: float,
     whole: int = 0,
-) -> FloatArray:
+) -> AxisPath:
     """
-    Choose further grid points for planning a path that ends at rest.
+    Refine a path that ends at rest to the planner's grid.
 
     Parameters
     ----------
@@ -183,29 +241,36 @@ def planning_nodes(
         Shortest and longest time wanted for a cell [s].
     share : float
         Time wanted for a cell as a share of the whole motion's.
+    most_bend : float
+        Cells are subdivided until no limit is passed by more than about this part inside them.
     whole : int
         The first cells, which stay as they are.
 
     Returns
     -------
-    ndarray
-        New positions strictly inside cells [m].
+    AxisPath
+        The same curve on the planner's grid.
 
     """
-    h = np.diff(path.s)
-    bounds = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, table)
-    v = guess_speed(h, bounds, v_start, 0.0)
-    tau = min(max(share * guess_time(h, v, bounds), cell_time[0]), cell_time[1])
-    return grid_nodes(path.s, bounds, v, tau, whole)
-
-
-@numba.njit(cache=True)
-def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
-    """Guess the duration of the motion [s]."""
-    total = 0.0
-    for i in range(len(h)):
-        middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
-        for end in (v[i], v[i + 1]):
-            factor = 1.5 if end == 0.0 else 1.0
-            total += factor * h[i] / (end + middle)
-    return total
+    for attempt in range(ROUNDS):
+        h = np.diff(path.s)
+        bounds = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, table)
+        v = guess_speed(h, bounds, v_start, 0.0)
+        tau = min(max(share * guess_time(h, v, bounds), cell_time[0]), cell_time[1])
+        # later rounds see what the first guess was too coarse for, not its own rounding up
+        ease = 1.0 if attempt == 0 else 1.6
+        nodes = grid_nodes(
+            path.s,
+            path.cell_left,
+            path.cell_right,
+            table,
+            bounds,
+            v,
+            ease * tau,
+            ease**2 * most_bend,
+            whole,
+        )
+        if len(nodes) == 0:
+            break
+        path = refine(path, nodes)
+    return path

@@ -23,7 +23,7 @@ from cnc_interp.feedrate.interior_point import (
 )
 from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.kinematics.axis_path import AxisPath, refine
+from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.program.blocks import FloatArray
 
 
@@ -34,14 +34,14 @@ class PlanOptions:
 
     Parameters
     ----------
-    margin : float
-        Part of every limit kept free at the nodes.
     passes : int
         Most corrections of one stretch.
     cell_time : tuple of float
         Shortest and longest time aimed at for a cell [s].
     share : float
         Time aimed at for a cell as a share of the stretch's.
+    bend : float
+        Part of a limit by which a cell may bend away from what its two ends know.
     gap : float
         Distance to the optimum at which the interior point stops, relative to the time.
     points : int
@@ -53,21 +53,24 @@ class PlanOptions:
 
     """
 
-    margin: float = 1e-3
     passes: int = 6
     cell_time: tuple[float, float] = (2e-4, 8e-3)
     share: float = 1 / 64
+    bend: float = 0.03
     gap: float = 5e-5
     points: int = 7
     window_ratio: float = 2.5
     window_cells: int = 4000
 
 
-ACCEPTED = 1.0 + 1e-6
-"""Largest use of a limit that counts as kept."""
+SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
+"""Part of each limit (velocity, acceleration, jerk, feed) kept free at the nodes."""
 
-AIM = 0.9995
-"""Use of a limit that a correction aims at."""
+AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
+"""Use that a correction aims at; largest use, at the instants checked, that counts as kept."""
+
+AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
+"""The same, and the relaxation of the limits, in cells where an older plan must stay possible."""
 
 MOST_ITERATIONS = 80
 
@@ -86,7 +89,9 @@ class Stretch:
     duration : ndarray, shape (n,)
         Time spent in the cells [s].
     use : float
-        Largest use of any limit over all instants checked.
+        Largest use of any limit over all instants checked, over what is accepted.
+    scale : ndarray, shape (n, 4, n_axes)
+        Parts of the limits that were allowed at the nodes, corrections included.
 
     """
 
@@ -95,6 +100,18 @@ class Stretch:
     a: FloatArray
     duration: FloatArray
     use: float
+    scale: FloatArray
+
+    def after(self, node: int) -> Stretch:
+        """Take what follows a node."""
+        return Stretch(
+            cut(self.path, node, len(self.duration)),
+            self.v[node:],
+            self.a[node:],
+            self.duration[node:],
+            self.use,
+            self.scale[node:],
+        )
 
     def law(self, start_time: float, first: int, last: int) -> MotionLaw:
         """Build the law of cells first ... last - 1; cells are counted from ``first``."""
@@ -180,14 +197,17 @@ class Problem:
         table: FloatArray,
         start: tuple[float, float],
         options: PlanOptions,
-        relaxed: int,
+        kept: FloatArray,
     ):
         self.path, self.table, self.options = path, table, options
         self.h = np.diff(path.s)
         n, n_axes = len(self.h), path.cell_left.shape[2]
         self.ends = np.array([start[0] ** 2, start[1], 0.0, 0.0])
-        self.scale = np.full((n, 4, n_axes), 1 - options.margin)
-        self.scale[:relaxed] = 1.0
+        self.scale = np.empty((n, 4, n_axes))
+        self.scale[:] = (1 - SLACK)[:, None]
+        self.scale[: len(kept)] = np.minimum(kept + RELAXED[:, None], 1.0)
+        self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
+        self.aim[: len(kept)], self.accepted[: len(kept)] = AIM_KEPT, ACCEPTED_KEPT
         self.bounds = grid.speed_bounds(
             self.h, path.cell_left, path.cell_right, path.cell_feed, table
         )
@@ -209,15 +229,27 @@ class Problem:
     def solve(self, m: FloatArray) -> Stretch | None:
         """Solve once with the present limits, from m, which takes the solution."""
         build_rows(
-            self.path.cell_left, self.path.cell_right, self.table, self.scale, self.jerk,
+            self.path.cell_left,
+            self.path.cell_right,
+            self.table,
+            self.scale,
+            self.jerk,
             self.acceleration,
         )
         speed_scale = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
         cap = (self.bounds[:, 0] * speed_scale) ** 2
         width = self.reset_widths()
         status, iterations, _ = solve(
-            self.h, self.jerk, self.acceleration, cap, self.ends, m, width, self.options.gap,
-            MOST_ITERATIONS, np.empty((0, 6)),
+            self.h,
+            self.jerk,
+            self.acceleration,
+            cap,
+            self.ends,
+            m,
+            width,
+            self.options.gap,
+            MOST_ITERATIONS,
+            np.empty((0, 6)),
         )
         self.iterations += iterations
         if status == BROKEN:
@@ -231,29 +263,38 @@ class Problem:
         left = settle(self.h, m, width, self.ends, v, a, duration)
         if not (left < 1e-13 and np.all(np.isfinite(duration)) and duration.min() > 0):
             return None
-        worst = limit_use(
-            self.h, self.path.cell_left, self.path.cell_right, self.path.cell_feed, v, a,
-            duration, self.table, self.options.points, self.use,
+        return self.measured(v, a, duration)
+
+    def measured(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
+        """Evaluate the use of the limits by a law."""
+        limit_use(
+            self.h,
+            self.path.cell_left,
+            self.path.cell_right,
+            self.path.cell_feed,
+            v,
+            a,
+            duration,
+            self.table,
+            self.options.points,
+            self.use,
         )
-        return Stretch(self.path, v, a, duration, float(worst.max()))
+        worst = float((self.use.max(axis=2) / self.accepted).max())
+        return Stretch(self.path, v, a, duration, worst, self.scale.copy())
 
     def lower(self) -> None:
         """Lower the limits of the cells where the last law passed them in between."""
-        self.scale *= np.where(self.use > AIM, AIM / np.maximum(self.use, AIM), 1.0)
+        over = self.use > self.accepted[:, :, None]
+        self.scale *= np.where(over, self.aim[:, :, None] / np.where(over, self.use, 1.0), 1.0)
 
     def slowed(self, stretch: Stretch) -> Stretch | None:
         """Stretch the time of a law that starts at rest until it keeps all limits."""
-        worst = self.use.max(axis=(0, 2)) * (1 + 1e-9)
+        stretch = self.measured(stretch.v, stretch.a, stretch.duration)
+        worst = self.use.max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
         factor = max(1.0, worst[0], worst[1] ** 0.5, worst[2] ** (1 / 3), worst[3])
         if not np.isfinite(factor):
             return None
-        v, a = stretch.v / factor, stretch.a / factor**2
-        duration = stretch.duration * factor
-        worst = limit_use(
-            self.h, self.path.cell_left, self.path.cell_right, self.path.cell_feed, v, a,
-            duration, self.table, self.options.points, self.use,
-        )
-        return Stretch(self.path, v, a, duration, float(worst.max()))
+        return self.measured(stretch.v / factor, stretch.a / factor**2, stretch.duration * factor)
 
 
 def plan(
@@ -261,7 +302,7 @@ def plan(
     table: FloatArray,
     start: tuple[float, float] = (0.0, 0.0),
     options: PlanOptions | None = None,
-    whole: int = 0,
+    kept: FloatArray | None = None,
 ) -> Stretch | None:
     """
     Plan from a state of motion to rest at the end of the path.
@@ -276,9 +317,9 @@ def plan(
         s_dot and s_ddot at its start [m/s, m/s2].
     options : PlanOptions, optional
         Settings.
-    whole : int
-        The first cells, which stay as they are and are given the limits without margin: those of
-        the older plan, so that going on as planned remains possible.
+    kept : ndarray, shape (k, 4, n_axes), optional
+        The first k cells are those of an older plan: they stay as they are and are given its
+        parts of the limits and a little more, so that going on as planned remains possible.
 
     Returns
     -------
@@ -288,8 +329,12 @@ def plan(
 
     """
     options = options or PlanOptions()
-    nodes = grid.planning_nodes(path, table, start[0], options.cell_time, options.share, whole)
-    problem = Problem(refine(path, nodes), table, start, options, whole)
+    if kept is None:
+        kept = np.empty((0, 4, table.shape[1]))
+    fine = grid.planning_grid(
+        path, table, start[0], options.cell_time, options.share, options.bend, len(kept)
+    )
+    problem = Problem(fine, table, start, options, kept)
     best: Stretch | None = None
     m = problem.m.copy()
     for attempt in range(options.passes + 1):
@@ -297,7 +342,7 @@ def plan(
         if stretch is None:
             m = problem.m * 0.5 ** (attempt + 1)
             continue
-        if stretch.use <= ACCEPTED:
+        if stretch.use <= 1.0:
             return stretch
         if best is None or stretch.use < best.use:
             best = stretch
@@ -306,23 +351,15 @@ def plan(
         return None
     if best is None:
         best = problem.check(problem.m.copy(), problem.reset_widths())
-    else:
-        best_use(problem, best)
     return None if best is None else problem.slowed(best)
-
-
-def best_use(problem: Problem, stretch: Stretch) -> None:
-    """Evaluate the use of the limits of one law again, into ``problem.use``."""
-    limit_use(
-        problem.h, problem.path.cell_left, problem.path.cell_right, problem.path.cell_feed,
-        stretch.v, stretch.a, stretch.duration, problem.table, problem.options.points,
-        problem.use,
-    )
 
 
 def coarser(options: PlanOptions, factor: float) -> PlanOptions:
     """Change the cell times wanted by a factor."""
     low, high = options.cell_time
     return replace(
-        options, cell_time=(low * factor, high * factor), share=options.share * factor
+        options,
+        cell_time=(low * factor, high * factor),
+        share=options.share * factor,
+        bend=options.bend * factor,
     )

@@ -125,7 +125,7 @@ def limit_use(
             s_dot, s_ddot = v[i] + dt * (a[i] + dt * j / 2), a[i] + dt * j
             u = min(max(s / h[i], 0.0), 1.0)
             use[i, 3, 0] = max(use[i, 3, 0], s_dot / feed[i])
-            if s_dot < 0.0:
+            if s_dot < -1e-12 * (v[i] + v[i + 1]):
                 use[i, 3, 0] = max(use[i, 3, 0], 1.0 - s_dot / (v[i] + v[i + 1]))
             for k in range(n_axes):
                 if p == 0 or not curved:

@@ -25,8 +25,8 @@ from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 from cnc_interp.program.blocks import FloatArray
 
-KEPT_CELLS = 6
-"""Cells of the older plan that the next window keeps, at the limits without margin."""
+KEPT = 0.5
+"""Part of the horizon in which the next window keeps the cells of the older plan."""
 
 HORIZON = 3.0
 """Stopping distances that must lie between a committed state and the end of its plan."""
@@ -57,9 +57,7 @@ class PlannedPiece:
             law = part.law
             shifted = law.cell + first_cell
             laws.append(
-                MotionLaw(
-                    law.time, law.duration, law.s, law.s_dot, law.s_ddot, law.jerk, shifted
-                )
+                MotionLaw(law.time, law.duration, law.s, law.s_dot, law.s_ddot, law.jerk, shifted)
             )
             first_cell += len(part.path.s) - 1
         return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws))
@@ -122,10 +120,11 @@ class FeedPlanner:
         self._table = limit_table(limits)
         self._path: AxisPath | None = None
         self._start = (0.0, 0.0)
-        self._kept = 0
+        self._kept: FloatArray | None = None
         self._time = 0.0
         self._older: Stretch | None = None
         self._ratio = self.options.window_ratio
+        self._failed = False
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
         """
@@ -153,7 +152,7 @@ class FeedPlanner:
     def finish(self) -> list[PlannedPiece]:
         """Plan all that is left, down to rest at the end of the path; ready for another path."""
         pieces = self._plan_windows(finished=True)
-        self._path, self._start, self._kept, self._older = None, (0.0, 0.0), 0, None
+        self._path, self._start, self._kept, self._older = None, (0.0, 0.0), None, None
         return pieces
 
     def _plan_windows(self, finished: bool) -> list[PlannedPiece]:
@@ -175,8 +174,11 @@ class FeedPlanner:
         known = len(stops) > 0 or finished
         part = slice(0, stop)
         bounds = grid.speed_bounds(
-            np.diff(path.s[: stop + 1]), path.cell_left[:, part], path.cell_right[:, part],
-            path.cell_feed[part], self._table,
+            np.diff(path.s[: stop + 1]),
+            path.cell_left[:, part],
+            path.cell_right[:, part],
+            path.cell_feed[part],
+            self._table,
         )
         full = window_end(
             path.s[: stop + 1], bounds, self._start[0], self._ratio, self.options.window_cells
@@ -193,30 +195,39 @@ class FeedPlanner:
         )
         if stretch is None:
             stretch = plan(
-                cut(self._path, 0, last), self._table, self._start, coarser(self.options, 0.5),
+                cut(self._path, 0, last),
+                self._table,
+                self._start,
+                coarser(self.options, 0.5),
                 self._kept,
             )
         if stretch is None:
             return self._drive_on()
         n = len(stretch.duration)
         if at_stop:
+            self._failed = False
             return [self._commit(stretch, n)]
         bounds = grid.speed_bounds(
-            np.diff(stretch.path.s), stretch.path.cell_left, stretch.path.cell_right,
-            stretch.path.cell_feed, self._table,
+            np.diff(stretch.path.s),
+            stretch.path.cell_left,
+            stretch.path.cell_right,
+            stretch.path.cell_feed,
+            self._table,
         )
         node = commit_node(stretch.path.s, stretch.v, bounds)
         enough = last >= self.options.window_cells
-        least = int(np.searchsorted(stretch.path.s, 0.75 * stretch.path.s[0] + 0.25 * stretch.path.s[-1]))
+        least = int(
+            np.searchsorted(stretch.path.s, 0.75 * stretch.path.s[0] + 0.25 * stretch.path.s[-1])
+        )
         if node < max(least, 1) and not enough:
             # faster than the window was made for: wait for a longer one
             self._ratio *= 1.5
             return []
-        self._ratio = self.options.window_ratio
+        self._ratio, self._failed = self.options.window_ratio, False
         return [self._commit(stretch, max(node, least, 1))]
 
     def _drive_on(self) -> list[PlannedPiece]:
-        """Commit a part of the older plan instead of a window that failed."""
+        """Commit a part of the older plan instead of a window that failed; next time all of it."""
         older = self._older
         if older is None:
             assert self._path is not None
@@ -225,7 +236,11 @@ class FeedPlanner:
                 f'no motion within the axis limits along block {block}: '
                 'check the path for jumps and the limits of the machine file',
             )
-        return [self._commit(older, max(1, len(older.duration) // 2))]
+        n = len(older.duration)
+        node = n if self._failed else max(1, n // 2)
+        piece = self._commit(older, node)
+        self._failed = node < n
+        return [piece]
 
     def _commit(self, stretch: Stretch, node: int) -> PlannedPiece:
         """Hand out the first cells of a plan and keep the rest for the next window."""
@@ -234,18 +249,14 @@ class FeedPlanner:
         piece = PlannedPiece(cut(stretch.path, 0, node), law)
         self._time = law.end_time
         n = len(stretch.duration)
-        position = stretch.path.s[node]
-        self._kept = min(KEPT_CELLS, n - node)
-        rest = refine(self._path, stretch.path.s[node : node + self._kept + 1])
-        self._path = cut(rest, int(np.searchsorted(rest.s, position)), len(rest.s) - 1)
-        if node == n:
-            self._start, self._older = (0.0, 0.0), None
-        else:
-            self._start = (float(stretch.v[node]), float(stretch.a[node]))
-            self._older = Stretch(
-                cut(stretch.path, node, n), stretch.v[node:], stretch.a[node:],
-                stretch.duration[node:], stretch.use,
-            )
+        self._start = (float(stretch.v[node]), float(stretch.a[node]))
+        self._older = stretch.after(node) if node < n else None
+        grid_s = stretch.path.s
+        half = (1 - KEPT) * grid_s[node] + KEPT * grid_s[-1]
+        kept = int(np.searchsorted(grid_s, half)) - node if node < n else 0
+        self._kept = stretch.scale[node : node + kept]
+        rest = refine(self._path, grid_s[node : node + kept + 1])
+        self._path = cut(rest, int(np.searchsorted(rest.s, grid_s[node])), len(rest.s) - 1)
         return piece
 
 

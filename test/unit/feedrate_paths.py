@@ -58,7 +58,9 @@ def bezier_jet(points: FloatArray, u: FloatArray) -> FloatArray:
     d3 = 6 * np.diff(points, 3, axis=0)
     u = u[:, None]
     w = 1 - u
-    value = w**3 * points[0] + 3 * w**2 * u * points[1] + 3 * w * u**2 * points[2] + u**3 * points[3]
+    value = (
+        w**3 * points[0] + 3 * w**2 * u * points[1] + 3 * w * u**2 * points[2] + u**3 * points[3]
+    )
     first = w**2 * d1[0] + 2 * w * u * d1[1] + u**2 * d1[2]
     return np.stack([value, first, w * d2[0] + u * d2[1], 0 * u + d3[0]])
 

@@ -215,7 +215,7 @@ class Problem:
         self.m = first_coefficients(self.h, self.bounds, guess)
         self.jerk = np.empty((n, 2, n_axes, 3))
         self.acceleration = np.empty((n, n_axes, 2))
-        self.use = np.empty((n, 4, n_axes))
+        self.use = np.empty((2, n, 4, n_axes))
         self.iterations = 0
 
     def reset_widths(self) -> FloatArray:
@@ -279,18 +279,26 @@ class Problem:
             self.options.points,
             self.use,
         )
-        worst = float((self.use.max(axis=2) / self.accepted).max())
+        worst = float((self.use[0].max(axis=2) / self.accepted).max())
         return Stretch(self.path, v, a, duration, worst, self.scale.copy())
 
     def lower(self) -> None:
-        """Lower the limits of the cells where the last law passed them in between."""
-        over = self.use > self.accepted[:, :, None]
-        self.scale *= np.where(over, self.aim[:, :, None] / np.where(over, self.use, 1.0), 1.0)
+        """
+        Lower the limits of the cells where the last law passed them in between.
+
+        Where the ends were not at their limit yet, the limit is brought down to their use first:
+        else nothing would change.
+        """
+        inside, ends = self.use
+        over = inside > self.accepted[:, :, None]
+        reached = np.clip(ends, 0.5 * self.scale, self.scale)
+        lowered = reached * self.aim[:, :, None] / np.where(over, inside, 1.0)
+        self.scale = np.where(over, lowered, self.scale)
 
     def slowed(self, stretch: Stretch) -> Stretch | None:
         """Stretch the time of a law that starts at rest until it keeps all limits."""
         stretch = self.measured(stretch.v, stretch.a, stretch.duration)
-        worst = self.use.max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
+        worst = self.use[0].max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
         factor = max(1.0, worst[0], worst[1] ** 0.5, worst[2] ** (1 / 3), worst[3])
         if not np.isfinite(factor):
             return None
@@ -331,6 +339,7 @@ def plan(
     options = options or PlanOptions()
     if kept is None:
         kept = np.empty((0, 4, table.shape[1]))
+    kept = kept[: len(path.s) - 1]
     fine = grid.planning_grid(
         path, table, start[0], options.cell_time, options.share, options.bend, len(kept)
     )

@@ -96,9 +96,9 @@ def limit_use(
         Velocity, acceleration and jerk limits.
     points : int
         Instants per cell, both ends included.
-    use : ndarray, shape (n, 4, n_axes)
-        Takes the largest |velocity|, |acceleration|, |jerk| over its limit; row 3 holds the
-        programmed feed's in column 0.
+    use : ndarray, shape (2, n, 4, n_axes)
+        Takes the largest |velocity|, |acceleration|, |jerk| over its limit, [0] over all instants
+        and [1] at the cell's two ends; row 3 holds the programmed feed's in column 0.
 
     Returns
     -------
@@ -119,14 +119,16 @@ def limit_use(
                 curved = curved or coefficients[k, c] != 0.0
         t = duration[i]
         j = (a[i + 1] - a[i]) / t
-        for p in range(points):
+        for step in range(points):
+            # both ends first: their use is wanted by itself
+            p = 0 if step == 0 else points - 1 if step == 1 else step - 1
             dt = t * p / (points - 1)
             s = dt * (v[i] + dt * (a[i] / 2 + dt * j / 6))
             s_dot, s_ddot = v[i] + dt * (a[i] + dt * j / 2), a[i] + dt * j
             u = min(max(s / h[i], 0.0), 1.0)
-            use[i, 3, 0] = max(use[i, 3, 0], s_dot / feed[i])
+            use[0, i, 3, 0] = max(use[0, i, 3, 0], s_dot / feed[i])
             if s_dot < -1e-12 * (v[i] + v[i + 1]):
-                use[i, 3, 0] = max(use[i, 3, 0], 1.0 - s_dot / (v[i] + v[i + 1]))
+                use[0, i, 3, 0] = max(use[0, i, 3, 0], 1.0 - s_dot / (v[i] + v[i + 1]))
             for k in range(n_axes):
                 if p == 0 or not curved:
                     q_s, q_ss, q_sss = left[1, i, k], left[2, i, k], left[3, i, k]
@@ -138,10 +140,12 @@ def limit_use(
                 velocity = abs(q_s * s_dot) / table[0, k]
                 acceleration = abs(q_ss * s_dot * s_dot + q_s * s_ddot) / table[1, k]
                 jerk = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j) / table[2, k]
-                use[i, 0, k] = max(use[i, 0, k], velocity)
-                use[i, 1, k] = max(use[i, 1, k], acceleration)
-                use[i, 2, k] = max(use[i, 2, k], jerk)
+                use[0, i, 0, k] = max(use[0, i, 0, k], velocity)
+                use[0, i, 1, k] = max(use[0, i, 1, k], acceleration)
+                use[0, i, 2, k] = max(use[0, i, 2, k], jerk)
+            if step == 1:
+                use[1, i] = use[0, i]
         for c in range(4):
             for k in range(n_axes):
-                worst[c] = max(worst[c], use[i, c, k])
+                worst[c] = max(worst[c], use[0, i, c, k])
     return worst

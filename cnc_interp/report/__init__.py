@@ -1,1 +1,5 @@
-"""Plots and the self-contained HTML report of a plan."""
+"""The HTML report of a plan."""
+
+from cnc_interp.report.page import write_report
+
+__all__ = ['write_report']

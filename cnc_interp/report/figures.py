@@ -1,0 +1,232 @@
+"""The figures of the report, in plotly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.report.series import KINDS, Series, extremes
+
+INK, GRID = '#22303c', '#e6eaee'
+BLUE, ORANGE, RED = '#1f6fb2', '#e08a1e', '#c0392b'
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+# Buckets of thinned curves: about two rows per pixel of a laptop screen.
+BUCKETS, SMALL_BUCKETS, SPACE_BUCKETS = 1400, 500, 6000
+TOOL_LINES = 160
+# Eq. 10 rises to infinity on straight lines; the picture ends a little above the feed.
+HEADROOM = 1.45
+
+
+def path_figure(series: Series) -> Any:
+    """Draw the tool path in space, coloured by feedrate, with some tool axes."""
+    kept = extremes(series.feed, SPACE_BUCKETS)
+    tip, feed = series.tip[kept], series.feed[kept]
+    figure = go.Figure()
+    figure.add_trace(go.Scatter3d(
+        **_xyz(series.vertices[_every(len(series.vertices), 8000)]), mode='lines',
+        line={'color': '#c3cad1', 'width': 1}, name='program', hoverinfo='skip',
+    ))  # fmt: skip
+    figure.add_trace(go.Scatter3d(
+        **_xyz(_tool_lines(series)), mode='lines', line={'color': '#9aa5b1', 'width': 2},
+        name='tool axis', hoverinfo='skip',
+    ))  # fmt: skip
+    figure.add_trace(go.Scatter3d(
+        **_xyz(tip), mode='lines', name='tool path',
+        line={
+            'color': feed, 'width': 5, 'colorscale': 'Viridis', 'cmin': 0.0,
+            'cmax': feed_span(series)[0],
+            'colorbar': {'title': {'text': feed_span(series)[1]}, 'thickness': 12, 'len': 0.7},
+        },
+        customdata=_short(np.column_stack([feed, series.time[kept], series.line[kept]])),
+        hovertemplate='x %{x:.3f}  y %{y:.3f}  z %{z:.3f} mm<br>%{customdata[0]:.0f} mm/min at '
+        '%{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
+    ))  # fmt: skip
+    plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
+    # The longest side is 1, so that flat and slender paths fill the view alike.
+    span = np.ptp(np.concatenate([tip, series.vertices]), axis=0)
+    shape = np.maximum(span / (float(span.max()) or 1.0), 0.08)
+    figure.update_layout(
+        _layout(600),
+        scene={
+            'aspectmode': 'manual',
+            'aspectratio': dict(zip('xyz', shape.tolist(), strict=True)),
+            **{f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}} for c in 'xyz'},
+            'camera': {
+                'eye': {'x': 0.85, 'y': -1.05, 'z': 0.75},
+                'center': {'x': 0.0, 'y': 0.0, 'z': -0.06},
+            },
+        },
+        legend={'orientation': 'h', 'y': 1.0, 'x': 0.0},
+        margin={'l': 0, 'r': 0, 't': 10, 'b': 0},
+    )
+    return figure
+
+
+def feed_span(series: Series) -> tuple[float, str]:
+    """Choose the end of the colour scale [mm/min] and its title; short rapids must not rule it."""
+    fastest = float(series.feed.max(initial=0.0))
+    usual = float(np.percentile(series.feed, 95.0))
+    if 0.0 < usual < 0.5 * fastest:
+        return 1.1 * usual, 'feed, mm/min<br>(faster: as top)'
+    return fastest or 1.0, 'feed, mm/min'
+
+
+def feed_figure(series: Series) -> Any:
+    """Draw the feed against the programmed feed and Eq. 10, over path length and over time."""
+    figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
+    ceiling = feed_ceiling(series)
+    limit = np.minimum(series.feed_limit, ceiling)
+    asked = np.minimum(series.programmed_feed, ceiling)
+    rows = extremes(np.column_stack([series.feed, limit, asked]), BUCKETS)
+    hover = _short(np.column_stack([series.time, series.way, series.line])[rows])
+    for row, x in ((1, _short(series.way[rows])), (2, _short(series.time[rows]))):
+        first = row == 1
+        for name, y, line in (
+            ('limit of the axes (Eq. 10)', limit, {'color': ORANGE, 'width': 1.2}),
+            ('programmed', asked, {'color': INK, 'width': 1.2, 'dash': 'dot'}),
+            ('planned', series.feed, {'color': BLUE, 'width': 1.8}),
+        ):
+            figure.add_trace(
+                go.Scatter(
+                    x=x, y=_short(y[rows]), name=name, line=line, legendgroup=name,
+                    showlegend=first, customdata=hover,
+                    hovertemplate='%{y:.0f} mm/min at %{customdata[0]:.3f} s, '
+                    '%{customdata[1]:.2f} mm, line %{customdata[2]:.0f}',
+                ),
+                row=row, col=1,
+            )  # fmt: skip
+    figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
+    figure.update_xaxes(title_text='time (s)', row=2, col=1)
+    figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02])
+    figure.update_layout(_layout(560))
+    return _with_axes(figure)
+
+
+def feed_ceiling(series: Series) -> float:
+    """Choose where the feed picture ends [mm/min]."""
+    finite = series.programmed_feed[np.isfinite(series.programmed_feed)]
+    asked = float(finite.max(initial=0.0))
+    fastest = float(series.feed.max(initial=0.0))
+    return HEADROOM * max(fastest, min(asked, 3.0 * fastest)) or 1.0
+
+
+def axes_figure(series: Series) -> Any:
+    """Draw velocity, acceleration and jerk of every axis in percent of their limits."""
+    names = series.axis_names
+    figure = make_subplots(
+        rows=len(names), cols=3, shared_xaxes=True, shared_yaxes=True,
+        vertical_spacing=0.025, horizontal_spacing=0.02, column_titles=list(KINDS),
+    )  # fmt: skip
+    for j, name in enumerate(names):
+        for k, kind in enumerate(KINDS):
+            use = series.axis_use[k][:, j]
+            rows = extremes(use, SMALL_BUCKETS)
+            limit = series.axis_limits[k, j]
+            unit = f'{series.axis_units[j]}/s{"" if k == 0 else k + 1}'
+            figure.add_trace(
+                go.Scatter(
+                    x=_short(series.time[rows]), y=_short(100.0 * use[rows]),
+                    name=f'{name} {kind}', line={'color': BLUE, 'width': 1.0}, showlegend=False,
+                    customdata=_short(np.column_stack([use[rows] * limit, series.line[rows]])),
+                    hovertemplate=f'{name}: %{{customdata[0]:.4g}} of {limit:.4g} {unit} '
+                    '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
+                ),
+                row=j + 1, col=k + 1,
+            )  # fmt: skip
+            for level in (-100.0, 100.0):
+                figure.add_hline(
+                    level, line={'color': RED, 'width': 0.8, 'dash': 'dot'}, row=j + 1, col=k + 1
+                )
+            largest = float(np.abs(use).max(initial=0.0))
+            figure.add_annotation(
+                text=f'{100.0 * largest:.1f} %', xref='x domain', yref='y domain', x=0.995, y=0.98,
+                showarrow=False, font={'size': 11, 'color': RED if largest > 1.001 else INK},
+                bgcolor='rgba(255,255,255,0.75)', row=j + 1, col=k + 1,
+            )  # fmt: skip
+        figure.update_yaxes(title_text=f'<b>{name}</b>  %', row=j + 1, col=1)
+    span = 112.0 * max(1.0, min(3.0, float(np.abs(series.axis_use).max(initial=0.0))))
+    figure.update_yaxes(range=[-span, span], tickvals=[-100, 0, 100])
+    figure.update_layout(_layout(150 * len(names) + 90), hovermode='closest')
+    figure.update_layout(margin={'t': 64})
+    for k in range(3):
+        figure.update_xaxes(title_text='time (s)', row=len(names), col=k + 1)
+    return _with_axes(figure)
+
+
+def error_figure(series: Series) -> Any:
+    """Draw contour and orientation error along the path against their tolerances."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
+    for row, name, error, tolerance in (
+        (1, 'contour', series.contour_error, series.contour_tolerance),
+        (2, 'orientation', series.orientation_error, series.orientation_tolerance),
+    ):
+        rows = extremes(np.column_stack([error, tolerance]), BUCKETS)
+        hover = _short(np.column_stack([series.time, series.line])[rows])
+        for label, y, line in (
+            ('error', error, {'color': BLUE, 'width': 1.2}),
+            ('tolerance', tolerance, {'color': RED, 'width': 1.2, 'dash': 'dash'}),
+        ):
+            figure.add_trace(
+                go.Scatter(
+                    x=_short(series.way[rows]), y=_short(y[rows]), name=label, line=line,
+                    legendgroup=label, showlegend=row == 1, customdata=hover,
+                    hovertemplate='%{y:.3f} um at %{customdata[0]:.3f} s, '
+                    'line %{customdata[1]:.0f}',
+                ),
+                row=row, col=1,
+            )  # fmt: skip
+        top = 1.15 * float(max(error.max(initial=0.0), tolerance.max(initial=0.0)))
+        figure.update_yaxes(title_text=f'{name} (&#181;m)', range=[0.0, top], row=row, col=1)
+    figure.update_xaxes(title_text='path length (mm)', row=2, col=1)
+    figure.update_layout(_layout(420))
+    return _with_axes(figure)
+
+
+def _layout(height: int) -> dict[str, Any]:
+    return {
+        'height': height,
+        'template': 'none',
+        'font': {'family': FONT, 'size': 12, 'color': INK},
+        'paper_bgcolor': 'white',
+        'plot_bgcolor': 'white',
+        'margin': {'l': 70, 'r': 16, 't': 34, 'b': 46},
+        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'},
+        'hovermode': 'x',
+        'hoverlabel': {'font': {'family': FONT, 'size': 12}},
+    }
+
+
+def _with_axes(figure: Any) -> Any:
+    quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
+    figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
+    figure.update_yaxes(**quiet, title_standoff=8)
+    return figure
+
+
+def _xyz(points: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip('xyz', _short(points).T, strict=True))
+
+
+def _short(values: FloatArray) -> Any:
+    """Halve the page: seven digits are more than a screen shows."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def _every(count: int, most: int) -> Any:
+    """Choose at most ``most`` rows evenly, first and last included."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+
+
+def _tool_lines(series: Series) -> FloatArray:
+    """Make short lines along the tool axis, evenly along the path, parted by NaN rows."""
+    way = np.linspace(series.way[0], series.way[-1], TOOL_LINES)
+    rows = np.unique(np.searchsorted(series.way, way).clip(0, len(series.way) - 1))
+    length = 0.09 * float(np.ptp(series.tip, axis=0).max(initial=0.0)) or 10.0
+    gap = np.full((len(rows), 3), np.nan)
+    ends = series.tip[rows] + length * series.axis[rows]
+    lines: FloatArray = np.stack([series.tip[rows], ends, gap], axis=1).reshape(-1, 3)
+    return lines

@@ -1,0 +1,156 @@
+"""What a plan's pictures show, as plain arrays in shop units; thinned without losing extremes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.plan_files import PlanFiles
+from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.verify import corner_tolerances, measure
+
+KINDS = ('velocity', 'acceleration', 'jerk')
+
+
+@dataclass(frozen=True)
+class Series:
+    """
+    Everything that is drawn, one row per setpoint unless stated.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+        Time [s].
+    way : ndarray, shape (K,)
+        Path length [mm].
+    tip : ndarray, shape (K, 3)
+        Tool tip [mm].
+    axis : ndarray, shape (K, 3)
+        Tool axis [-].
+    feed, programmed_feed, feed_limit : ndarray, shape (K,)
+        Speed along the path, what was asked, and the limit of Eq. 10 [mm/min].
+    axis_use : ndarray, shape (3, K, n_axes)
+        Velocity, acceleration and jerk over their limits, signed [-].
+    axis_limits : ndarray, shape (3, n_axes)
+        Those limits [mm or deg, per s, per s2, per s3].
+    axis_names, axis_units : tuple of str
+        Names, and ``mm`` or ``deg``.
+    contour_error, orientation_error : ndarray, shape (K,)
+        Deviation of the tip and of the point at flank height [um].
+    contour_tolerance, orientation_tolerance : ndarray, shape (K,)
+        What is allowed there [um].
+    line : ndarray of int, shape (K,)
+        Line of the part program.
+    vertices : ndarray, shape (M, 3)
+        Programmed tool tips [mm].
+
+    """
+
+    time: FloatArray
+    way: FloatArray
+    tip: FloatArray
+    axis: FloatArray
+    feed: FloatArray
+    programmed_feed: FloatArray
+    feed_limit: FloatArray
+    axis_use: FloatArray
+    axis_limits: FloatArray
+    axis_names: tuple[str, ...]
+    axis_units: tuple[str, ...]
+    contour_error: FloatArray
+    orientation_error: FloatArray
+    contour_tolerance: FloatArray
+    orientation_tolerance: FloatArray
+    line: IntArray
+    vertices: FloatArray
+
+
+def series_of(plan: PlanFiles, machine: Machine) -> Series:
+    """Work out what is drawn from the files of a plan."""
+    tip, axis = Transform.of(machine).forward(plan.position)
+    deviation = measure(plan, machine, tip, axis)
+    contour, orientation = corner_tolerances(plan, deviation)
+    limits = np.stack([machine.max_velocity, machine.max_acceleration, machine.max_jerk])
+    linear = np.array([name in 'XYZUVW' for name in machine.axis_names])
+    s, grid = plan.setpoints['s'], plan.path['s']
+    cell = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
+    return Series(
+        time=plan.setpoints['time'],
+        way=s / MM,
+        tip=tip / MM,
+        axis=axis,
+        feed=np.abs(np.gradient(s, plan.period)) / MM_PER_MIN,
+        programmed_feed=np.asarray(plan.path['programmed_feed'][cell], float) / MM_PER_MIN,
+        feed_limit=_between(plan.path['feed_limit'], grid, cell, s) / MM_PER_MIN,
+        axis_use=axis_use(plan, limits),
+        axis_limits=limits / np.where(linear, MM, DEG),
+        axis_names=machine.axis_names,
+        axis_units=tuple('mm' if is_linear else 'deg' for is_linear in linear),
+        contour_error=deviation.contour / UM,
+        orientation_error=deviation.orientation / UM,
+        contour_tolerance=contour / UM,
+        orientation_tolerance=orientation / UM,
+        line=np.asarray(plan.blocks['line'], dtype=np.int64)[plan.block],
+        vertices=plan.blocks['tip'] / MM,
+    )
+
+
+def axis_use(plan: PlanFiles, limits: FloatArray) -> FloatArray:
+    """Differentiate the emitted positions and divide by the limits, shape (3, K, n_axes)."""
+    held = np.pad(plan.position, ((2, 1), (0, 0)), mode='edge')
+    orders = []
+    for order in (1, 2, 3):
+        difference = np.diff(held, order, axis=0)
+        # Second differences stand at their middle sample, the others at the later one.
+        first = {1: 1, 2: 1, 3: 0}[order]
+        orders.append(difference[first : first + len(plan.position)] / plan.period**order)
+    use: FloatArray = np.stack(orders) / limits[:, None, :]
+    return use
+
+
+def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray) -> FloatArray:
+    """Interpolate a column of the grid at s; infinite values stay so."""
+    part = np.clip((s - grid[cell]) / (grid[cell + 1] - grid[cell]), 0.0, 1.0)
+    left, right = np.asarray(column[cell], float), np.asarray(column[cell + 1], float)
+    finite = np.isfinite(left) & np.isfinite(right)
+    with np.errstate(invalid='ignore'):
+        inner = left + part * (right - left)
+    return np.where(finite, inner, np.where(part < 0.5, left, right))
+
+
+def extremes(values: FloatArray, buckets: int) -> IntArray:
+    """
+    Choose rows that keep the picture: of each bucket its first row, minima and maxima.
+
+    Parameters
+    ----------
+    values : ndarray, shape (K,) or (K, m)
+        What must keep its extremes.
+    buckets : int
+        Number of buckets; about ``1 + 2 m`` rows are kept of each.
+
+    Returns
+    -------
+    ndarray of int
+        Rows, increasing, first and last included.
+
+    """
+    table = values.reshape(len(values), -1)
+    count = len(table)
+    if count <= buckets * (1 + 2 * table.shape[1]):
+        return np.arange(count)
+    size = -(-count // buckets)
+    padded = np.pad(table, ((0, -count % size), (0, 0)), mode='edge').reshape(
+        -1, size, table.shape[1]
+    )
+    start = np.arange(len(padded)) * size
+    kept = [start, np.array([count - 1])]
+    for column in range(table.shape[1]):
+        kept.append(start + np.argmin(padded[:, :, column], axis=1))
+        kept.append(start + np.argmax(padded[:, :, column], axis=1))
+    rows: IntArray = np.unique(np.minimum(np.concatenate(kept), count - 1))
+    return rows

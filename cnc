@@ -73,10 +73,12 @@ leave_other_ros() {
 }
 
 lint() {
+  local clean=0
   cd "$root"
-  "$venv/bin/ruff" check .
-  "$venv/bin/ruff" format --check .
-  "$venv/bin/mypy"
+  "$venv/bin/ruff" check . || clean=1
+  "$venv/bin/ruff" format --check . || clean=1
+  "$venv/bin/mypy" || clean=1
+  return "$clean"
 }
 
 main() {

@@ -206,8 +206,7 @@ def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-unt
     nothing = jet.constant(0.0)
     if sine_squared < -1e-12:
         return nothing, nothing, sine_squared
-    floor_value = max(sine_squared, 1e-300)
-    sine = jet.square_root((floor_value, -square[1], -square[2], -square[3]))
+    sine = jet.square_root((max(sine_squared, 0.0), -square[1], -square[2], -square[3]))
     inner = jet.arctangent(jet.scale(sine, branch), cosine)
     inner = (inner[0] + atan2(c2, c1), inner[1], inner[2], inner[3])
     s, c = jet.sine_cosine(inner)

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.smoothing.orientation import connect, turned_by
-from cnc_interp.smoothing.segments import corner_jets
+from cnc_interp.smoothing.segments import corner_pose
 
 #: Parameters at which the deviation of a corner is measured; the middle is the largest of a plain
 #: corner (Eq. 2), the others matter where the axis turns at different rates on both sides.
@@ -108,9 +108,7 @@ def deviations(tip, axis, height, legs, rates, outer, bottom, top, connection): 
     largest = 0.0
     contour = 0.0
     for u in PROBES:
-        p, o = corner_jets(bottom, top, connection, u, u > 0.5)
-        point = np.array([p[0][0], p[1][0], p[2][0]])
-        tool = np.array([o[0][0], o[1][0], o[2][0]])
+        point, tool = corner_pose(bottom, top, connection, u)
         point_top = point + height * tool
         if u == 0.5:
             contour = sqrt(((point - tip) ** 2).sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -156,10 +157,35 @@ def corner_jets(bottom, top, connection, u, second_half):  # type: ignore[no-unt
 
 
 @njit(cache=True)
+def corner_pose(bottom, top, connection, u):  # type: ignore[no-untyped-def]
+    """Return tool tip [m] and tool axis [-] of a corner, shape (3,) each [B2013, Eq. 5, A.2]."""
+    late = u > 0.5
+    x = 1.0 - u if late else u
+    basis = (
+        (1.0 - 2.0 * x) ** 3,
+        2.0 * x * (3.0 + x * (7.0 * x - 9.0)),
+        2.0 * x * x * (3.0 - 4.0 * x),
+        2.0 * x**3,
+    )
+    tip, tool = np.zeros(3), np.zeros(3)
+    for i in range(4):
+        k = 4 - i if late else i
+        tip += basis[i] * bottom[k]
+        tool += basis[i] * (top[k] - bottom[k])
+    degree = connection.shape[0] - 1
+    share, choose = (1.0 - u) ** degree, 1.0
+    for i in range(degree + 1):  # Bernstein polynomials, 0 < u < 1
+        tool += choose * share * connection[i]
+        choose *= (degree - i) / (i + 1.0)
+        share *= u / (1.0 - u)
+    return tip, tool / sqrt((tool**2).sum())
+
+
+@njit(cache=True)
 def great_circle_jets(axis, rotation, u):  # type: ignore[no-untyped-def]
     """Return the jet in u of the axis turned by u times the rotation vector [B2013, Eq. 4]."""
     o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
-    angle = np.sqrt(rotation[0] ** 2 + rotation[1] ** 2 + rotation[2] ** 2)
+    angle = sqrt(rotation[0] ** 2 + rotation[1] ** 2 + rotation[2] ** 2)
     if angle == 0.0:
         return o
     k = (rotation[0] / angle, rotation[1] / angle, rotation[2] / angle)

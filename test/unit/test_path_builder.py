@@ -1,0 +1,170 @@
+"""AxisPath: derivatives, joins, whole turns, the pole, travel; checked from forward kinematics."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from programs import blocks_of, pyramid, zigzag
+
+from cnc_interp.errors import BlockError, SingularityError, TravelError
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.units import DEG, MM
+
+AC = Transform.of(Machine.load('xyzac'))
+
+
+def path_of(blocks, transform=AC, batch=1000):
+    """Blocks to AxisPath on a machine, batch by batch."""
+    pole = tuple(transform.pole) if transform.machine.has_rotary else None
+    lookahead = LookAhead(SmoothingOptions(pole=pole))
+    builder = AxisPathBuilder(transform)
+    builder.start(blocks.axis[0], blocks.rotary[0])
+    parts = [lookahead.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
+    pieces = [builder.push(part) for part in [*parts, lookahead.finish()]]
+    return AxisPath.join([piece for piece in pieces if piece is not None])
+
+
+@pytest.mark.parametrize('name', ['xyzac', 'xyzbc'])
+@pytest.mark.parametrize('blocks', [pyramid(), pyramid(-1.0), zigzag(1), zigzag(2, step=0.3 * MM)])
+def test_axes_put_tip_and_axis_where_the_path_says(name, blocks):
+    transform = Transform.of(Machine.load(name))
+    path = path_of(blocks, transform)
+    tip, axis = transform.forward(path.q)
+    assert np.abs(tip - path.tip).max() < 1e-12
+    assert np.abs(axis - path.axis).max() < 1e-12
+    assert np.abs(path.tip[-1] - blocks.tip[-1]).max() < 1e-15
+
+
+@pytest.mark.parametrize('blocks', [pyramid(), zigzag(1), zigzag(2, step=0.3 * MM)])
+def test_derivatives_are_those_of_the_axes(blocks):
+    """Inside each cell, q_s, q_ss, q_sss are the finite differences of q one order below."""
+    path = path_of(blocks)
+    h = np.diff(path.s)
+    cells = np.arange(len(h))
+    inside = [evaluate(path, path.s[:-1] + share * h, cells) for share in (0.45, 0.5, 0.55)]
+    for order in (1, 2, 3):
+        slope = (inside[2][order - 1] - inside[0][order - 1]) / (0.1 * h[:, None])
+        size = np.abs(inside[1][order]).max(axis=0) + 1e-9
+        noise = 1e-13 / h[:, None] ** order
+        assert (np.abs(slope - inside[1][order]) < 2e-3 * size + noise).all()
+
+
+@pytest.mark.parametrize('blocks', [pyramid(), zigzag(1), zigzag(2, step=0.3 * MM)])
+def test_joins_are_continuous_to_the_second_derivative(blocks):
+    path = path_of(blocks)
+    going = ~path.stop[1:-1]
+    for order in range(3):
+        left, right = path.cell_right[order, :-1][going], path.cell_left[order, 1:][going]
+        size = np.abs(path.cell_left[order]).max(axis=0)
+        assert (np.abs(left - right) <= 1e-9 * size).all()
+
+
+def test_arc_length_is_that_of_the_tip():
+    path = path_of(pyramid())
+    s = np.interp(np.linspace(0, len(path.s) - 1, 100001), np.arange(len(path.s)), path.s)
+    tip, _ = AC.forward(evaluate(path, s)[0])
+    assert np.linalg.norm(np.diff(tip, axis=0), axis=1).sum() == pytest.approx(
+        path.s[-1], rel=1e-8
+    )
+
+
+def test_same_path_however_it_is_cut():
+    blocks = zigzag(8, count=40)
+    whole, pieces = path_of(blocks), path_of(blocks, batch=3)
+    assert np.array_equal(whole.cell_left, pieces.cell_left)
+    assert np.allclose(whole.s, pieces.s, rtol=1e-14)
+
+
+def test_rotary_axes_are_never_wrapped():
+    """Three times around a cone: C runs through three whole turns."""
+    turn = np.linspace(0, 6 * np.pi, 73)
+    axes = np.c_[0.5 * np.sin(turn), 0.5 * np.cos(turn), np.ones(73)]
+    tips = np.c_[20 * MM * np.sin(turn), 20 * MM * np.cos(turn), np.zeros(73)]
+    path = path_of(blocks_of(tips, axes))
+    assert abs(path.q[-1, 4] - path.q[0, 4]) == pytest.approx(6 * np.pi, abs=1e-9)
+    assert np.abs(np.diff(path.q[:, 4])).max() < 0.2
+
+
+def test_programmed_start_chooses_branch_and_turn():
+    axes = [[0, np.sin(-0.5), np.cos(-0.5)]] * 2
+    rotary = np.full((2, 2), np.nan)
+    for start in ([-0.5, 4 * np.pi], [0.5, np.pi], [0.5, -np.pi]):
+        rotary[0] = start
+        path = path_of(blocks_of([[0, 0, 0], [10 * MM, 0, 0]], axes, rotary=rotary.copy()))
+        assert np.allclose(path.q[:, 3:], start)
+
+
+def test_three_axis_path_on_the_pole_keeps_c():
+    path = path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0], [30 * MM, 20 * MM, 0]], [[0, 0, 1]] * 3))
+    assert np.abs(path.q[:, 3:]).max() == 0.0
+    assert np.abs(path.cell_left[1:, :, 3:]).max() == 0.0
+
+
+def test_great_circle_through_the_pole_changes_the_sign_of_a_and_keeps_c():
+    lean = 10 * DEG
+    axes = [[0, np.sin(lean), np.cos(lean)], [0, -np.sin(lean), np.cos(lean)]]
+    path = path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0]], axes))
+    assert np.allclose(path.q[[0, -1], 3], [lean, -lean], atol=1e-12)
+    assert np.ptp(path.q[:, 4]) == 0.0
+    assert np.abs(AC.forward(path.q)[1] - path.axis).max() < 1e-12
+
+
+def test_leaving_the_pole_sideways_turns_c_first_about_the_resting_tip():
+    """Tool upright, C at 0; then the tool leans toward +X, which needs C at +-90 deg."""
+    tips = [[0, 0, 0], [20 * MM, 0, 0], [40 * MM, 0, 0]]
+    path = path_of(blocks_of(tips, [[0, 0, 1], [0, 0, 1], [0.3, 0, 1]]))
+    c = path.q[:, 4]
+    assert c[0] == 0.0 and abs(c[-1]) == pytest.approx(np.pi / 2)
+    turning = np.abs(path.tip[:, 0] - 20 * MM) < 1e-12
+    assert np.ptp(c[turning]) == pytest.approx(np.pi / 2)
+    assert path.stop[np.flatnonzero(turning)[[0, -1]]].all()
+    tip, axis = AC.forward(path.q)
+    assert np.abs(tip - path.tip).max() < 1e-12 and np.abs(axis - path.axis).max() < 1e-12
+
+
+def test_programmed_turn_about_the_tool_axis_is_kept():
+    """C through 360 deg at A = 0 moves nothing in the workpiece frame, and is done."""
+    rotary = np.array([[0, 0], [0, 2 * np.pi], [0, 2 * np.pi]], float)
+    blocks = blocks_of([[0, 0, 0], [0, 0, 0], [10 * MM, 0, 0]], [[0, 0, 1]] * 3, rotary=rotary)
+    path = path_of(blocks)
+    assert path.q[-1, 4] == 2 * np.pi
+    assert np.abs(AC.forward(path.q)[0] - path.tip).max() < 1e-12
+
+
+def test_turning_tool_too_close_to_the_pole_is_refused():
+    """A great circle that passes the pole at 0.01 deg."""
+    near = 0.01 * DEG
+    axes = [[near, 0.2, 1], [near, -0.2, 1]]
+    with pytest.raises(SingularityError, match=r'line 2: .* 0\.02 deg .* axis C'):
+        path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0]], axes))
+    axes = [[10 * near, 0.2, 1], [10 * near, -0.2, 1]]
+    path = path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0]], axes))
+    assert np.ptp(path.q[:, 4]) > 175 * DEG
+
+
+def test_pose_out_of_travel_is_refused_naming_axis_and_value():
+    tips = [[0, 0, 0], [480 * MM, 0, 0]]
+    with pytest.raises(TravelError, match=r'line 2: axis X .* 520\.000 mm, .* -500 \.\.\. 500 mm'):
+        path_of(blocks_of(tips, [[0, 0, 1]] * 2))
+
+
+def test_tilted_tool_on_a_3_axis_machine_is_refused():
+    plain = Transform.of(Machine.load('xyz'))
+    tips = [[0, 0, 0], [10 * MM, 0, 0]]
+    assert path_of(blocks_of(tips, [[0, 0, 1]] * 2), plain).q.shape[1] == 3
+    with pytest.raises(BlockError, match='needs rotary axes'):
+        path_of(blocks_of(tips, [[0, 0.1, 1]] * 2), plain)
+
+
+def test_start_out_of_rotary_travel_is_refused():
+    machine = copy.copy(AC.machine)
+    travel = machine.travel.copy()
+    travel[3] = [-5 * DEG, 5 * DEG]
+    narrow = Transform.of(replace(machine, travel=travel))
+    with pytest.raises(BlockError, match='no rotary position of machine xyzac within its travel'):
+        path_of(pyramid(), narrow)

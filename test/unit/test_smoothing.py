@@ -1,0 +1,253 @@
+"""Corners and look-ahead: tolerances, continuity and special cases, by independent geometry."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from programs import blocks_of, pyramid, zigzag
+from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.errors import BlockError
+from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    ROTATION,
+    PathSegments,
+    corner_jets,
+    corner_pose,
+    line_jets,
+)
+from cnc_interp.units import DEG, MM
+
+KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]
+HEIGHT = 30 * MM
+
+
+def smooth(blocks, **options):
+    """All segments of some blocks."""
+    lookahead = LookAhead(SmoothingOptions(flank_height=HEIGHT, **options))
+    return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
+
+
+def jets(segments, i, u, late):
+    """Tip, axis and their u-derivatives of one segment, shape (2, 4, 3)."""
+    if segments.kind[i] == CORNER:
+        pair = corner_jets(segments.bottom[i], segments.top[i], segments.connection[i], u, late)
+    else:
+        pair = line_jets(segments.bottom[i], segments.axis[i], segments.rotation[i], u)
+    factorial = np.array([1, 1, 2, 6])
+    return np.array([[np.array(c) * factorial for c in vector] for vector in pair]).swapaxes(1, 2)
+
+
+def by_length(pair):
+    """Value, first and second derivative by tip arc length of tip and axis, shape (2, 3, 3)."""
+    speed = np.linalg.norm(pair[0, 1])
+    slope = pair[0, 1] @ pair[0, 2] / speed
+    first = pair[:, 1] / speed
+    second = (pair[:, 2] - first * slope) / speed**2
+    return np.stack([pair[:, 0], first, second], axis=1)
+
+
+def jumps(segments):
+    """
+    Jumps of value, first and second derivative at joins, relative to the corner's own.
+
+    The axis is a unit vector and carries rounding of its own, up to 1e-14 over the corner's size.
+    """
+    worst = np.zeros(3)
+    for i in range(len(segments) - 1):
+        if segments.stop[i] or ROTATION in segments.kind[i : i + 2]:
+            continue
+        before = by_length(jets(segments, i, 1.0, True))
+        after = by_length(jets(segments, i + 1, 0.0, False))
+        corner = i if segments.kind[i] == CORNER else i + 1
+        size = np.linalg.norm(segments.bottom[corner][2] - segments.bottom[corner][0])
+        swing = max(np.linalg.norm(before[1, 1]), np.linalg.norm(after[1, 1])) * size
+        for order in range(3):
+            tip_gap, axis_gap = np.abs(after[:, order] - before[:, order]).max(axis=1)
+            tip_gap *= size ** (order - 1)
+            axis_gap = max(axis_gap * size**order - 1e-14, 0.0) / max(swing, 1e-300)
+            worst[order] = max(worst[order], tip_gap, axis_gap)
+    return worst
+
+
+def test_corner_is_the_cubic_b_spline_of_eq_1():
+    segments = smooth(pyramid())
+    i = int(np.flatnonzero(segments.kind == CORNER)[0])
+    curve = BSpline(KNOTS, segments.bottom[i], 3)
+    for u in (0.0, 0.2, 0.4999, 0.5001, 0.77, 1.0):
+        pair = jets(segments, i, u, u > 0.5)
+        for order in range(4):
+            assert np.allclose(pair[0, order], curve(u, order), rtol=1e-9, atol=1e-12)
+    for u in (0.1, 0.5, 0.9):
+        tip, tool = corner_pose(segments.bottom[i], segments.top[i], segments.connection[i], u)
+        pair = jets(segments, i, u, False if u <= 0.5 else True)
+        assert np.allclose(tip, pair[0, 0]) and np.allclose(tool, pair[1, 0])
+
+
+def test_eq_3_contour_error_of_a_plane_corner():
+    """eps = L1 cos(alpha/2) / 2 uses the whole tolerance where the lines are long."""
+    for turn in (10, 60, 90, 130):
+        far = [np.cos(turn * DEG) * 50 * MM, np.sin(turn * DEG) * 50 * MM, 0]
+        segments = smooth(blocks_of([[-50 * MM, 0, 0], [0, 0, 0], far], [[0, 0, 1]] * 3))
+        i = int(np.flatnonzero(segments.kind == CORNER)[0])
+        l1 = np.linalg.norm(segments.bottom[i][1] - segments.bottom[i][2])
+        eps = 0.5 * l1 * np.cos((180 - turn) / 2 * DEG)
+        assert eps == pytest.approx(0.02 * MM, rel=1e-9)
+        assert np.linalg.norm(BSpline(KNOTS, segments.bottom[i], 3)(0.5)) == pytest.approx(eps)
+        assert segments.deviation[i, 0] == pytest.approx(eps)
+
+
+@pytest.mark.parametrize('blocks', [pyramid(), pyramid(-1.0), zigzag(3), zigzag(4, step=0.5 * MM)])
+def test_tip_and_axis_are_continuous_to_the_second_derivative(blocks):
+    assert jumps(smooth(blocks)).max() < 1e-9
+
+
+def programmed_poses(blocks, row, count=2000):
+    """Tips and top points along the block that ends at a row."""
+    shares = np.linspace(0.0, 1.0, count)[:, None]
+    start = blocks.axis[row - 1].copy()
+    turn = np.cross(start, blocks.axis[row])
+    sine = np.linalg.norm(turn)
+    if sine > 0:
+        turn *= np.arctan2(sine, start @ blocks.axis[row]) / sine
+    tips = (1 - shares) * blocks.tip[row - 1] + shares * blocks.tip[row]
+    return tips, tips + HEIGHT * Rotation.from_rotvec(turn * shares).apply(start)
+
+
+def distance(point, polyline):
+    """Distance of a point from a dense polyline."""
+    start, step = polyline[:-1], np.diff(polyline, axis=0)
+    share = np.clip(((point - start) * step).sum(1) / (step**2).sum(1), 0, 1)
+    return np.linalg.norm(start + share[:, None] * step - point, axis=1).min()
+
+
+@pytest.mark.parametrize(
+    'blocks', [pyramid(), zigzag(5), zigzag(6, step=1 * MM, tolerance=0.2 * MM)]
+)
+def test_both_tolerances_hold_by_dense_sampling(blocks):
+    segments = smooth(blocks)
+    for i in np.flatnonzero(segments.kind == CORNER):
+        rows = segments.block[i]
+        programmed = [programmed_poses(blocks, row) for row in rows]
+        for u in np.linspace(0, 1, 41):
+            tip, tool = jets(segments, i, u, u > 0.5)[:, 0]
+            tip_gap = min(distance(tip, tips) for tips, _ in programmed)
+            top_gap = min(distance(tip + HEIGHT * tool, tops) for _, tops in programmed)
+            assert tip_gap <= blocks.contour_tolerance[rows[0]] * 1.001
+            assert top_gap <= blocks.orientation_tolerance[rows[0]] * 1.001
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    turn=st.floats(1.0, 160.0),
+    lengths=st.tuples(st.floats(-5.5, -0.5), st.floats(-5.5, -0.5)),
+    swings=st.tuples(st.floats(0.0, 40.0), st.floats(0.0, 40.0)),
+    ways=st.tuples(st.floats(0.0, 6.28), st.floats(0.0, 6.28)),
+    tolerance=st.floats(-6.0, -2.4),
+)
+def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, tolerance):
+    """Angles 1-160 deg, lengths 3 um - 0.3 m, rotations to 40 deg, tolerance 1 um - 4 mm."""
+    a, b = 10.0 ** lengths[0], 10.0 ** lengths[1]
+    corner_axis = np.array([0.3, -0.2, 0.9])
+    corner_axis /= np.linalg.norm(corner_axis)
+    across = np.cross(corner_axis, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    axes = [
+        Rotation.from_rotvec(Rotation.from_rotvec(way * corner_axis).apply(across) * swing * DEG)
+        .apply(corner_axis)
+        for way, swing in zip(ways, swings, strict=True)
+    ]  # fmt: skip
+    far = b * np.array([np.cos(turn * DEG), np.sin(turn * DEG), 0.0])
+    blocks = blocks_of(
+        [[-a, 0, 0], [0, 0, 0], far], [axes[0], corner_axis, axes[1]], tolerance=10.0**tolerance
+    )
+    segments = smooth(blocks)
+    corners = np.flatnonzero(segments.kind == CORNER)
+    assert len(corners) == 1
+    assert (segments.deviation[corners] <= 10.0**tolerance * (1 + 1e-6)).all()
+    assert jumps(segments).max() < 1e-9
+
+
+def test_same_segments_however_the_blocks_arrive():
+    blocks = zigzag(8, count=60, step=2 * MM)
+    whole = smooth(blocks)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        lookahead, parts, row = LookAhead(SmoothingOptions(flank_height=HEIGHT)), [], 0
+        while row < len(blocks):
+            count = int(rng.integers(1, 9))
+            parts.append(lookahead.push(blocks[row : row + count]))
+            row += count
+        pieces = PathSegments.concatenate([*parts, lookahead.finish()])
+        for name in ('kind', 'bottom', 'top', 'connection', 'axis', 'rotation', 'length', 'block'):
+            assert np.array_equal(getattr(whole, name), getattr(pieces, name), equal_nan=True)
+
+
+def test_collinear_blocks_pass_straight_through():
+    tips = np.c_[np.linspace(0, 30 * MM, 4), np.zeros((4, 2))]
+    lean = np.linspace(0.1, 0.4, 4)
+    segments = smooth(blocks_of(tips, np.c_[np.sin(lean), np.zeros(4), np.cos(lean)]))
+    assert (segments.kind == LINE).all()
+    assert not segments.stop[:-1].any()
+
+
+def test_change_of_rotation_rate_alone_gets_a_corner_in_orientation():
+    tips = np.c_[[0.0, 10 * MM, 20 * MM], np.zeros((3, 2))]
+    lean = np.array([0.1, 0.1, 0.3])
+    segments = smooth(blocks_of(tips, np.c_[np.sin(lean), np.zeros(3), np.cos(lean)]))
+    corner = np.flatnonzero(segments.kind == CORNER)
+    assert len(corner) == 1
+    assert np.abs(segments.bottom[corner][..., 1:]).max() == 0.0
+    assert 0.0 < segments.deviation[corner[0], 1] <= 0.02 * MM * (1 + 1e-9)
+    assert jumps(segments).max() < 1e-9
+
+
+def test_reversal_and_exact_stop_rest_at_the_vertex():
+    tips = np.array([[0, 0, 0], [10, 0, 0], [0, 0.1, 0], [0, 10, 0]]) * MM
+    segments = smooth(blocks_of(tips, [[0, 0, 1]] * 4, exact_stop=[False, False, True, True]))
+    assert (segments.kind == LINE).all() and segments.stop.all()
+    assert np.array_equal(segments.bottom[:, 1], tips[1:])
+
+
+def test_pure_rotation_rests_before_and_after():
+    tips = np.array([[0, 0, 0], [10, 0, 0], [10, 0, 0], [20, 0, 0]]) * MM
+    lean = np.array([0.2, 0.2, 0.5, 0.5])
+    segments = smooth(blocks_of(tips, np.c_[np.sin(lean), np.zeros(4), np.cos(lean)]))
+    assert list(segments.kind) == [LINE, ROTATION, LINE] and segments.stop.all()
+    assert segments.length[1] == pytest.approx(HEIGHT * 0.3)
+    assert np.isinf(segments.feed[1]).all()
+
+
+def test_inverse_time_gives_length_over_duration():
+    tips = np.array([[0, 0, 0], [10, 0, 0], [10, 5, 0]]) * MM
+    nan = np.nan
+    segments = smooth(
+        blocks_of(tips, [[0, 0, 1]] * 3, duration=[nan, 0.5, 0.1], feedrate=[nan, nan, nan])
+    )
+    corner = np.flatnonzero(segments.kind == CORNER)[0]
+    assert np.allclose(segments.feed[corner], [0.02, 0.05])
+
+
+def test_short_left_over_goes_to_the_corners():
+    """Two half-segment corners leave no sliver of line between them."""
+    tips = np.array([[0, 0, 0], [10, 0, 0], [10, 0.05, 0], [20, 0.05, 0]]) * MM
+    segments = smooth(blocks_of(tips, [[0, 0, 1]] * 4))
+    assert list(segments.kind) == [LINE, CORNER, CORNER, LINE]
+    assert np.allclose(segments.bottom[1][4], segments.bottom[2][0], atol=1e-15)
+
+
+def test_turning_tool_stops_at_the_pole():
+    tips = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0]]) * MM
+    axes = [[0, 0.2, 1], [0, 0, 1], [0.2, 0, 1]]
+    assert not smooth(blocks_of(tips, axes)).stop[:-1].any()
+    segments = smooth(blocks_of(tips, axes), pole=(0.0, 0.0, 1.0))
+    assert (segments.kind == LINE).all() and segments.stop.all()
+
+
+def test_antiparallel_axes_are_refused_with_the_line():
+    tips = np.array([[0, 0, 0], [10, 0, 0]]) * MM
+    with pytest.raises(BlockError, match='line 2: the tool axis reverses'):
+        smooth(blocks_of(tips, [[0, 0, 1], [0, 0, -1]]))

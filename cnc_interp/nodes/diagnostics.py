@@ -1,0 +1,56 @@
+"""What a node says about itself on ``/diagnostics``: once a second, and at once when it changes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from cnc_interp.nodes.qos import DIAGNOSTICS
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class Diagnostics:
+    """
+    The diagnostics of one node, a status for each of its parts.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+
+    """
+
+    def __init__(self, node: Any):
+        self._node = node
+        self._parts: dict[str, DiagnosticStatus] = {}
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', DIAGNOSTICS)
+        node.create_timer(1.0, self.publish)
+
+    def say(self, part: str, level: bytes, message: str, **values: object) -> None:
+        """Set the status of a part; news go out at once and into the log."""
+        status = DiagnosticStatus(
+            level=level,
+            name=f'{self._node.get_name()}: {part}',
+            message=message,
+            hardware_id=self._node.get_namespace(),
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        known = self._parts.get(part)
+        self._parts[part] = status
+        if known is not None and (known.level, known.message) == (level, message):
+            return
+        self.publish()
+        if level == ERROR:
+            self._node.get_logger().error(message)
+        elif level == WARN:
+            self._node.get_logger().warning(message)
+
+    def publish(self) -> None:
+        """Publish all parts."""
+        if not self._parts or not self._node.context.ok():
+            return
+        array = DiagnosticArray(status=list(self._parts.values()))
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)

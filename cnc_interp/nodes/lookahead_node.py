@@ -1,0 +1,157 @@
+"""The look-ahead node: ``blocks`` in, rounded ``segments`` out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+
+from cnc_interp_msgs.msg import G1Block, PathSegment
+from rclpy.node import Node
+
+from cnc_interp.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import parameters
+from cnc_interp.nodes.diagnostics import Diagnostics
+from cnc_interp.nodes.endpoints import Inlet, Outlet
+from cnc_interp.nodes.messages import blocks_from, segment_messages
+from cnc_interp.nodes.running import run_node
+from cnc_interp.nodes.soundness import check_block
+from cnc_interp.nodes.streams import WindowedReceiver
+from cnc_interp.nodes.warming import warm_lookahead
+from cnc_interp.pipeline import ChainOptions, smoothing_options
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.segments import PathSegments
+
+#: Blocks smoothed together, and segments that may wait before smoothing goes on.
+BATCH, QUEUE = 256, 1024
+
+
+class LookaheadNode(Node):  # type: ignore[misc]
+    """Smooths the blocks of one program after another."""
+
+    def __init__(self) -> None:
+        super().__init__('lookahead_node')
+        values = parameters.declare(self, parameters.LOOKAHEAD)
+        self._transform = Transform.of(Machine.load(values['machine']))
+        self._ratio = values['corner_ratio']
+        self._peer_timeout = values['peer_timeout']
+        self._heard = 0.0
+        warm_lookahead(self._transform)
+        self._lookahead: LookAhead | None = None
+        self._flank_height = 0.0
+        self._blocks: deque[G1Block] = deque()
+        self._last: PathSegments | None = None
+        diagnostics = Diagnostics(self)
+        self._outlet = Outlet(
+            self, 'segments', PathSegment, values['resend_after'], lambda message, _: message
+        )
+        self._inlet = Inlet(
+            self, WindowedReceiver('blocks', values['block_window']), G1Block, check_block,
+            self._take, self._end, diagnostics,
+        )  # fmt: skip
+        self.create_timer(0.01, self._work)
+
+    def _take(self, block: G1Block) -> None:
+        """Queue a sound block."""
+        if block.sequence == 0:
+            self._begin(block)
+        self._blocks.append(block)
+        self._heard = time.monotonic()
+        if len(self._blocks) >= BATCH:
+            self._work()
+
+    def _begin(self, block: G1Block) -> None:
+        """Forget the program before."""
+        options = ChainOptions(flank_height=block.flank_height, ratio=self._ratio)
+        self._lookahead = LookAhead(smoothing_options(self._transform, options))
+        self._flank_height = block.flank_height
+        self._blocks.clear()
+        self._last = None
+        self._outlet.sender.begin(block.program_id)
+
+    def _work(self) -> None:
+        """Smooth a batch when the way onward is free, and send what may be sent."""
+        self._outlet.pump()
+        if self._outlet.refusal and self._inlet.receiver.active:
+            program = self._inlet.receiver.program_id
+            self._inlet.refuse(program, self._outlet.refusal)
+        if not self._blocks:
+            self._watch_sender()
+        elif self._lookahead is not None and self._outlet.sender.unsent <= QUEUE:
+            self._smooth()
+
+    def _watch_sender(self) -> None:
+        """Give a program up whose blocks stopped coming although the window is open."""
+        silence = time.monotonic() - self._heard
+        if self._inlet.receiver.active and silence > self._peer_timeout:
+            reason = f'no blocks for {silence:.1f} s; program_node is lost, start it again'
+            self._inlet.refuse(self._inlet.receiver.program_id, reason)
+
+    def _smooth(self) -> None:
+        """Smooth the next batch."""
+        assert self._lookahead is not None
+        batch = [self._blocks.popleft() for _ in range(min(BATCH, len(self._blocks)))]
+        try:
+            self._send(self._lookahead.push(blocks_from(batch)), end=False)
+        except InterpError as problem:
+            self._inlet.refuse(batch[0].program_id, str(problem))
+            return
+        self._inlet.receiver.consume(len(batch))
+        if batch[-1].end_of_program:
+            self._end()
+
+    def _end(self) -> None:
+        """Bring the path to rest at the last sound block."""
+        if self._lookahead is None:
+            return
+        lookahead, self._lookahead = self._lookahead, None
+        rest = blocks_from(list(self._blocks)) if self._blocks else None
+        self._blocks.clear()
+        try:
+            if rest is not None:
+                self._send(lookahead.push(rest), end=False)
+            self._send(lookahead.finish(), end=True)
+        except InterpError as problem:
+            self._send_last(end=True)
+            self.get_logger().error(str(problem))
+
+    def _send(self, segments: PathSegments, end: bool) -> None:
+        """Send segments; the newest waits until it is known whether it is the last."""
+        if self._last is not None and len(segments):
+            segments = PathSegments.concatenate([self._last, segments])
+        elif self._last is not None:
+            segments = self._last
+        if not len(segments):
+            return
+        self._last = segments[-1:]
+        self._queue(segments[:-1], end=False)
+        if end:
+            self._send_last(end=True)
+
+    def _send_last(self, end: bool) -> None:
+        """Send the segment that was held back."""
+        if self._last is not None:
+            last, self._last = self._last, None
+            self._queue(last, end)
+
+    def _queue(self, segments: PathSegments, end: bool) -> None:
+        sender = self._outlet.sender
+        for message in segment_messages(
+            segments, sender.program_id, sender.next_number, self._flank_height, end
+        ):
+            sender.put(message)
+        self._outlet.pump()
+
+    def close(self) -> None:
+        """End: nothing moves here."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(LookaheadNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

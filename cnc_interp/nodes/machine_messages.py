@@ -1,0 +1,68 @@
+"""What the machine says: its state and its joints as messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import MachineState
+from sensor_msgs.msg import JointState
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine import Feedback, State
+from cnc_interp.nodes.playback import Playback
+
+STATES = {
+    State.INACTIVE: MachineState.IDLE,
+    State.IDLE: MachineState.IDLE,
+    State.RUNNING: MachineState.RUNNING,
+    State.HOLDING: MachineState.HOLDING,
+    State.STARVED: MachineState.STARVED,
+    State.FAULT: MachineState.FAULT,
+}
+
+
+def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
+    """Return the actual axes; a joint is named like its axis."""
+    message = JointState(
+        name=list(machine.axis_names),
+        position=feedback.position.tolist(),
+        velocity=feedback.velocity.tolist(),
+    )
+    message.header.stamp = stamp
+    message.header.frame_id = 'base_link'
+    return message
+
+
+def machine_state(playback: Playback, period: float) -> MachineState:
+    """Return state and figures of the run; the caller stamps it."""
+    machine, feedback, last = playback.machine, playback.feedback, playback.last
+    least = playback.least_buffered
+    message = MachineState(
+        state=STATES[machine.state],
+        program_id=playback.program_id,
+        completed=playback.completed,
+        interpolation_period=period,
+        samples=playback.played,
+        approach_samples=playback.approach_samples,
+        sequence=last.block if last else 0,
+        line_number=last.line if last else 0,
+        path_position=last.s if last else 0.0,
+        positions=feedback.position.tolist(),
+        commanded_positions=feedback.setpoint.tolist(),
+        tip=feedback.tip,
+        axis=feedback.axis,
+        following_error=feedback.following_error.tolist(),
+        largest_following_error=playback.largest_following_error.tolist(),
+        contour_error=feedback.contour_error,
+        largest_contour_error=playback.largest_contour_error,
+        velocity_use=machine.largest_use[0].tolist(),
+        acceleration_use=machine.largest_use[1].tolist(),
+        jerk_use=machine.largest_use[2].tolist(),
+        buffered_time=playback.buffered * period,
+        least_buffered_time=least * period if np.isfinite(least) else np.nan,
+        starvations=playback.starvations,
+        message=machine.message,
+    )
+    message.header.frame_id = 'workpiece'
+    return message

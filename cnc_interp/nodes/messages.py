@@ -1,0 +1,223 @@
+"""Arrows of the flow <-> ROS messages, bit for bit; ``soundness`` checks them first."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
+
+from cnc_interp.interpolator import Setpoints
+from cnc_interp.program.blocks import Blocks, FloatArray
+from cnc_interp.smoothing.segments import CORNER, PathSegments
+
+CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
+LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
+CONNECTION_POINTS = 6
+
+
+def block_messages(
+    blocks: Blocks, program_id: str, first_sequence: int, flank_height: float, end: bool
+) -> list[G1Block]:
+    """
+    Turn rows of a program into messages.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Consecutive rows.
+    program_id : str
+        The run.
+    first_sequence : int
+        Number of the first row in the program.
+    flank_height : float
+        Height over the tip at which the orientation tolerance counts [m].
+    end : bool
+        True when the last row is the program's last.
+
+    """
+    return [
+        G1Block(
+            program_id=program_id,
+            sequence=first_sequence + i,
+            line_number=int(blocks.line_number[i]),
+            tip=blocks.tip[i],
+            axis=blocks.axis[i],
+            rotary=blocks.rotary[i],
+            feedrate=float(blocks.feedrate[i]),
+            duration=float(blocks.duration[i]),
+            rapid=bool(blocks.rapid[i]),
+            contour_tolerance=float(blocks.contour_tolerance[i]),
+            orientation_tolerance=float(blocks.orientation_tolerance[i]),
+            flank_height=flank_height,
+            exact_stop=bool(blocks.exact_stop[i]),
+            end_of_program=end and i == len(blocks) - 1,
+        )
+        for i in range(len(blocks))
+    ]
+
+
+def blocks_from(messages: list[G1Block]) -> Blocks:
+    """Collect messages, checked before, into rows."""
+
+    def column(field: str, kind: Any = np.float64) -> Any:
+        return np.array([getattr(message, field) for message in messages], dtype=kind)
+
+    return Blocks(
+        tip=column('tip'),
+        axis=column('axis'),
+        rotary=column('rotary'),
+        feedrate=column('feedrate'),
+        duration=column('duration'),
+        rapid=column('rapid', np.bool_),
+        exact_stop=column('exact_stop', np.bool_),
+        contour_tolerance=column('contour_tolerance'),
+        orientation_tolerance=column('orientation_tolerance'),
+        line_number=column('line_number', np.int64),
+    )
+
+
+def segment_messages(
+    segments: PathSegments, program_id: str, first_sequence: int, flank_height: float, end: bool
+) -> list[PathSegment]:
+    """Turn consecutive segments into messages; ``end`` marks the last one of the program."""
+    return [
+        _segment_message(segments, i, program_id, first_sequence + i, flank_height)
+        for i in range(len(segments) - 1)
+    ] + [
+        _segment_message(segments, i, program_id, first_sequence + i, flank_height, end)
+        for i in range(max(0, len(segments) - 1), len(segments))
+    ]
+
+
+def _segment_message(
+    segments: PathSegments, i: int, program_id: str, sequence: int, height: float, end: bool = False
+) -> PathSegment:
+    """Turn one segment into a message."""
+    corner = segments.kind[i] == CORNER
+    message = PathSegment(
+        program_id=program_id,
+        sequence=sequence,
+        kind=int(segments.kind[i]),
+        bottom=_spline(segments.bottom[i] if corner else segments.bottom[i, :2]),
+        flank_height=height,
+        axis=segments.axis[i],
+        rotation=segments.rotation[i],
+        rotary_start=segments.rotary[i, 0],
+        rotary_end=segments.rotary[i, 1],
+        length=float(segments.length[i]),
+        feedrate=segments.feed[i],
+        contour_deviation=float(segments.deviation[i, 0]),
+        orientation_deviation=float(segments.deviation[i, 1]),
+        first_block=int(segments.block[i, 0]),
+        last_block=int(segments.block[i, 1]),
+        line_number=int(segments.line_number[i]),
+        stop=bool(segments.stop[i]),
+        end_of_program=end,
+    )
+    if corner:
+        message.top = _spline(segments.top[i])
+        message.connection = _packed(segments.connection[i])
+    return message
+
+
+def _spline(points: FloatArray) -> BSpline:
+    """Describe control points of a line (2) or a corner (5) as a clamped B-spline."""
+    cubic = len(points) == 5
+    return BSpline(
+        degree=3 if cubic else 1,
+        dimension=3,
+        knots=CUBIC_KNOTS if cubic else LINEAR_KNOTS,
+        control_points=_packed(points),
+    )
+
+
+def _packed(values: FloatArray) -> array[float]:
+    """Flatten to the message's array type without touching a bit."""
+    return array('d', np.ascontiguousarray(values, dtype=np.float64).tobytes())
+
+
+def segments_from(messages: list[PathSegment]) -> PathSegments:
+    """Collect messages, checked before, into segments."""
+    n = len(messages)
+    bottom, top = np.zeros((n, 5, 3)), np.zeros((n, 5, 3))
+    connection = np.zeros((n, CONNECTION_POINTS, 3))
+    for i, message in enumerate(messages):
+        points = np.frombuffer(message.bottom.control_points).reshape(-1, 3)
+        bottom[i, : len(points)] = points
+        if message.kind == CORNER:
+            top[i] = np.frombuffer(message.top.control_points).reshape(-1, 3)
+            if len(message.connection):
+                connection[i] = np.frombuffer(message.connection).reshape(-1, 3)
+    return PathSegments(
+        kind=np.array([m.kind for m in messages], dtype=np.int64),
+        bottom=bottom,
+        top=top,
+        connection=connection,
+        axis=np.array([m.axis for m in messages]),
+        rotation=np.array([m.rotation for m in messages]),
+        rotary=np.array([(m.rotary_start, m.rotary_end) for m in messages]),
+        length=np.array([m.length for m in messages]),
+        feed=np.array([m.feedrate for m in messages]),
+        block=np.array([(m.first_block, m.last_block) for m in messages], dtype=np.int64),
+        line_number=np.array([m.line_number for m in messages], dtype=np.int64),
+        stop=np.array([m.stop for m in messages], dtype=np.bool_),
+        deviation=np.array([(m.contour_deviation, m.orientation_deviation) for m in messages]),
+    )
+
+
+def chunk_message(
+    samples: Setpoints, lines: list[int], program_id: str, first: int, period: float, end: bool
+) -> SetpointChunk:
+    """
+    Turn consecutive setpoints into a message.
+
+    Parameters
+    ----------
+    samples : Setpoints
+        The setpoints.
+    lines : list of int
+        Line of the source text of each.
+    program_id : str
+        The run.
+    first : int
+        Number of the first setpoint in the run.
+    period : float
+        Interpolation period [s].
+    end : bool
+        True when the last setpoint is the end of the program.
+
+    """
+    return SetpointChunk(
+        program_id=program_id,
+        first_sample=first,
+        period=period,
+        axis_count=samples.position.shape[1],
+        positions=_packed(samples.position),
+        velocities=_packed(samples.velocity),
+        accelerations=_packed(samples.acceleration),
+        jerks=_packed(samples.jerk),
+        sequences=array('Q', samples.block.astype(np.uint64).tobytes()),
+        line_numbers=lines,
+        path_positions=_packed(samples.s),
+        end_of_program=end,
+    )
+
+
+def setpoints_from(message: SetpointChunk) -> Setpoints:
+    """Return the setpoints of a message, checked before; time counts from the run's first one."""
+    n, axes = len(message.sequences), message.axis_count
+
+    def table(values: array[float]) -> FloatArray:
+        return np.frombuffer(values).reshape(n, axes)
+
+    return Setpoints(
+        time=(message.first_sample + np.arange(n)) * message.period,
+        position=table(message.positions),
+        velocity=table(message.velocities),
+        acceleration=table(message.accelerations),
+        jerk=table(message.jerks),
+        block=np.frombuffer(message.sequences, dtype=np.uint64).astype(np.int64),
+        s=np.array(message.path_positions),
+    )

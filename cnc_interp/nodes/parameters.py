@@ -1,0 +1,128 @@
+"""Parameters of the nodes: one scalar each, SI, with description and range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+
+from cnc_interp.errors import InterpError
+from cnc_interp.nodes.qos import DEPTH
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A parameter with its default and range; all are fixed once the node has started."""
+
+    name: str
+    default: float | int | bool | str
+    description: str
+    low: float | None = None
+    high: float | None = None
+
+
+MACHINE = Declared('machine', 'xyzac', 'Machine: name of a bundled one, or path of a YAML file')
+AUTOSTART = Declared('autostart', True, 'Configure and activate without waiting for a command')
+PERIOD = Declared('interpolation_period', 0.001, 'Time between setpoints [s]', 0.0001, 0.01)
+RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s]', 0.02, 10.0)
+PEER_TIMEOUT = Declared(
+    'peer_timeout', 3.0, 'Silence after which the node before or behind counts as lost [s]', 0.5, 60.0
+)
+
+LOOKAHEAD = (
+    MACHINE,
+    Declared('corner_ratio', 2.0, 'L2/L1 of a rounded corner where there is room [-]', 1.2, 4.0),
+    Declared('block_window', 512, 'Blocks taken ahead of the look-ahead', 4, DEPTH - 1),
+    RESEND,
+    PEER_TIMEOUT,
+)
+FEEDRATE = (
+    MACHINE,
+    AUTOSTART,
+    PERIOD,
+    Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
+    Declared('plan_ahead', 1.0, 'Motion planned beyond what the machine holds [s]', 0.05, 60.0),
+    Declared('chunk_size', 10, 'Setpoints in a message', 1, 100),
+    RESEND,
+    PEER_TIMEOUT,
+)
+MACHINE_NODE = (
+    MACHINE,
+    AUTOSTART,
+    PERIOD,
+    Declared('buffer_time', 0.1, 'Motion that the machine holds ready [s]', 0.01, 2.0),
+    Declared('start_time', 0.05, 'Motion at hand before the machine starts [s]', 0.0, 2.0),
+    Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
+    Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
+    Declared('position_gain', 100.0, 'Gain kv of the drives [1/s]', 1.0, 1000.0),
+    Declared('feed_forward', 1.0, 'Share of velocity feed-forward of the drives [-]', 0.0, 1.0),
+    Declared('time_constant', 0.002, 'Lag of the velocity loop of the drives [s]', 1e-4, 0.1),
+)
+PROGRAM = (
+    MACHINE,
+    Declared('contour_tolerance', 2e-5, 'Where the program gives none [m]', 1e-7, 0.1),
+    Declared('orientation_tolerance', 2e-5, 'Where the program gives none [m]', 1e-7, 0.1),
+    Declared('flank_height', 0.03, 'Height at which orientation is measured [m]', 1e-4, 1.0),
+    PEER_TIMEOUT,
+    RESEND,
+)
+
+
+def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
+    """
+    Declare parameters on a node and return their values.
+
+    Raises
+    ------
+    InterpError
+        If a value is of the wrong type or outside its range, or two do not fit together.
+
+    """
+    values = {}
+    for parameter in parameters:
+        try:
+            found = node.declare_parameter(
+                parameter.name, parameter.default, descriptor_of(parameter)
+            )
+        except Exception as problem:
+            raise InterpError(f'parameter {parameter.name}: {problem}') from None
+        values[parameter.name] = found.value
+    node.add_on_set_parameters_callback(check_change)
+    if values.get('start_time', 0.0) > values.get('buffer_time', math.inf):
+        raise InterpError('parameter start_time must not be greater than buffer_time')
+    return values
+
+
+def descriptor_of(parameter: Declared) -> ParameterDescriptor:
+    """Describe a parameter, with the kind of range that fits its type."""
+    descriptor = ParameterDescriptor(description=parameter.description)
+    if parameter.low is None or parameter.high is None:
+        return descriptor
+    if isinstance(parameter.default, int):
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)
+        ]
+    else:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high))
+        ]
+    return descriptor
+
+
+def check_change(changes: list[Any]) -> SetParametersResult:
+    """Refuse changes while the node runs: buffers, windows and plans are built on the values."""
+    known = {p.name for table in (LOOKAHEAD, FEEDRATE, MACHINE_NODE, PROGRAM) for p in table}
+    for change in changes:
+        if change.name in known:
+            return SetParametersResult(
+                successful=False,
+                reason=f'{change.name} is read at start; start the node again with another value',
+            )
+    return SetParametersResult(successful=True)

@@ -1,0 +1,159 @@
+"""The program node: action ``run_program`` in, ``blocks`` out within the window."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import G1Block
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+from rclpy.task import Future
+
+from cnc_interp.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import parameters
+from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.endpoints import Outlet
+from cnc_interp.nodes.messages import block_messages
+from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.preparing import prepare
+from cnc_interp.nodes.program_run import ProgramRun
+from cnc_interp.nodes.running import run_node
+from cnc_interp.nodes.warming import warm_kinematics
+
+Result = RunProgram.Result
+#: Blocks queued for sending at a time, and time between feedbacks [s].
+QUEUE, FEEDBACK = 512, 0.1
+
+
+class ProgramNode(Node):  # type: ignore[misc]
+    """Runs one program after another."""
+
+    def __init__(self) -> None:
+        super().__init__('program_node')
+        self._values = parameters.declare(self, parameters.PROGRAM)
+        self._transform = Transform.of(Machine.load(self._values['machine']))
+        warm_kinematics(self._transform)
+        self._run: ProgramRun | None = None
+        self._done = Future()
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
+        self._diagnostics = Diagnostics(self)
+        self._peers = Peers(self)
+        self._outlet = Outlet(
+            self, 'blocks', G1Block, self._values['resend_after'], self._encode
+        )
+        self._feedback_at = 0.0
+        self._server = ActionServer(
+            self, RunProgram, 'run_program', self._execute,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )  # fmt: skip
+        self.create_timer(0.02, self._work)
+        self._diagnostics.say('program', OK, 'no program')
+
+    async def _execute(self, handle: Any) -> RunProgram.Result:
+        """Run one goal; the timer does the work, this waits for its result."""
+        if self._run is not None:
+            handle.abort()
+            return Result(
+                code=Result.BUSY, message=f'{self._run.name} is running; wait for its end'
+            )
+        run = ProgramRun(handle.request)
+        self._handle, self._done = handle, Future()
+        run.preparing = self._worker.submit(
+            prepare, handle.request, self._transform, self._values, lambda: run.cancelled
+        )
+        self._run = run
+        result: RunProgram.Result = await self._done
+        if result.code == Result.SUCCEEDED:
+            handle.succeed()
+        elif result.code == Result.CANCELED and handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            handle.abort()
+        return result
+
+    def _work(self) -> None:
+        """Bring the run forward by one step."""
+        run = self._run
+        if run is None:
+            return
+        now = time.monotonic()
+        if self._handle.is_cancel_requested and not run.cancelled:
+            run.cancel(self._outlet.sender)
+        if run.prepared is None:
+            outcome = run.see_prepared()
+        elif not run.started:
+            outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
+            if run.started:
+                self._outlet.sender.begin(run.program_id)
+                self._diagnostics.say('program', OK, f'running {run.name}')
+        else:
+            run.fill(self._outlet.sender, QUEUE)
+            self._outlet.pump()
+            outcome = run.watch(self._peers, now, self._values['peer_timeout'])
+            self._tell_progress(run, now)
+        if outcome is not None:
+            self._finish(run, *outcome)
+
+    def _encode(self, row: int, sequence: int) -> G1Block:
+        """Make the message of one block."""
+        run = self._run
+        if run is None or run.prepared is None:
+            raise StreamError('a block was asked for after its run')
+        blocks = run.prepared.blocks
+        (message,) = block_messages(
+            blocks[row : row + 1], run.program_id, sequence, run.prepared.flank_height,
+            end=sequence == run.last_sequence,
+        )  # fmt: skip
+        return message
+
+    def _tell_progress(self, run: ProgramRun, now: float) -> None:
+        """Publish feedback now and then."""
+        state = self._peers.state
+        if now - self._feedback_at < FEEDBACK or state is None or run.prepared is None:
+            return
+        if state.program_id != run.program_id:
+            return
+        self._feedback_at = now
+        share = min(1.0, state.path_position / run.prepared.path_length)
+        elapsed = state.samples * self._peers.period
+        driven = (state.samples - state.approach_samples) * self._peers.period
+        self._handle.publish_feedback(
+            RunProgram.Feedback(
+                sequence=state.sequence,
+                line_number=state.line_number,
+                progress=share,
+                remaining_time=driven * (1.0 - share) / share if share > 0.0 else math.nan,
+                elapsed_time=elapsed,
+            )
+        )
+
+    def _finish(self, run: ProgramRun, code: int, message: str) -> None:
+        """End the run and hand its result over."""
+        result = run.result(code, message, self._peers, self._outlet.sender.sent)
+        level = OK if code == Result.SUCCEEDED else WARN
+        self._diagnostics.say('program', level, message)
+        self._outlet.sender.begin('')
+        self._run = None
+        self._done.set_result(result)
+
+    def close(self) -> None:
+        """End: blocks that were sent are executed, the look-ahead ends the path after them."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        self._server.destroy()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(ProgramNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

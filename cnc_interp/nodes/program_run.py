@@ -1,0 +1,149 @@
+"""One run of a program: from its goal over the blocks on their way to the result; no ROS calls."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState
+
+from cnc_interp.errors import InterpError, ProgramError
+from cnc_interp.nodes.peers import RECEIVERS, Peers
+from cnc_interp.nodes.preparing import Prepared
+from cnc_interp.nodes.streams import WindowedSender
+
+Result = RunProgram.Result
+Outcome = tuple[int, str]
+#: How long the first motion may take to reach the machine when all nodes answer [s].
+PATIENCE = 10.0
+
+
+class ProgramRun:
+    """
+    The state of one run.
+
+    Parameters
+    ----------
+    goal : RunProgram.Goal
+        What the user asked for.
+
+    """
+
+    def __init__(self, goal: Any):
+        self.program_id = uuid.uuid4().hex
+        self.name = Path(goal.program).name if goal.program else '<text>'
+        self.preparing: Future[Prepared] | None = None
+        self.prepared: Prepared | None = None
+        self.started = self.cancelled = False
+        self.last_sequence = -1
+        self._queued = 0
+        self._known_by: set[str] = set()
+        self._asked_at = time.monotonic()
+
+    def see_prepared(self) -> Outcome | None:
+        """Take the read and checked program over; a refusal is the result."""
+        if self.preparing is None or not self.preparing.done():
+            return None
+        try:
+            self.prepared = self.preparing.result()
+        except ProgramError as problem:
+            return Result.BAD_PROGRAM, str(problem)
+        except Exception as problem:
+            known = isinstance(problem, InterpError)
+            text = str(problem) if known else f'{type(problem).__name__}: {problem}'
+            return Result.CANCELED if self.cancelled else Result.REFUSED, text
+        self.last_sequence = len(self.prepared.blocks) - 1
+        self._asked_at = time.monotonic()
+        return None
+
+    def may_start(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
+        """Start once every node has been heard and the machine rests."""
+        if self.cancelled:
+            return Result.CANCELED, 'cancelled before anything moved'
+        missing = peers.missing(now, timeout)
+        state = peers.state
+        if not missing and state is not None:
+            if state.state in (MachineState.FAULT, MachineState.STOPPED):
+                return Result.STOPPED, f'the machine is stopped: {state.message}; call reset'
+            self.started = state.state in (MachineState.IDLE, MachineState.STARVED)
+        if not self.started and now - self._asked_at > PATIENCE:
+            what = f'{missing} does not answer' if missing else 'the machine is moving'
+            return Result.STREAM_LOST, f'{what}; start all four nodes and try again'
+        return None
+
+    def fill(self, sender: WindowedSender[int], most: int) -> None:
+        """Queue the next rows; not the whole program at once."""
+        while self._queued <= self.last_sequence and sender.unsent < most:
+            sender.put(min(self._queued, self._last_row))
+            self._queued += 1
+
+    @property
+    def _last_row(self) -> int:
+        assert self.prepared is not None
+        return len(self.prepared.blocks) - 1
+
+    def cancel(self, sender: WindowedSender[int]) -> None:
+        """Send no more blocks; the path ends where the last one sent ends."""
+        self.cancelled = True
+        if not self.started or sender.sent > self.last_sequence:
+            return
+        sender.drop_unsent()
+        last = sender.next_number - 1
+        if last < 0:
+            return
+        # The last pose once more: no motion of its own, it only carries the end.
+        sender.put(last)
+        self.last_sequence = last + 1
+        self._queued = self.last_sequence + 1
+
+    def watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
+        """Tell when the run is over, and how."""
+        state = peers.state
+        refusal = peers.refusal(self.program_id)
+        mine = state is not None and state.program_id == self.program_id
+        if state is not None and mine and state.state == MachineState.FAULT:
+            return Result.STOPPED, state.message
+        if refusal and not (state and mine and state.state == MachineState.RUNNING):
+            lost = state is not None and mine and state.state == MachineState.STARVED
+            return Result.STREAM_LOST if lost else Result.REFUSED, refusal
+        missing = peers.missing(now, timeout)
+        if missing:
+            return Result.STREAM_LOST, f'{missing} does not answer any more; start it again'
+        for stream, node in RECEIVERS.items():
+            if peers.knows(stream, self.program_id):
+                self._known_by.add(node)
+            elif node in self._known_by:
+                return Result.STREAM_LOST, f'{node} was restarted; run the program again'
+        if state is not None and mine and state.completed:
+            if self.cancelled:
+                return Result.CANCELED, 'cancelled; the machine rests on the path'
+            return Result.SUCCEEDED, 'executed to the end'
+        return None
+
+    def result(self, code: int, message: str, peers: Peers, sent: int) -> RunProgram.Result:
+        """Collect what the run came to."""
+        result = Result(code=code, message=message, program_id=self.program_id)
+        if self.prepared is not None:
+            result.notices = list(self.prepared.notices)
+        result.blocks_sent = max(0, min(sent - 1, self._last_row)) if self.prepared else 0
+        state = peers.state
+        if state is None or state.program_id != self.program_id:
+            return result
+        count = state.samples - state.approach_samples
+        result.cycle_time = max(0, count - 1) * peers.period
+        result.approach_time = state.approach_samples * peers.period
+        result.path_length = state.path_position
+        result.blocks_executed = state.sequence
+        result.samples = count
+        result.starvations = state.starvations
+        result.least_buffered_time = state.least_buffered_time
+        result.contour_error = state.largest_contour_error
+        result.following_error = state.largest_following_error
+        result.velocity_use = state.velocity_use
+        result.acceleration_use = state.acceleration_use
+        result.jerk_use = state.jerk_use
+        return result

@@ -1,0 +1,35 @@
+"""
+Quality of service of every topic, in one table.
+
+| topic | reliability | durability | history | why |
+|---|---|---|---|---|
+| ``blocks``, ``segments``, ``setpoints`` | reliable | volatile | last 4096 | deeper than any window, so nothing is overwritten; nothing old is replayed |
+| ``stream_status`` | reliable | volatile | last 64 | an acknowledgement supersedes the one before |
+| ``machine_state`` | reliable | volatile | last 64 | changes of state must arrive |
+| ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
+| ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
+| ``run_program`` | rclpy's defaults for actions | | | |
+"""  # noqa: E501
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+#: Largest window that a node may be given, in messages.
+DEPTH = 4096
+
+
+def _reliable(depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+STREAM = _reliable(DEPTH)
+STATUS = _reliable(64)
+STATE = _reliable(64)
+JOINTS = _reliable(10)
+DIAGNOSTICS = _reliable(64)

@@ -1,0 +1,83 @@
+"""The main loop that all nodes share: start, spin, and end in a controlled way with exit code 0."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from cnc_interp.errors import InterpError
+
+#: The events executor needs a finite timeout; this is also how soon a signal is seen [s].
+SPIN_TIMEOUT = 0.1
+
+
+def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int:
+    """
+    Run one node until Ctrl-C, SIGTERM or the end of its context.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the node once ROS is up; the node's ``close`` ends it in a controlled way.
+    arguments : list of str, optional
+        Command line, ROS arguments included.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a controlled end, 2 when the node cannot start.
+
+    """
+    stop: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda found, _frame: stop.append(found))
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = make()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        gc.collect()
+        gc.freeze()  # what exists now lives as long as the node: no collection walks over it
+        while not stop and rclpy.ok():
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except InterpError as problem:
+        print(f'cnc_interp: {problem}', file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
+    """Do the work of a lifecycle transition; rclpy would fail in silence where this says why."""
+    try:
+        work()
+    except InterpError as problem:
+        node.get_logger().error(str(problem))
+        return TransitionCallbackReturn.FAILURE
+    except Exception as problem:
+        node.get_logger().error(f'{type(problem).__name__}: {problem}')
+        return TransitionCallbackReturn.FAILURE
+    return TransitionCallbackReturn.SUCCESS
+
+
+def start_lifecycle(node: Any) -> None:
+    """Configure and activate a lifecycle node without waiting for a command."""
+    if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+        raise InterpError(f'{node.get_name()} cannot be configured; see the message above')
+    node.trigger_activate()

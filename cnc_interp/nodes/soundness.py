@@ -1,0 +1,106 @@
+"""What a message must be like to be let in: finite, of the right shape, meaning something."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
+
+from cnc_interp.errors import StreamError
+from cnc_interp.nodes.messages import CONNECTION_POINTS, CUBIC_KNOTS, LINEAR_KNOTS
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION
+
+#: A tool axis may differ from length 1 by rounding only.
+UNIT = 1e-9
+
+
+def check_block(message: G1Block) -> None:
+    """Refuse a block with values that no program can mean."""
+    name = f'block {message.sequence} (line {message.line_number})'
+    _check_pose(name, message.tip, message.axis, message.rotary)
+    for field in ('contour_tolerance', 'orientation_tolerance', 'flank_height'):
+        value = getattr(message, field)
+        if not 0.0 < value < np.inf:
+            raise StreamError(f'{name}: {field} is {value:g} m; it must be greater than 0')
+    if message.sequence == 0:
+        return
+    timed = not np.isnan(message.duration)
+    value = message.duration if timed else message.feedrate
+    if not value > 0.0 or (timed and value == np.inf):
+        word = 'duration' if timed else 'feedrate'
+        raise StreamError(f'{name}: {word} is {value:g}; it must be greater than 0')
+
+
+def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray) -> None:
+    """Refuse a tip or a tool axis that is none."""
+    if not np.isfinite(tip).all():
+        raise StreamError(f'{name}: the tool tip is not finite; send numbers')
+    length = float(np.sqrt((axis**2).sum()))
+    if not abs(length - 1.0) <= UNIT:
+        raise StreamError(f'{name}: the tool axis has length {length:.6g}; it must be 1')
+    if np.isinf(rotary).any() or np.isnan(rotary).any() != np.isnan(rotary).all():
+        raise StreamError(f'{name}: name both rotary axes, or none (NaN)')
+
+
+def check_segment(message: PathSegment) -> None:
+    """Refuse a segment whose curves or values do not fit its kind."""
+    name = f'segment {message.sequence} (line {message.line_number})'
+    kind, corner = message.kind, message.kind == CORNER
+    if kind not in (LINE, CORNER, ROTATION):
+        raise StreamError(f'{name}: kind {kind} is unknown; send LINE, CORNER or ROTATION')
+    _check_spline(f'{name}: bottom', message.bottom, CUBIC_KNOTS if corner else LINEAR_KNOTS)
+    if corner:
+        _check_spline(f'{name}: top', message.top, CUBIC_KNOTS)
+        if len(message.connection) not in (0, 3 * CONNECTION_POINTS):
+            raise StreamError(f'{name}: connection must hold {3 * CONNECTION_POINTS} values')
+    if len(message.parametrization.knots):
+        raise StreamError(f'{name}: a parametrization of its own is not supported; leave it empty')
+    for rotary in (message.rotary_start, message.rotary_end):
+        _check_pose(name, np.zeros(3), message.axis, rotary)
+    values = [*message.rotation, message.contour_deviation, message.orientation_deviation]
+    values += message.connection
+    if not np.isfinite(values).all():
+        raise StreamError(f'{name}: a value is not finite; send numbers')
+    if not 0.0 < message.flank_height < np.inf:
+        raise StreamError(f'{name}: flank_height must be greater than 0')
+    if not (message.feedrate > 0.0).all():
+        raise StreamError(f'{name}: the feedrate must be greater than 0')
+    if not (corner or 0.0 <= message.length < np.inf):
+        raise StreamError(f'{name}: length is {message.length:g} m; it must not be negative')
+
+
+def _check_spline(name: str, spline: BSpline, knots: array[float]) -> None:
+    """Refuse a curve of another shape than its kind has."""
+    degree = 3 if knots is CUBIC_KNOTS else 1
+    count = 3 * (len(knots) - degree - 1)
+    if (spline.degree, spline.dimension, spline.knots) != (degree, 3, knots):
+        raise StreamError(f'{name} must be of degree {degree} in 3-D with knots {knots.tolist()}')
+    if len(spline.control_points) != count:
+        raise StreamError(f'{name} needs {count} values, not {len(spline.control_points)}')
+    if not np.isfinite(np.frombuffer(spline.control_points)).all():
+        raise StreamError(f'{name} has a control point that is not finite')
+
+
+def check_chunk(message: SetpointChunk, axis_count: int, period: float) -> None:
+    """Refuse setpoints of a wrong shape, for another machine or period, or not finite."""
+    name = f'setpoints from {message.first_sample}'
+    n = len(message.sequences)
+    if message.axis_count != axis_count:
+        raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
+    if message.period != period:
+        raise StreamError(
+            f'{name}: period {message.period:g} s, but the machine runs at {period:g} s; '
+            'give both nodes the same interpolation_period'
+        )
+    if n == 0:
+        raise StreamError(f'{name}: the chunk is empty; send at least one setpoint')
+    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+        values = np.frombuffer(getattr(message, field))
+        if len(values) != n * axis_count:
+            raise StreamError(f'{name}: {field} has {len(values)} values, not {n * axis_count}')
+        if not np.isfinite(values).all():
+            raise StreamError(f'{name}: {field} has a value that is not finite')
+    if len(message.line_numbers) != n or len(message.path_positions) != n:
+        raise StreamError(f'{name}: line_numbers and path_positions need {n} values each')

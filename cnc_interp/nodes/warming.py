@@ -1,0 +1,61 @@
+"""Runs a tiny built-in path, so that every compiled kernel is loaded before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
+from cnc_interp.interpolator import Interpolator
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.pipeline import ChainOptions, smoothing_options
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.units import MM, MM_PER_MIN
+
+
+def tiny_program(transform: Transform) -> Blocks:
+    """Return two blocks with a corner between them, the tool axis turning where it can."""
+    rotary = np.array([[0.30, 0.20], [0.33, 0.25], [0.35, 0.32]])
+    rotating = transform.machine.has_rotary
+    axis = transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (3, 1))
+    return Blocks(
+        tip=np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 1.0]]) * MM,
+        axis=axis,
+        rotary=np.full((3, 2), np.nan),
+        feedrate=np.full(3, 3000.0 * MM_PER_MIN),
+        duration=np.full(3, np.nan),
+        rapid=np.zeros(3, dtype=np.bool_),
+        exact_stop=np.zeros(3, dtype=np.bool_),
+        contour_tolerance=np.full(3, 0.02 * MM),
+        orientation_tolerance=np.full(3, 0.02 * MM),
+        line_number=np.arange(3),
+    )
+
+
+def warm_lookahead(transform: Transform) -> PathSegments:
+    """Load the kernels of the look-ahead."""
+    lookahead = LookAhead(smoothing_options(transform, ChainOptions()))
+    return PathSegments.concatenate([lookahead.push(tiny_program(transform)), lookahead.finish()])
+
+
+def warm_kinematics(transform: Transform) -> AxisPath:
+    """Load the kernels from look-ahead to machine axes."""
+    machine = transform.machine
+    endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
+    free = Transform.of(replace(machine, travel=endless))
+    path = AxisPathBuilder(free).push(warm_lookahead(transform))
+    assert path is not None
+    return path
+
+
+def warm_all(transform: Transform, period: float) -> None:
+    """Load the kernels from look-ahead to setpoints."""
+    planner, interpolator = FeedPlanner(transform.machine), Interpolator(period)
+    pieces: list[PlannedPiece] = planner.push(warm_kinematics(transform)) + planner.finish()
+    for piece in pieces:
+        interpolator.push(piece)

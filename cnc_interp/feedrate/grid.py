@@ -1,19 +1,22 @@
 """
 The planner's grid: where to put nodes so that a few constant-jerk cells come close to the optimum.
 
-A first guess of the speed costs one pass each way: under a jerk limit v^(3/2) grows at most
-linearly along the path (from rest, s = J t^3/6 and v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s).
-Cells that take more time than wanted under this guess are subdivided, evenly in time; in steady
-cruise the cells may grow.
+Cells of the path that take more time than wanted under the guessed speed, or along which the axes
+bend too much to be judged from their ends, are subdivided, evenly in time; in steady cruise they
+may grow. Cells of the path that take less time than wanted and lie well on a line of the axes'
+derivatives are grouped; so are those too short to be given a jerk of their own in double precision.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numba
 import numpy as np
 
+from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.program.blocks import FloatArray, IntArray
 
 SAMPLES = 96
 """Points at which a cell to be subdivided is looked at."""
@@ -24,79 +27,35 @@ GROWTH = 0.15
 ROUNDS = 3
 """Most rounds of guessing and refining."""
 
-FASTEST = 100.0
-"""Speed cap where nothing else limits [m/s]."""
+LARGEST_GROUP = 32
+"""Most cells of the path in one cell of the planner."""
+
+TINY = 1e-5
+"""Cells that take less time are always grouped [s]."""
 
 
-@numba.njit(cache=True)
-def speed_bounds(
-    h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
-) -> FloatArray:
+@dataclass(frozen=True)
+class PlanGrid:
     """
-    Bounds of each cell from both ends and the middle.
+    A path cut for the planner.
 
-    Returns
-    -------
-    ndarray, shape (n, 4)
-        Speed limit by feed and velocity [m/s], the same with Eq. 10 [m/s], largest tangential
-        acceleration [m/s2] and jerk [m/s3].
+    Parameters
+    ----------
+    path : AxisPath
+        The path, refined.
+    nodes : ndarray of int, shape (n + 1,)
+        Grid points of ``path`` that bound the planner's n cells.
+    bounds : ndarray, shape (n, 4)
+        Bounds of the speed in these cells, as ``speed_bounds`` gives them.
+    guess : ndarray, shape (n + 1,)
+        Guessed speed at the nodes [m/s].
 
     """
-    n, n_axes = len(h), left.shape[2]
-    out = np.empty((n, 4))
-    c, jet = np.empty(8), np.empty(4)
-    for i in range(n):
-        fast = min(feed[i], FASTEST)
-        slow, acceleration, jerk = fast, 1e12, 1e12
-        for k in range(n_axes):
-            septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
-            septic_value(c, 0.5, h[i], jet)
-            q_s = max(abs(left[1, i, k]), abs(right[1, i, k]), abs(jet[1]))
-            q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(jet[2]))
-            q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(jet[3]))
-            if q_s > 0.0:
-                fast = min(fast, table[0, k] / q_s)
-                acceleration = min(acceleration, table[1, k] / q_s)
-                jerk = min(jerk, table[2, k] / q_s)
-            if q_ss > 0.0:
-                slow = min(slow, np.sqrt(table[1, k] / q_ss))
-            if q_sss > 0.0:
-                slow = min(slow, (table[2, k] / q_sss) ** (1 / 3))
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = fast, min(fast, slow), acceleration, jerk
-    return out
 
-
-@numba.njit(cache=True)
-def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
-    """Speed after a distance at half the jerk's and most of the acceleration's growth."""
-    by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
-    return min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance))
-
-
-@numba.njit(cache=True)
-def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float) -> FloatArray:
-    """Guess the speed at the nodes: 0.9 of Eq. 10, and reachable from both sides."""
-    n = len(h)
-    v = np.empty(n + 1)
-    v[0] = v_start
-    for i in range(n):
-        v[i + 1] = min(0.9 * bounds[i, 1], reach(v[i], h[i], bounds[i, 2], bounds[i, 3]))
-        if i + 1 < n:
-            v[i + 1] = min(v[i + 1], 0.9 * bounds[i + 1, 1])
-    v[n] = min(v[n], v_end)
-    for i in range(n - 1, 0, -1):
-        v[i] = min(v[i], reach(v[i + 1], h[i], bounds[i, 2], bounds[i, 3]))
-    return v
-
-
-@numba.njit(cache=True)
-def speed_inside(
-    x: float, h: float, v0: float, v1: float, bound: FloatArray
-) -> tuple[float, bool]:
-    """Guess the speed within a cell, and tell whether it cruises at its cap there."""
-    ramp = min(reach(v0, x, bound[2], bound[3]), reach(v1, h - x, bound[2], bound[3]))
-    cap = 0.9 * bound[1]
-    return min(ramp, cap), ramp > cap
+    path: AxisPath
+    nodes: IntArray
+    bounds: FloatArray
+    guess: FloatArray
 
 
 @numba.njit(cache=True)
@@ -192,6 +151,8 @@ def grid_nodes(
         fastest = min(1.5 * max(fastest, max(v[i], v[i + 1])), bounds[i, 1])
         by_bend = np.sqrt(bend(left[:, i], right[:, i], h, fastest, table) / most_bend)
         new = 0
+        if h < TINY * fastest:
+            continue
         if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * tau):
             least = by_bend if by_bend > 1.0 else 0.0
             new = cell_nodes(h, v[i], v[i + 1], bounds[i], tau, least, inner)
@@ -206,15 +167,65 @@ def grid_nodes(
 
 
 @numba.njit(cache=True)
-def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
-    """Guess the duration of the motion [s]."""
-    total = 0.0
-    for i in range(len(h)):
-        middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
-        for end in (v[i], v[i + 1]):
-            factor = 1.5 if end == 0.0 else 1.0
-            total += factor * h[i] / (end + middle)
-    return total
+def lies_on_line(
+    first: int,
+    last: int,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    table: FloatArray,
+    v: float,
+    most: float,
+) -> bool:
+    """Tell whether q_ss and q_sss of cells first ... last lie on the line between its two ends."""
+    span = s[last + 1] - s[first]
+    for k in range(left.shape[2]):
+        by_jerk, by_acceleration = v**3 / table[2, k], v**2 / table[1, k]
+        for order, factor in ((2, by_acceleration), (3, by_jerk)):
+            start, end = left[order, first, k], right[order, last, k]
+            for c in range(first, last):
+                line = start + (end - start) * (s[c + 1] - s[first]) / span
+                off = max(abs(right[order, c, k] - line), abs(left[order, c + 1, k] - line))
+                if off * factor > most:
+                    return False
+    return True
+
+
+@numba.njit(cache=True)
+def group_cells(
+    first: int,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
+    bounds: FloatArray,
+    v: FloatArray,
+    tau: float,
+    most_bend: float,
+) -> IntArray:
+    """Group the cells from ``first`` on; returns the grid points between the groups."""
+    n = len(bounds)
+    nodes = np.empty(n + 1, dtype=np.int64)
+    nodes[0] = first
+    count, i = 1, first
+    while i < n:
+        start, spent, fastest = i, 0.0, 0.0
+        while i < n and i - start < LARGEST_GROUP:
+            h = s[i + 1] - s[i]
+            middle = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
+            time = h / middle
+            fastest = max(fastest, min(1.5 * max(middle, max(v[i], v[i + 1])), bounds[i, 1]))
+            if i > start and time > TINY and spent > TINY:
+                if spent + time > tau or feed[i] != feed[start]:
+                    break
+                if not lies_on_line(start, i, s, left, right, table, fastest, most_bend):
+                    break
+            spent += time
+            i += 1
+        nodes[count] = i
+        count += 1
+    return nodes[:count].copy()
 
 
 def planning_grid(
@@ -224,10 +235,10 @@ def planning_grid(
     cell_time: tuple[float, float],
     share: float,
     most_bend: float,
-    whole: int = 0,
-) -> AxisPath:
+    kept: FloatArray,
+) -> PlanGrid:
     """
-    Refine a path that ends at rest to the planner's grid.
+    Cut a path that ends at rest for the planner.
 
     Parameters
     ----------
@@ -243,34 +254,31 @@ def planning_grid(
         Time wanted for a cell as a share of the whole motion's.
     most_bend : float
         Cells are subdivided until no limit is passed by more than about this part inside them.
-    whole : int
-        The first cells, which stay as they are.
+    kept : ndarray, shape (k,)
+        Ends of the planner's first cells, which stay as an older plan had them [m].
 
     Returns
     -------
-    AxisPath
+    PlanGrid
         The same curve on the planner's grid.
 
     """
-    for attempt in range(ROUNDS):
-        h = np.diff(path.s)
-        bounds = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, table)
-        v = guess_speed(h, bounds, v_start, 0.0)
-        tau = min(max(share * guess_time(h, v, bounds), cell_time[0]), cell_time[1])
+    whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
+    for attempt in range(ROUNDS + 1):
+        bounds = speed_bounds(
+            np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, table
+        )
+        v = guess_speed(np.diff(path.s), bounds, v_start, 0.0)
+        tau = share * guess_time(np.diff(path.s), v, bounds)
+        tau = min(max(tau, cell_time[0]), cell_time[1])
         # later rounds see what the first guess was too coarse for, not its own rounding up
         ease = 1.0 if attempt == 0 else 1.6
-        nodes = grid_nodes(
-            path.s,
-            path.cell_left,
-            path.cell_right,
-            table,
-            bounds,
-            v,
-            ease * tau,
-            ease**2 * most_bend,
-            whole,
-        )
-        if len(nodes) == 0:
+        curve = path.s, path.cell_left, path.cell_right
+        new = grid_nodes(*curve, table, bounds, v, ease * tau, ease**2 * most_bend, whole)
+        if len(new) == 0 or attempt == ROUNDS:
             break
-        path = refine(path, nodes)
-    return path
+        path = refine(path, new)
+    groups = group_cells(whole, *curve, path.cell_feed, table, bounds, v, tau, most_bend / 3)
+    start = np.searchsorted(path.s, kept).astype(np.int64)
+    nodes = np.concatenate([np.zeros(1, dtype=np.int64), start, groups[1:]])
+    return PlanGrid(path, nodes, np.minimum.reduceat(bounds, nodes[:-1], axis=0), v[nodes])

@@ -1,27 +1,9 @@
 """
-Interior point for the jerk-limited motion law: banded, primal-dual, Gauss-Newton on the jerk rows.
+Interior point for the jerk stage: primal-dual, predictor and corrector, pentadiagonal.
 
-The path is cut into n cells of width ``h``; on each of them s_dddot is constant. The unknowns are
-one number per cell, ``m_i``, the middle Bezier coefficient of b = s_dot^2 there, and with
-p_i = 1/(H_{i-1} + H_i)
-
-    s_ddot at node i   a_i = (m_i - m_{i-1}) p_i
-    b at node i        b_i = m_i - a_i H_i = m_{i-1} + a_i H_{i-1}
-
-which is the C1 quadratic spline on widths H. Were H the true width, b would be quadratic on the
-cell and s_dddot proportional to s_dot. Constant s_dddot over the time t of the cell asks for
-``H = h + (a_{i+1} - a_i) t^2/12`` instead, t = 2 H/(v_i + v_{i+1}): exact, H = 1.5 h for the cell
-that leaves rest (b ~ s^(4/3), no singularity), and H = h to second order elsewhere, so H simply
-follows the iterates.
-
-Minimised is the time, sum of 2 H/(v_i + v_{i+1}); rows are scaled so that each reads |g| <= 1:
-
-    jerk at both ends   alpha j + v (gamma b + beta a),  j = (a_{i+1} - a_i)(v_i + v_{i+1})/(2 H)
-    acceleration        q_s a + q_ss b
-    caps                m_i <= cap_i,  b_i <= min(cap_{i-1}, cap_i)
-
-Each touches m_{i-1}, m_i, m_{i+1}: the Newton matrix is pentadiagonal. The barrier of a cell is
-weighted with its share of the time, so that tiny cells are not kept away from their limits.
+Starts anywhere; the Hessian is that of the time plus Gauss-Newton on the rows, which for the jerk
+rows is their tangent convexification. The barrier of a cell is weighted with its share of the time,
+so that short cells are not kept away from their limits.
 """
 
 from __future__ import annotations
@@ -29,6 +11,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from cnc_interp.feedrate.jerk_rows import follow_widths, node_states, rows_and_time
 from cnc_interp.program.blocks import FloatArray
 
 SOLVED, STALLED, BROKEN = 0, 1, 2
@@ -76,151 +59,6 @@ def substitute(d0: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArray) ->
         if i + 2 < n:
             value -= l2[i] * x[i + 2]
         x[i] = value
-
-
-@numba.njit(cache=True)
-def node_states(
-    m: FloatArray,
-    width: FloatArray,
-    ends: FloatArray,
-    b: FloatArray,
-    a: FloatArray,
-    v: FloatArray,
-) -> None:
-    """Write b, s_ddot and s_dot at the nodes; ``ends`` = (b, a) at the start and at the end."""
-    n = len(m)
-    m[0] = ends[0] + ends[1] * width[0]
-    m[n - 1] = ends[2] - ends[3] * width[n - 1]
-    b[0], a[0], b[n], a[n] = ends[0], ends[1], ends[2], ends[3]
-    for i in range(1, n):
-        p = 1.0 / (width[i - 1] + width[i])
-        a[i] = (m[i] - m[i - 1]) * p
-        b[i] = (m[i] * width[i - 1] + m[i - 1] * width[i]) * p
-    for i in range(n + 1):
-        v[i] = np.sqrt(max(b[i], 0.0))
-
-
-@numba.njit(cache=True)
-def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
-    """Update the effective widths from the node states; returns the largest relative change."""
-    change = 0.0
-    for i in range(len(h)):
-        t = 2 * width[i] / (v[i] + v[i + 1])
-        new = h[i] + (a[i + 1] - a[i]) * t * t / 12
-        new = min(max(new, 0.6 * h[i]), 1.6 * h[i])
-        change = max(change, abs(new - width[i]) / h[i])
-        width[i] = new
-    return change
-
-
-@numba.njit(cache=True)
-def rows_and_time(
-    n_axes: int,
-    jerk: FloatArray,
-    acceleration: FloatArray,
-    cap: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
-    b: FloatArray,
-    a: FloatArray,
-    v: FloatArray,
-    g: FloatArray,
-    grad: FloatArray,
-    slope: FloatArray,
-    d0: FloatArray,
-    d1: FloatArray,
-    d2: FloatArray,
-) -> float:
-    """
-    Evaluate the rows with their gradients, and the time with gradient and Hessian.
-
-    ``grad[i, r]`` are the derivatives of row r of cell i by m_{i-1}, m_i, m_{i+1}; those by the
-    fixed first and last coefficient are zero.
-    """
-    n = len(width)
-    total = 0.0
-    slope[:] = 0.0
-    d0[:] = 0.0
-    d1[:] = 0.0
-    d2[:] = 0.0
-    da0, da1, db0 = np.zeros(3), np.zeros(3), np.zeros(3)
-    db1, dj, ds = np.zeros(3), np.zeros(3), np.zeros(3)
-    for i in range(n):
-        da0[:] = 0.0
-        da1[:] = 0.0
-        db0[:] = 0.0
-        db1[:] = 0.0
-        w = width[i]
-        if i > 0:
-            p = 1.0 / (width[i - 1] + w)
-            if i > 1:
-                da0[0], db0[0] = -p, p * w
-            if i < n - 1:
-                da0[1], db0[1] = p, p * width[i - 1]
-        if i < n - 1:
-            p = 1.0 / (w + width[i + 1])
-            if i > 0:
-                da1[1], db1[1] = -p, p * width[i + 1]
-            if i < n - 2:
-                da1[2], db1[2] = p, p * w
-        v0, v1 = v[i], v[i + 1]
-        r0 = 0.5 / v0 if v0 > 0.0 else 0.0
-        r1 = 0.5 / v1 if v1 > 0.0 else 0.0
-        sum_v = v0 + v1
-        rise = (a[i + 1] - a[i]) / (2 * w)
-        j = rise * sum_v
-        for c in range(3):
-            ds[c] = r0 * db0[c] + r1 * db1[c]
-            dj[c] = (da1[c] - da0[c]) * sum_v / (2 * w) + rise * ds[c]
-        time = 2 * w / sum_v
-        total += time
-        # d2(time) = 2 time/sum^2 ds ds^T - time/sum * (second derivative of sum_v, negative)
-        k1, k2 = -time / sum_v, 2 * time / (sum_v * sum_v)
-        e0 = 2 * r0 * r0 * r0 * time / sum_v
-        e1 = 2 * r1 * r1 * r1 * time / sum_v
-        for c in range(3):
-            slot = i - 1 + c
-            if slot < 0 or slot >= n:
-                continue
-            slope[slot] += k1 * ds[c]
-            d0[slot] += k2 * ds[c] * ds[c] + e0 * db0[c] * db0[c] + e1 * db1[c] * db1[c]
-            if c < 2:
-                d1[slot] += (
-                    k2 * ds[c] * ds[c + 1] + e0 * db0[c] * db0[c + 1] + e1 * db1[c] * db1[c + 1]
-                )
-            if c == 0:
-                d2[slot] += k2 * ds[0] * ds[2]
-        for k in range(n_axes):
-            alpha, beta, gamma = jerk[i, 0, k, 0], jerk[i, 0, k, 1], jerk[i, 0, k, 2]
-            inner = gamma * b[i] + beta * a[i]
-            g[i, k] = alpha * j + v0 * inner
-            for c in range(3):
-                grad[i, k, c] = (
-                    alpha * dj[c] + v0 * (gamma * db0[c] + beta * da0[c]) + inner * r0 * db0[c]
-                )
-            alpha, beta, gamma = jerk[i, 1, k, 0], jerk[i, 1, k, 1], jerk[i, 1, k, 2]
-            inner = gamma * b[i + 1] + beta * a[i + 1]
-            row = n_axes + k
-            g[i, row] = alpha * j + v1 * inner
-            for c in range(3):
-                grad[i, row, c] = (
-                    alpha * dj[c] + v1 * (gamma * db1[c] + beta * da1[c]) + inner * r1 * db1[c]
-                )
-            row = 2 * n_axes + k
-            first, second = acceleration[i, k, 0], acceleration[i, k, 1]
-            g[i, row] = first * a[i] + second * b[i]
-            for c in range(3):
-                grad[i, row, c] = first * da0[c] + second * db0[c]
-        row = 3 * n_axes
-        grad[i, row, :] = 0.0
-        if 0 < i < n - 1:
-            grad[i, row, 1] = 1.0 / cap[i]
-        g[i, row] = m[i] / cap[i]
-        node_cap = cap[i] if i == 0 else min(cap[i - 1], cap[i])
-        for c in range(3):
-            grad[i, row + 1, c] = db0[c] / node_cap
-        g[i, row + 1] = b[i] / node_cap
-    return total
 
 
 @numba.njit(cache=True)

@@ -14,16 +14,12 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
-from cnc_interp.feedrate import grid
-from cnc_interp.feedrate.interior_point import (
-    BROKEN,
-    follow_widths,
-    node_states,
-    solve,
-)
+from cnc_interp.feedrate.grid import PlanGrid, planning_grid
+from cnc_interp.feedrate.interior_point import BROKEN, solve
 from cnc_interp.feedrate.limits import limit_use
-from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.feedrate.speed_guess import speed_inside
+from cnc_interp.feedrate.stretch import Stretch, settle, spread
+from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.program.blocks import FloatArray
 
 
@@ -62,6 +58,31 @@ class PlanOptions:
     window_ratio: float = 2.5
     window_cells: int = 4000
 
+    def finer(self) -> PlanOptions:
+        """Ask for half the cell times."""
+        low, high = self.cell_time
+        return replace(
+            self, cell_time=(low / 2, high / 2), share=self.share / 2, bend=self.bend / 2
+        )
+
+
+@dataclass(frozen=True)
+class Kept:
+    """
+    The first cells of a stretch as an older plan had them, so that it stays possible.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (k,)
+        Where they end [m].
+    scale : ndarray, shape (k, 4, n_axes)
+        Parts of the limits that they were given.
+
+    """
+
+    ends: FloatArray
+    scale: FloatArray
+
 
 SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
 """Part of each limit (velocity, acceleration, jerk, feed) kept free at the nodes."""
@@ -73,84 +94,6 @@ AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
 """The same, and the relaxation of the limits, in cells where an older plan must stay possible."""
 
 MOST_ITERATIONS = 80
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """
-    A planned stretch: n cells, the states at their nodes and the time spent in each.
-
-    Parameters
-    ----------
-    path : AxisPath
-        The path on the planner's grid.
-    v, a : ndarray, shape (n + 1,)
-        s_dot and s_ddot at the nodes [m/s, m/s2].
-    duration : ndarray, shape (n,)
-        Time spent in the cells [s].
-    use : float
-        Largest use of any limit over all instants checked, over what is accepted.
-    scale : ndarray, shape (n, 4, n_axes)
-        Parts of the limits that were allowed at the nodes, corrections included.
-
-    """
-
-    path: AxisPath
-    v: FloatArray
-    a: FloatArray
-    duration: FloatArray
-    use: float
-    scale: FloatArray
-
-    def after(self, node: int) -> Stretch:
-        """Take what follows a node."""
-        return Stretch(
-            cut(self.path, node, len(self.duration)),
-            self.v[node:],
-            self.a[node:],
-            self.duration[node:],
-            self.use,
-            self.scale[node:],
-        )
-
-    def law(self, start_time: float, first: int, last: int) -> MotionLaw:
-        """Build the law of cells first ... last - 1; cells are counted from ``first``."""
-        duration = self.duration[first:last]
-        time = start_time + np.concatenate([[0.0], np.cumsum(duration)])
-        jerk = np.diff(self.a[first : last + 1]) / duration
-        return MotionLaw(
-            time=time[:-1],
-            duration=duration.copy(),
-            s=self.path.s[first:last].copy(),
-            s_dot=self.v[first:last].copy(),
-            s_ddot=self.a[first:last].copy(),
-            jerk=jerk,
-            cell=np.arange(last - first, dtype=np.int64),
-        )
-
-
-@numba.njit(cache=True)
-def settle(
-    h: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
-    ends: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    duration: FloatArray,
-) -> float:
-    """Bring the effective widths to rounding for fixed coefficients; returns what is left."""
-    b = np.empty(len(v))
-    left = 1.0
-    for _ in range(60):
-        node_states(m, width, ends, b, a, v)
-        left = follow_widths(h, a, v, width)
-        if left < 2e-15:
-            break
-    node_states(m, width, ends, b, a, v)
-    for i in range(len(h)):
-        duration[i] = 2 * width[i] / (v[i] + v[i + 1])
-    return left
 
 
 @numba.njit(cache=True)
@@ -183,7 +126,7 @@ def first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> Floa
     """Start the interior point from the guessed speeds, a little below."""
     m = np.empty(len(h))
     for i in range(len(h)):
-        middle = grid.speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
+        middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
         m[i] = 0.8 * middle * middle
     return m
 
@@ -193,30 +136,31 @@ class Problem:
 
     def __init__(
         self,
-        path: AxisPath,
+        grid: PlanGrid,
         table: FloatArray,
         start: tuple[float, float],
         options: PlanOptions,
-        kept: FloatArray,
+        kept: Kept,
     ):
-        self.path, self.table, self.options = path, table, options
-        self.h = np.diff(path.s)
-        n, n_axes = len(self.h), path.cell_left.shape[2]
+        self.grid, self.table, self.options = grid, table, options
+        path, nodes = grid.path, grid.nodes
+        self.h = np.diff(path.s[nodes])
+        n, n_axes, k = len(self.h), path.cell_left.shape[2], len(kept.ends)
+        self.left = np.ascontiguousarray(path.cell_left[:, nodes[:-1]])
+        self.right = np.ascontiguousarray(path.cell_right[:, nodes[1:] - 1])
         self.ends = np.array([start[0] ** 2, start[1], 0.0, 0.0])
         self.scale = np.empty((n, 4, n_axes))
         self.scale[:] = (1 - SLACK)[:, None]
-        self.scale[: len(kept)] = np.minimum(kept + RELAXED[:, None], 1.0)
+        self.scale[:k] = np.minimum(kept.scale + RELAXED[:, None], 1.0)
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
-        self.aim[: len(kept)], self.accepted[: len(kept)] = AIM_KEPT, ACCEPTED_KEPT
-        self.bounds = grid.speed_bounds(
-            self.h, path.cell_left, path.cell_right, path.cell_feed, table
-        )
-        guess = grid.guess_speed(self.h, self.bounds, start[0], 0.0)
-        self.m = first_coefficients(self.h, self.bounds, guess)
+        self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
+        self.m = first_coefficients(self.h, grid.bounds, grid.guess)
         self.jerk = np.empty((n, 2, n_axes, 3))
         self.acceleration = np.empty((n, n_axes, 2))
         self.use = np.empty((2, n, 4, n_axes))
-        self.iterations = 0
+        members = np.diff(nodes)
+        instants = np.where(members == 1, options.points, 2 + options.points // members)
+        self.points = np.repeat(instants, members)
 
     def reset_widths(self) -> FloatArray:
         """Start the effective widths: 1.5 h beside rest, else h."""
@@ -228,18 +172,11 @@ class Problem:
 
     def solve(self, m: FloatArray) -> Stretch | None:
         """Solve once with the present limits, from m, which takes the solution."""
-        build_rows(
-            self.path.cell_left,
-            self.path.cell_right,
-            self.table,
-            self.scale,
-            self.jerk,
-            self.acceleration,
-        )
-        speed_scale = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
-        cap = (self.bounds[:, 0] * speed_scale) ** 2
+        build_rows(self.left, self.right, self.table, self.scale, self.jerk, self.acceleration)
+        part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
+        cap = (self.grid.bounds[:, 0] * part) ** 2
         width = self.reset_widths()
-        status, iterations, _ = solve(
+        status, _, _ = solve(
             self.h,
             self.jerk,
             self.acceleration,
@@ -251,10 +188,7 @@ class Problem:
             MOST_ITERATIONS,
             np.empty((0, 6)),
         )
-        self.iterations += iterations
-        if status == BROKEN:
-            return None
-        return self.check(m, width)
+        return None if status == BROKEN else self.check(m, width)
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
         """Turn coefficients into an exact law and see how far it uses the limits."""
@@ -266,21 +200,27 @@ class Problem:
         return self.measured(v, a, duration)
 
     def measured(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
-        """Evaluate the use of the limits by a law."""
+        """Spread a law over the cells of the path and evaluate its use of the limits."""
+        path, nodes = self.grid.path, self.grid.nodes
+        cells, n_axes = len(path.s) - 1, path.cell_left.shape[2]
+        fine = np.empty(cells + 1), np.empty(cells + 1), np.empty(cells), np.empty(cells)
+        spread(path.s, nodes, v, a, duration, *fine)
+        use = np.empty((2, cells, 4, n_axes))
         limit_use(
-            self.h,
-            self.path.cell_left,
-            self.path.cell_right,
-            self.path.cell_feed,
-            v,
-            a,
-            duration,
+            np.diff(path.s),
+            path.cell_left,
+            path.cell_right,
+            path.cell_feed,
+            *fine,
             self.table,
-            self.options.points,
-            self.use,
+            self.points,
+            use,
         )
+        self.use[0] = np.maximum.reduceat(use[0], nodes[:-1], axis=0)
+        self.use[1] = use[1, nodes[:-1]]
+        np.maximum(self.use[1], use[1, nodes[1:] - 1], out=self.use[1])
         worst = float((self.use[0].max(axis=2) / self.accepted).max())
-        return Stretch(self.path, v, a, duration, worst, self.scale.copy())
+        return Stretch(path, *fine, nodes, self.scale.copy(), worst)
 
     def lower(self) -> None:
         """
@@ -295,14 +235,15 @@ class Problem:
         lowered = reached * self.aim[:, :, None] / np.where(over, inside, 1.0)
         self.scale = np.where(over, lowered, self.scale)
 
-    def slowed(self, stretch: Stretch) -> Stretch | None:
+    def slowed(self, stretch: Stretch) -> Stretch:
         """Stretch the time of a law that starts at rest until it keeps all limits."""
-        stretch = self.measured(stretch.v, stretch.a, stretch.duration)
+        nodes = self.grid.nodes
+        v, a = stretch.v[nodes], stretch.a[nodes]
+        duration = np.add.reduceat(stretch.duration, nodes[:-1])
+        self.measured(v, a, duration)
         worst = self.use[0].max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
         factor = max(1.0, worst[0], worst[1] ** 0.5, worst[2] ** (1 / 3), worst[3])
-        if not np.isfinite(factor):
-            return None
-        return self.measured(stretch.v / factor, stretch.a / factor**2, stretch.duration * factor)
+        return self.measured(v / factor, a / factor**2, duration * factor)
 
 
 def plan(
@@ -310,7 +251,7 @@ def plan(
     table: FloatArray,
     start: tuple[float, float] = (0.0, 0.0),
     options: PlanOptions | None = None,
-    kept: FloatArray | None = None,
+    kept: Kept | None = None,
 ) -> Stretch | None:
     """
     Plan from a state of motion to rest at the end of the path.
@@ -325,9 +266,9 @@ def plan(
         s_dot and s_ddot at its start [m/s, m/s2].
     options : PlanOptions, optional
         Settings.
-    kept : ndarray, shape (k, 4, n_axes), optional
-        The first k cells are those of an older plan: they stay as they are and are given its
-        parts of the limits and a little more, so that going on as planned remains possible.
+    kept : Kept, optional
+        First cells of an older plan. They are given its parts of the limits and a little more, so
+        that going on as planned remains possible.
 
     Returns
     -------
@@ -337,13 +278,13 @@ def plan(
 
     """
     options = options or PlanOptions()
-    if kept is None:
-        kept = np.empty((0, 4, table.shape[1]))
-    kept = kept[: len(path.s) - 1]
-    fine = grid.planning_grid(
-        path, table, start[0], options.cell_time, options.share, options.bend, len(kept)
+    kept = kept or Kept(np.empty(0), np.empty((0, 4, table.shape[1])))
+    inside = int(np.searchsorted(kept.ends, path.s[-1]))
+    kept = Kept(kept.ends[:inside], kept.scale[:inside])
+    grid = planning_grid(
+        path, table, start[0], options.cell_time, options.share, options.bend, kept.ends
     )
-    problem = Problem(fine, table, start, options, kept)
+    problem = Problem(grid, table, start, options, kept)
     best: Stretch | None = None
     m = problem.m.copy()
     for attempt in range(options.passes + 1):
@@ -360,15 +301,5 @@ def plan(
         return None
     if best is None:
         best = problem.check(problem.m.copy(), problem.reset_widths())
-    return None if best is None else problem.slowed(best)
-
-
-def coarser(options: PlanOptions, factor: float) -> PlanOptions:
-    """Change the cell times wanted by a factor."""
-    low, high = options.cell_time
-    return replace(
-        options,
-        cell_time=(low * factor, high * factor),
-        share=options.share * factor,
-        bend=options.bend * factor,
-    )
+    slow = None if best is None else problem.slowed(best)
+    return slow if slow is not None and np.isfinite(slow.use) else None

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.program.blocks import FloatArray, IntArray
 
 
 class AxisLimits(Protocol):
@@ -72,9 +72,10 @@ def limit_use(
     feed: FloatArray,
     v: FloatArray,
     a: FloatArray,
+    jerk: FloatArray,
     duration: FloatArray,
     table: FloatArray,
-    points: int,
+    points: IntArray,
     use: FloatArray,
 ) -> FloatArray:
     """
@@ -90,12 +91,12 @@ def limit_use(
         Programmed feedrate in the cells [m/s].
     v, a : ndarray, shape (n + 1,)
         s_dot and s_ddot at the nodes.
-    duration : ndarray, shape (n,)
-        Time spent in each cell, at constant s_dddot [s].
+    jerk, duration : ndarray, shape (n,)
+        Constant s_dddot in each cell and the time spent in it [m/s3, s].
     table : ndarray, shape (3, n_axes)
         Velocity, acceleration and jerk limits.
-    points : int
-        Instants per cell, both ends included.
+    points : ndarray of int, shape (n,)
+        Instants in each cell, both ends included.
     use : ndarray, shape (2, n, 4, n_axes)
         Takes the largest |velocity|, |acceleration|, |jerk| over its limit, [0] over all instants
         and [1] at the cell's two ends; row 3 holds the programmed feed's in column 0.
@@ -118,11 +119,11 @@ def limit_use(
             for c in range(2, 8):
                 curved = curved or coefficients[k, c] != 0.0
         t = duration[i]
-        j = (a[i + 1] - a[i]) / t
-        for step in range(points):
+        j, last = jerk[i], points[i] - 1
+        for step in range(points[i]):
             # both ends first: their use is wanted by itself
-            p = 0 if step == 0 else points - 1 if step == 1 else step - 1
-            dt = t * p / (points - 1)
+            p = 0 if step == 0 else last if step == 1 else step - 1
+            dt = t * p / last
             s = dt * (v[i] + dt * (a[i] / 2 + dt * j / 6))
             s_dot, s_ddot = v[i] + dt * (a[i] + dt * j / 2), a[i] + dt * j
             u = min(max(s / h[i], 0.0), 1.0)
@@ -132,17 +133,17 @@ def limit_use(
             for k in range(n_axes):
                 if p == 0 or not curved:
                     q_s, q_ss, q_sss = left[1, i, k], left[2, i, k], left[3, i, k]
-                elif p == points - 1:
+                elif p == last:
                     q_s, q_ss, q_sss = right[1, i, k], right[2, i, k], right[3, i, k]
                 else:
                     septic_value(coefficients[k], u, h[i], jet)
                     q_s, q_ss, q_sss = jet[1], jet[2], jet[3]
                 velocity = abs(q_s * s_dot) / table[0, k]
                 acceleration = abs(q_ss * s_dot * s_dot + q_s * s_ddot) / table[1, k]
-                jerk = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j) / table[2, k]
+                third = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j) / table[2, k]
                 use[0, i, 0, k] = max(use[0, i, 0, k], velocity)
                 use[0, i, 1, k] = max(use[0, i, 1, k], acceleration)
-                use[0, i, 2, k] = max(use[0, i, 2, k], jerk)
+                use[0, i, 2, k] = max(use[0, i, 2, k], third)
             if step == 1:
                 use[1, i] = use[0, i]
         for c in range(4):

@@ -18,14 +18,15 @@ import numba
 import numpy as np
 
 from cnc_interp.errors import PlanningError
-from cnc_interp.feedrate import grid
-from cnc_interp.feedrate.jerk_stage import PlanOptions, Stretch, coarser, plan
+from cnc_interp.feedrate.jerk_stage import Kept, PlanOptions, plan
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.speed_guess import reach, speed_bounds
+from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 from cnc_interp.program.blocks import FloatArray
 
-KEPT = 0.5
+KEPT_PART = 0.5
 """Part of the horizon in which the next window keeps the cells of the older plan."""
 
 HORIZON = 3.0
@@ -66,7 +67,7 @@ class PlannedPiece:
 @numba.njit(cache=True)
 def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
     """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
-    return v * np.sqrt(v / jerk) + v * v / (2 * acceleration)
+    return float(v * np.sqrt(v / jerk) + v * v / (2 * acceleration))
 
 
 @numba.njit(cache=True)
@@ -82,7 +83,7 @@ def window_end(
     for i in range(len(bounds)):
         h = s[i + 1] - s[i]
         # twice the guess's jerk and more acceleration: rather a window too long
-        v = min(bounds[i, 1], grid.reach(v, h, 2 * bounds[i, 2], 4 * bounds[i, 3]))
+        v = min(bounds[i, 1], reach(v, h, 2 * bounds[i, 2], 4 * bounds[i, 3]))
         farthest = max(farthest, stopping_distance(v, bounds[i, 2], bounds[i, 3]))
         if s[i + 1] - s[0] >= ratio * HORIZON * farthest or i + 1 >= most_cells:
             return i + 1
@@ -120,7 +121,7 @@ class FeedPlanner:
         self._table = limit_table(limits)
         self._path: AxisPath | None = None
         self._start = (0.0, 0.0)
-        self._kept: FloatArray | None = None
+        self._kept: Kept | None = None
         self._time = 0.0
         self._older: Stretch | None = None
         self._ratio = self.options.window_ratio
@@ -173,7 +174,7 @@ class FeedPlanner:
         stop = int(stops[0]) + 1 if len(stops) else n
         known = len(stops) > 0 or finished
         part = slice(0, stop)
-        bounds = grid.speed_bounds(
+        bounds = speed_bounds(
             np.diff(path.s[: stop + 1]),
             path.cell_left[:, part],
             path.cell_right[:, part],
@@ -190,43 +191,35 @@ class FeedPlanner:
     def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
         """Plan the window up to a node, commit what is due."""
         assert self._path is not None
-        stretch = plan(
-            cut(self._path, 0, last), self._table, self._start, self.options, self._kept
-        )
+        known = cut(self._path, 0, last)
+        stretch = plan(known, self._table, self._start, self.options, self._kept)
         if stretch is None:
-            stretch = plan(
-                cut(self._path, 0, last),
+            finer = self.options.finer()
+            stretch = plan(known, self._table, self._start, finer, self._kept)
+        if stretch is None:
+            return [self._drive_on()]
+        cells = len(stretch.nodes) - 1
+        if not at_stop:
+            s = stretch.path.s
+            bounds = speed_bounds(
+                np.diff(s),
+                stretch.path.cell_left,
+                stretch.path.cell_right,
+                stretch.path.cell_feed,
                 self._table,
-                self._start,
-                coarser(self.options, 0.5),
-                self._kept,
             )
-        if stretch is None:
-            return self._drive_on()
-        n = len(stretch.duration)
-        if at_stop:
-            self._failed = False
-            return [self._commit(stretch, n)]
-        bounds = grid.speed_bounds(
-            np.diff(stretch.path.s),
-            stretch.path.cell_left,
-            stretch.path.cell_right,
-            stretch.path.cell_feed,
-            self._table,
-        )
-        node = commit_node(stretch.path.s, stretch.v, bounds)
-        enough = last >= self.options.window_cells
-        least = int(
-            np.searchsorted(stretch.path.s, 0.75 * stretch.path.s[0] + 0.25 * stretch.path.s[-1])
-        )
-        if node < max(least, 1) and not enough:
-            # faster than the window was made for: wait for a longer one
-            self._ratio *= 1.5
-            return []
+            node = commit_node(s, stretch.v, bounds)
+            due = int(np.searchsorted(stretch.nodes, node, side='right')) - 1
+            least = int(np.searchsorted(s[stretch.nodes], 0.75 * s[0] + 0.25 * s[-1]))
+            if due < least and last < self.options.window_cells:
+                # faster than the window was made for: wait for a longer one
+                self._ratio *= 1.5
+                return []
+            cells = max(due, least, 1)
         self._ratio, self._failed = self.options.window_ratio, False
-        return [self._commit(stretch, max(node, least, 1))]
+        return [self._commit(stretch, cells)]
 
-    def _drive_on(self) -> list[PlannedPiece]:
+    def _drive_on(self) -> PlannedPiece:
         """Commit a part of the older plan instead of a window that failed; next time all of it."""
         older = self._older
         if older is None:
@@ -236,27 +229,30 @@ class FeedPlanner:
                 f'no motion within the axis limits along block {block}: '
                 'check the path for jumps and the limits of the machine file',
             )
-        n = len(older.duration)
-        node = n if self._failed else max(1, n // 2)
-        piece = self._commit(older, node)
-        self._failed = node < n
-        return [piece]
+        cells = len(older.nodes) - 1
+        part = cells if self._failed else (cells + 1) // 2
+        self._failed = part < cells
+        return self._commit(older, part)
 
-    def _commit(self, stretch: Stretch, node: int) -> PlannedPiece:
+    def _commit(self, stretch: Stretch, cells: int) -> PlannedPiece:
         """Hand out the first cells of a plan and keep the rest for the next window."""
         assert self._path is not None
-        law = stretch.law(self._time, 0, node)
-        piece = PlannedPiece(cut(stretch.path, 0, node), law)
-        self._time = law.end_time
-        n = len(stretch.duration)
-        self._start = (float(stretch.v[node]), float(stretch.a[node]))
-        self._older = stretch.after(node) if node < n else None
-        grid_s = stretch.path.s
-        half = (1 - KEPT) * grid_s[node] + KEPT * grid_s[-1]
-        kept = int(np.searchsorted(grid_s, half)) - node if node < n else 0
-        self._kept = stretch.scale[node : node + kept]
-        rest = refine(self._path, grid_s[node : node + kept + 1])
-        self._path = cut(rest, int(np.searchsorted(rest.s, grid_s[node])), len(rest.s) - 1)
+        last = int(stretch.nodes[cells])
+        piece = PlannedPiece(cut(stretch.path, 0, last), stretch.law(self._time, last))
+        self._time = piece.law.end_time
+        s = stretch.path.s
+        self._start = (float(stretch.v[last]), float(stretch.a[last]))
+        self._older, self._kept = None, None
+        position = s[last : last + 1]
+        if cells < len(stretch.nodes) - 1:
+            self._older = stretch.after(cells)
+            half = (1 - KEPT_PART) * s[last] + KEPT_PART * s[-1]
+            ends = s[stretch.nodes[cells + 1 :]]
+            ends = ends[ends <= half]
+            self._kept = Kept(ends, self._older.scale[: len(ends)])
+            position = np.concatenate([position, ends])
+        rest = refine(self._path, position)
+        self._path = cut(rest, int(np.searchsorted(rest.s, position[0])), len(rest.s) - 1)
         return piece
 
 

@@ -1,0 +1,101 @@
+"""
+A first guess of the speed, by one pass each way.
+
+Under a jerk limit v^(3/2) grows at most linearly along the path (from rest, s = J t^3/6 and
+v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s). The guess grows at half that slope: it needs no more
+than to tell where time is spent, and to start the interior point.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
+from cnc_interp.program.blocks import FloatArray
+
+FASTEST = 100.0
+"""Speed cap where nothing else limits [m/s]."""
+
+
+@numba.njit(cache=True)
+def speed_bounds(
+    h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
+) -> FloatArray:
+    """
+    Bounds of each cell from both ends and the middle.
+
+    Returns
+    -------
+    ndarray, shape (n, 4)
+        Speed limit by feed and velocity [m/s], the same with Eq. 10 [m/s], largest tangential
+        acceleration [m/s2] and jerk [m/s3].
+
+    """
+    n, n_axes = len(h), left.shape[2]
+    out = np.empty((n, 4))
+    c, jet = np.empty(8), np.empty(4)
+    for i in range(n):
+        fast = min(feed[i], FASTEST)
+        slow, acceleration, jerk = fast, 1e12, 1e12
+        for k in range(n_axes):
+            septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
+            septic_value(c, 0.5, h[i], jet)
+            q_s = max(abs(left[1, i, k]), abs(right[1, i, k]), abs(jet[1]))
+            q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(jet[2]))
+            q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(jet[3]))
+            if q_s > 0.0:
+                fast = min(fast, table[0, k] / q_s)
+                acceleration = min(acceleration, table[1, k] / q_s)
+                jerk = min(jerk, table[2, k] / q_s)
+            if q_ss > 0.0:
+                slow = min(slow, np.sqrt(table[1, k] / q_ss))
+            if q_sss > 0.0:
+                slow = min(slow, (table[2, k] / q_sss) ** (1 / 3))
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = fast, min(fast, slow), acceleration, jerk
+    return out
+
+
+@numba.njit(cache=True)
+def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
+    """Speed after a distance at half the jerk's and most of the acceleration's growth."""
+    by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
+    return float(min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance)))
+
+
+@numba.njit(cache=True)
+def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float) -> FloatArray:
+    """Guess the speed at the nodes: 0.9 of Eq. 10, and reachable from both sides."""
+    n = len(h)
+    v = np.empty(n + 1)
+    v[0] = v_start
+    for i in range(n):
+        v[i + 1] = min(0.9 * bounds[i, 1], reach(v[i], h[i], bounds[i, 2], bounds[i, 3]))
+        if i + 1 < n:
+            v[i + 1] = min(v[i + 1], 0.9 * bounds[i + 1, 1])
+    v[n] = min(v[n], v_end)
+    for i in range(n - 1, 0, -1):
+        v[i] = min(v[i], reach(v[i + 1], h[i], bounds[i, 2], bounds[i, 3]))
+    return v
+
+
+@numba.njit(cache=True)
+def speed_inside(
+    x: float, h: float, v0: float, v1: float, bound: FloatArray
+) -> tuple[float, bool]:
+    """Guess the speed within a cell, and tell whether it cruises at its cap there."""
+    ramp = min(reach(v0, x, bound[2], bound[3]), reach(v1, h - x, bound[2], bound[3]))
+    cap = 0.9 * bound[1]
+    return min(ramp, cap), ramp > cap
+
+
+@numba.njit(cache=True)
+def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
+    """Guess the duration of the motion [s]."""
+    total = 0.0
+    for i in range(len(h)):
+        middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
+        for end in (v[i], v[i + 1]):
+            factor = 1.5 if end == 0.0 else 1.0
+            total += factor * h[i] / (end + middle)
+    return total

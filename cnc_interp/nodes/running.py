@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from cnc_interp.errors import InterpError
+from cnc_interp.nodes.children import PARENT
 
 #: The events executor needs a finite timeout; this is also how soon a signal is seen [s].
 SPIN_TIMEOUT = 0.1
@@ -48,7 +50,9 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
         executor.add_node(node)
         gc.collect()
         gc.freeze()  # what exists now lives as long as the node: no collection walks over it
-        while not stop and rclpy.ok():
+        parent = int(os.environ.get(PARENT, '0'))
+        # Nodes that a run started end with it, however it ends.
+        while not stop and rclpy.ok() and parent in (0, os.getppid()):
             executor.spin_once(timeout_sec=SPIN_TIMEOUT)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

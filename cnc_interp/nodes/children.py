@@ -1,0 +1,128 @@
+"""The four nodes as child processes: started together, watched, ended by the one who started them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from cnc_interp.errors import InterpError
+
+NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
+#: Set for the nodes: the process whose end is also theirs.
+PARENT = 'CNC_INTERP_PARENT'
+#: A node that has not ended by itself after this is killed [s].
+LAST_WAIT = 5.0
+
+
+@dataclass(frozen=True)
+class Started:
+    """One node that runs."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+
+class Children:
+    """
+    The nodes of one run.
+
+    Parameters
+    ----------
+    namespace : str
+        ROS namespace of the run.
+    domain : int
+        ROS domain.
+    parameters : dict
+        Values for the nodes, by node name, on top of the parameter file.
+    file : Path
+        Parameter file.
+
+    """
+
+    def __init__(
+        self, namespace: str, domain: int, parameters: dict[str, dict[str, object]], file: Path
+    ):
+        self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_')
+        self._environment = os.environ | {
+            'ROS_DOMAIN_ID': str(domain),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_LOG_DIR': self._folder.name,
+            PARENT: str(os.getpid()),
+        }
+        self._nodes = [
+            self._start(node, namespace, parameters.get(node, {}), file) for node in NODES
+        ]
+
+    def _start(
+        self, node: str, namespace: str, parameters: dict[str, object], file: Path
+    ) -> Started:
+        """Start one node; what it prints goes to a file."""
+        command = [sys.executable, '-m', f'cnc_interp.nodes.{node}', '--ros-args']
+        command += ['-r', f'__ns:={namespace}', '--params-file', str(file)]
+        for name, value in parameters.items():
+            command += ['-p', f'{name}:={value}']
+        log = Path(self._folder.name) / f'{node}.txt'
+        with log.open('wb') as output:
+            process = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C is for the run, which ends the nodes in order
+            )
+        return Started(node, process, log)
+
+    def check(self) -> None:
+        """
+        Make sure that all nodes run.
+
+        Raises
+        ------
+        InterpError
+            With the last words of the node that ended.
+
+        """
+        for node in self._nodes:
+            if node.process.poll() is not None:
+                words = node.log.read_text(errors='replace').strip().splitlines()
+                last = words[-1] if words else f'exit code {node.process.returncode}'
+                raise InterpError(f'{node.name} ended: {last.removeprefix("cnc_interp: ")}')
+
+    @property
+    def process_ids(self) -> dict[str, int]:
+        """Process of each node."""
+        return {node.name: node.process.pid for node in self._nodes}
+
+    def end(self) -> None:
+        """Ask all nodes to end, wait, and kill only what does not."""
+        for node in self._nodes:
+            if node.process.poll() is None:
+                node.process.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + LAST_WAIT
+        for node in self._nodes:
+            try:
+                node.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                node.process.kill()
+                node.process.wait()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.end()

@@ -1,0 +1,209 @@
+"""The user's side of a run: sends the goal, shows progress, collects the result."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import SetpointChunk
+from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from cnc_interp.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.nodes.children import Children
+from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.qos import STREAM
+from cnc_interp.nodes.session import RunRequest, RunResult
+from cnc_interp.nodes.showing import Progress
+
+Result = RunProgram.Result
+#: When all kernels must be compiled first, starting takes a minute or more [s].
+START_TIMEOUT, SLOW_START = 300.0, 8.0
+
+
+class Client:
+    """
+    A node that runs one program on others.
+
+    Parameters
+    ----------
+    namespace : str
+        Where the nodes live.
+    domain : int
+        Their ROS domain.
+    children : Children
+        Their processes.
+
+    """
+
+    def __init__(self, namespace: str, domain: int, children: Children):
+        self._children = children
+        self._context = rclpy.Context()
+        rclpy.init(
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._node = rclpy.create_node('run', namespace=namespace, context=self._context)
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._action = ActionClient(self._node, RunProgram, 'run_program')
+        self._peers = Peers(self._node)
+        self.received: list[SetpointChunk] = []
+        self._feedback: RunProgram.Feedback | None = None
+        self._first_motion = float('nan')
+        self._interrupted = False
+        self._previous = {
+            number: signal.signal(number, self._interrupt)
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
+
+    def _interrupt(self, _number: int, _frame: Any) -> None:
+        """Ctrl-C or SIGTERM: a second one ends at once."""
+        if self._interrupted:
+            raise KeyboardInterrupt
+        self._interrupted = True
+
+    def run(self, request: RunRequest, machine: Machine, started: float) -> RunResult:
+        """
+        Run a program to its end.
+
+        Raises
+        ------
+        InterpError
+            When the program was refused before anything moved, or a node ended.
+
+        """
+        if request.out is not None:
+            self._node.create_subscription(
+                SetpointChunk, 'setpoints', self.received.append, STREAM
+            )
+        self._wait_for_nodes()
+        outcome = self._execute(request)
+        if outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples:
+            raise InterpError(outcome.message)
+        names = machine.axis_names
+
+        def by_axis(values: Any) -> dict[str, float]:
+            return dict(zip(names, values, strict=False))
+
+        return RunResult(
+            ok=outcome.code == Result.SUCCEEDED
+            and outcome.blocks_executed == outcome.blocks_sent,
+            message=outcome.message,
+            program=str(request.program),
+            machine=machine.name,
+            program_id=outcome.program_id,
+            cycle_time=outcome.cycle_time,
+            approach_time=outcome.approach_time,
+            start_to_motion=self._first_motion - started,
+            path_length=outcome.path_length,
+            blocks_sent=outcome.blocks_sent,
+            blocks_executed=outcome.blocks_executed,
+            samples=outcome.samples,
+            starvations=outcome.starvations,
+            least_buffered_time=outcome.least_buffered_time,
+            contour_error=outcome.contour_error,
+            following_error=by_axis(outcome.following_error),
+            velocity_use=by_axis(outcome.velocity_use),
+            acceleration_use=by_axis(outcome.acceleration_use),
+            jerk_use=by_axis(outcome.jerk_use),
+            notices=tuple(outcome.notices),
+        )
+
+    def _wait_for_nodes(self) -> None:
+        """Wait until all four nodes answer; the first start ever compiles for a while."""
+        began = time.monotonic()
+        told = False
+
+        def ready() -> bool:
+            nonlocal told
+            waited = time.monotonic() - began
+            if waited > SLOW_START and not told:
+                told = True
+                print('compiling the kernels, once; takes a minute or two', file=sys.stderr)
+            return self._action.server_is_ready() and not self._peers.missing(
+                time.monotonic(), 1.0
+            )
+
+        if not self._spin(ready, START_TIMEOUT):
+            silent = self._peers.missing(time.monotonic(), 1.0) or 'program_node'
+            raise InterpError(f'{silent} does not answer; is another ROS middleware set?')
+
+    def _execute(self, request: RunRequest) -> RunProgram.Result:
+        """Send the goal and wait for its result, showing progress; cancel when interrupted."""
+        goal = RunProgram.Goal(
+            program=str(request.program),
+            contour_tolerance=request.contour_tolerance,
+            orientation_tolerance=request.orientation_tolerance,
+            force_tolerances=request.force_tolerances,
+            flank_height=request.flank_height,
+            feedrate=request.feedrate or 0.0,
+        )
+        accepted = self._action.send_goal_async(goal, feedback_callback=self._take_feedback)
+        self._spin(accepted.done)
+        handle = accepted.result()
+        wanted = handle.get_result_async()
+        progress = Progress(None if request.quiet else sys.stderr)
+        cancelling = False
+
+        def done() -> bool:
+            nonlocal cancelling
+            if self._interrupted and not cancelling:
+                cancelling = True
+                handle.cancel_goal_async()
+            self._see_motion()
+            if self._feedback is not None:
+                progress.show(self._feedback)
+            return bool(wanted.done())
+
+        self._spin(done)
+        answer = wanted.result()
+        progress.end(answer.status == GoalStatus.STATUS_SUCCEEDED)
+        result: RunProgram.Result = answer.result
+        return result
+
+    def _take_feedback(self, message: Any) -> None:
+        self._feedback = message.feedback
+
+    def _see_motion(self) -> None:
+        """Note when the machine executed its first setpoint."""
+        state = self._peers.state
+        if self._first_motion != self._first_motion and state is not None and state.samples:
+            past = state.samples * state.interpolation_period
+            self._first_motion = time.monotonic() - past
+
+    def _spin(self, done: Callable[[], bool], timeout: float = float('inf')) -> bool:
+        """Serve ROS until something is done; the nodes must live."""
+        deadline = time.monotonic() + timeout
+        while not done():
+            if time.monotonic() > deadline:
+                return False
+            self._children.check()
+            self._executor.spin_once(timeout_sec=0.05)
+        return True
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        fault: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        self._executor.shutdown()
+        self._action.destroy()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)

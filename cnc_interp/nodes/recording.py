@@ -1,0 +1,67 @@
+"""What the machine received as plan files, so that `cnc-interp check` proves the received stream."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from cnc_interp_msgs.msg import SetpointChunk
+
+from cnc_interp.errors import StreamError
+from cnc_interp.interpolator import Setpoints
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes.messages import setpoints_from
+from cnc_interp.nodes.planning import part_of
+from cnc_interp.pipeline import ChainOptions, plan_program, write_plan
+from cnc_interp.program import ReadOptions, read_program
+
+if TYPE_CHECKING:
+    from cnc_interp.nodes.session import RunRequest
+
+
+def received_setpoints(chunks: list[SetpointChunk]) -> Setpoints:
+    """
+    Join the chunks of one run, the approach left out; time counts from the program's first one.
+
+    Raises
+    ------
+    StreamError
+        If a setpoint is missing.
+
+    """
+    parts, following = [], None
+    for chunk in sorted(chunks, key=lambda chunk: chunk.first_sample):
+        if following is not None and chunk.first_sample < following:
+            continue  # sent again
+        if following is not None and chunk.first_sample > following:
+            raise StreamError(f'setpoints {following} to {chunk.first_sample - 1} were not heard')
+        following = chunk.first_sample + len(chunk.sequences)
+        parts.append(setpoints_from(chunk))
+    if not parts or not chunks[-1].end_of_program:
+        raise StreamError('the recording holds no program to its end; run it again')
+    heard = Setpoints.concatenate(parts)
+    first = int(np.searchsorted(heard.block, 1))
+    program = part_of(heard, first, len(heard))
+    time = np.arange(len(program)) * chunks[0].period
+    return replace(program, time=time)
+
+
+def write_received(
+    request: RunRequest, machine: Machine, chunks: list[SetpointChunk], directory: Path
+) -> None:
+    """Write plan files with the received setpoints; blocks and path are read and planned anew."""
+    options = ReadOptions(
+        contour_tolerance=request.contour_tolerance,
+        orientation_tolerance=request.orientation_tolerance,
+        force_tolerances=request.force_tolerances,
+        flank_height=request.flank_height,
+        feedrate=request.feedrate,
+    )
+    program = read_program(request.program, Transform.of(machine), options)
+    plan = plan_program(
+        program, machine, ChainOptions(request.flank_height, request.ratio, request.period)
+    )
+    write_plan(replace(plan, setpoints=received_setpoints(chunks)), directory)

@@ -1,0 +1,218 @@
+"""`cnc-interp run`: the four nodes as processes, one program, and what came of it."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+import uuid
+from argparse import Namespace
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.errors import InterpError, ProgramError
+from cnc_interp.nodes.children import Children
+from cnc_interp.units import DEG, MM, MM_PER_MIN, MS, UM
+
+#: Domains that are safe on Linux whatever the ports of other programs.
+DOMAINS = range(1, 102)
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """
+    What shall be run, and how; SI units.
+
+    Parameters
+    ----------
+    program : Path
+        Program file.
+    machine : str
+        Bundled machine or YAML file.
+    contour_tolerance, orientation_tolerance, flank_height : float
+        Where the program gives none [m].
+    force_tolerances : bool
+        Keep the tolerances above even where the program gives others.
+    feedrate : float, optional
+        Where the program gives none [m/s].
+    ratio : float
+        L2/L1 of the corners [-].
+    period : float
+        Interpolation period [s].
+    out : Path, optional
+        Folder for plan files of what the machine received.
+    quiet : bool
+        Show no progress.
+
+    """
+
+    program: Path
+    machine: str = 'xyzac'
+    contour_tolerance: float = 0.02 * MM
+    orientation_tolerance: float = 0.02 * MM
+    flank_height: float = 30.0 * MM
+    force_tolerances: bool = False
+    feedrate: float | None = None
+    ratio: float = 2.0
+    period: float = 1.0 * MS
+    out: Path | None = None
+    quiet: bool = False
+
+    @staticmethod
+    def from_options(options: Namespace) -> RunRequest:
+        """Take the options of the command line, in the shop's units."""
+        return RunRequest(
+            program=options.program,
+            machine=options.machine,
+            contour_tolerance=options.contour_tolerance * MM,
+            orientation_tolerance=options.orientation_tolerance * MM,
+            flank_height=options.flank_height * MM,
+            force_tolerances=options.force_tolerances,
+            feedrate=None if options.feed is None else options.feed * MM_PER_MIN,
+            ratio=options.ratio,
+            period=options.period * MS,
+            out=options.out,
+            quiet=options.json,
+        )
+
+    def node_parameters(self) -> dict[str, dict[str, object]]:
+        """Return what the nodes must know from the start."""
+        machine = {'machine': f"'{self.machine}'"}
+        moving = machine | {'interpolation_period': self.period}
+        return {
+            'program_node': machine,
+            'lookahead_node': machine | {'corner_ratio': self.ratio},
+            'feedrate_node': moving,
+            'machine_node': moving,
+        }
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """
+    What came of a run; SI units.
+
+    Parameters
+    ----------
+    ok : bool
+        True when the program was executed to its end, every block of it.
+    message : str
+        What happened, in one line.
+    program, machine, program_id : str
+        What ran where, and the run's name in all messages.
+    cycle_time, approach_time : float
+        Motion time of the program, and of the move to its start pose [s].
+    start_to_motion : float
+        From the command to the first setpoint that the machine executed [s].
+    path_length : float
+        Path executed [m].
+    blocks_sent, blocks_executed, samples, starvations : int
+        Counts; starvations are times without setpoints.
+    least_buffered_time : float
+        Least motion time the machine held while it ran [s].
+    contour_error : float
+        Largest distance of the actual tip from the commanded path [m].
+    following_error, velocity_use, acceleration_use, jerk_use : dict
+        Largest per axis [m, rad; share of the limit].
+    notices : tuple of str
+        What the reader of the program passed on or simplified.
+
+    """
+
+    ok: bool
+    message: str
+    program: str
+    machine: str
+    program_id: str = ''
+    cycle_time: float = 0.0
+    approach_time: float = 0.0
+    start_to_motion: float = float('nan')
+    path_length: float = 0.0
+    blocks_sent: int = 0
+    blocks_executed: int = 0
+    samples: int = 0
+    starvations: int = 0
+    least_buffered_time: float = float('nan')
+    contour_error: float = 0.0
+    following_error: dict[str, float] = field(default_factory=dict)
+    velocity_use: dict[str, float] = field(default_factory=dict)
+    acceleration_use: dict[str, float] = field(default_factory=dict)
+    jerk_use: dict[str, float] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all fields for machines to read; NaN becomes None."""
+        return {k: None if v != v else v for k, v in asdict(self).items()}
+
+    def text(self) -> str:
+        """Say it in words and shop units."""
+        lines = [
+            f'program        {self.program} on {self.machine}: {self.message}',
+            f'blocks         {self.blocks_sent} sent, {self.blocks_executed} executed; '
+            f'path {self.path_length / MM:.1f} mm',
+            f'cycle time     {self.cycle_time:.3f} s, after an approach of '
+            f'{self.approach_time:.3f} s; first motion {self.start_to_motion:.1f} s after start',
+            f'setpoints      {self.samples}, {self.starvations} times none in time; at least '
+            f'{self.least_buffered_time / MS:.0f} ms held ready',
+            f'drives         contour error {self.contour_error / UM:.1f} um; following error '
+            + '  '.join(
+                f'{axis} {error / UM:.1f} um' if k < 3 else f'{axis} {error / DEG:.4f} deg'
+                for k, (axis, error) in enumerate(self.following_error.items())
+            ),
+        ]
+        for name in ('velocity', 'acceleration', 'jerk'):
+            use = getattr(self, f'{name}_use')
+            values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
+            lines.append(f'{name + " use":<15}{values}')
+        return '\n'.join(lines)
+
+
+def run_session(request: RunRequest) -> RunResult:
+    """
+    Run a program through the real nodes and end them again.
+
+    Raises
+    ------
+    InterpError
+        For bad input (program, machine file, a block that the machine cannot execute), where
+        nothing moved, and when a node cannot start.
+
+    """
+    started = time.monotonic()
+    try:
+        request.program.open('rb').close()
+    except OSError as problem:
+        reason = f'cannot be opened: {problem.strerror}'
+        raise ProgramError(reason, str(request.program)) from None
+    namespace = f'/run_{uuid.uuid4().hex[:8]}'
+    # A domain of one's own keeps parallel runs apart; a chosen one lets other tools listen.
+    chosen = os.environ.get('ROS_DOMAIN_ID', '')
+    domain = int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
+    with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
+        # Imported while the nodes start: ROS and the kernels take a second each.
+        from cnc_interp.kinematics.machine import Machine
+        from cnc_interp.nodes.client import Client
+
+        machine = Machine.load(request.machine)
+        with Client(namespace, domain, children) as client:
+            result = client.run(request, machine, started)
+            received = client.received
+    if request.out is not None and result.ok:
+        from cnc_interp.nodes.recording import write_received
+
+        write_received(request, machine, received, request.out)
+    return result
+
+
+def nodes_file() -> Path:
+    """Return the parameter file of the nodes: beside the package, or in the ROS share."""
+    source = Path(__file__).resolve().parents[2] / 'config' / 'nodes.yaml'
+    if source.is_file():
+        return source
+    from ament_index_python.packages import get_package_share_directory
+
+    installed = Path(get_package_share_directory('cnc_interp')) / 'config' / 'nodes.yaml'
+    if not installed.is_file():
+        raise InterpError(f'{installed} is missing; install cnc_interp again')
+    return installed

@@ -1,8 +1,8 @@
 """
 The planner's grid: where to put nodes so that a few constant-jerk cells come close to the optimum.
 
-Cells of the path that take more time than wanted under the guessed speed, or along which the axes
-bend too much to be judged from their ends, are subdivided, evenly in time; in steady cruise they
+Cells of the path that take more time than wanted under the guessed speed, or along which the
+axes bend too much to be judged from their ends, are subdivided, evenly in time; in cruise they
 may grow. Cells of the path that take less time than wanted and lie well on a line of the axes'
 derivatives are grouped; so are those too short to be given a jerk of their own in double precision.
 """

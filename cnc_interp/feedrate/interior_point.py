@@ -1,8 +1,8 @@
 """
 Interior point for the jerk stage: primal-dual, predictor and corrector, pentadiagonal.
 
-Starts anywhere; the Hessian is that of the time plus Gauss-Newton on the rows, which for the jerk
-rows is their tangent convexification. The barrier of a cell is weighted with its share of the time,
+Starts anywhere; the Hessian is that of the time plus Gauss-Newton on the rows, for the jerk rows
+their tangent convexification. The barrier of a cell is weighted with its share of the time,
 so that short cells are not kept away from their limits.
 """
 

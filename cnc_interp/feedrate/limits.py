@@ -131,10 +131,10 @@ def limit_use(
             if s_dot < -1e-12 * (v[i] + v[i + 1]):
                 use[0, i, 3, 0] = max(use[0, i, 3, 0], 1.0 - s_dot / (v[i] + v[i + 1]))
             for k in range(n_axes):
-                if p == 0 or not curved:
-                    q_s, q_ss, q_sss = left[1, i, k], left[2, i, k], left[3, i, k]
-                elif p == last:
+                if p == last:
                     q_s, q_ss, q_sss = right[1, i, k], right[2, i, k], right[3, i, k]
+                elif p == 0 or not curved:
+                    q_s, q_ss, q_sss = left[1, i, k], left[2, i, k], left[3, i, k]
                 else:
                     septic_value(coefficients[k], u, h[i], jet)
                     q_s, q_ss, q_sss = jet[1], jet[2], jet[3]

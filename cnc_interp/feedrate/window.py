@@ -77,7 +77,7 @@ def window_end(
     """
     Find the node at which the window that starts at node 0 is full, or -1.
 
-    It is full at ``ratio`` horizons for the fastest speed that an optimistic forward guess reaches.
+    It is full at ``ratio`` horizons for the fastest speed that an optimistic guess reaches.
     """
     v, farthest = v_start, 0.0
     for i in range(len(bounds)):

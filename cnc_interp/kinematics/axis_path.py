@@ -85,9 +85,9 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
     Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
 
     The first four are the Taylor cubic of the left end; the others close its misfits d0..d3 (of
-    value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. On tiny cells d0 is all rounding and would
-    be blown up by 210/h^3 in q_sss: below rounding it is taken from the other three instead (the
-    integral of the quintic that they define).
+    value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. A misfit off the smoothest course by less
+    than the rounding of q and s is rounding; on short cells it would be blown up by up to 210/h^3
+    in q_sss although no emitted position can show it. It is taken from the smoothest course then.
     """
     h2, h3 = h * h, h * h * h
     q0, q1, q2, q3 = left[0], left[1] * h, left[2] * h2 / 2, left[3] * h3 / 6
@@ -95,9 +95,13 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
     d2 = right[2] * h2 - 2 * q2 - 6 * q3
     d3 = right[3] * h3 - 6 * q3
     d0 = right[0] - q0 - q1 - q2 - q3
-    smooth = d1 / 2 - d2 / 10 + d3 / 120
-    if abs(d0 - smooth) <= 1e-15 * (abs(q0) + abs(right[0])) + 1e-18:
-        d0 = smooth
+    rounding = 2e-15 * (abs(q0) + abs(right[0])) + 1e-14 * abs(left[1])
+    if abs(d2 - d3 / 2) <= rounding:
+        d2 = d3 / 2
+    if abs(d1 - (d2 / 2 - d3 / 12)) <= rounding:
+        d1 = d2 / 2 - d3 / 12
+    if abs(d0 - (d1 / 2 - d2 / 10 + d3 / 120)) <= rounding:
+        d0 = d1 / 2 - d2 / 10 + d3 / 120
     out[0], out[1], out[2], out[3] = q0, q1, q2, q3
     out[4] = 35 * d0 - 15 * d1 + 2.5 * d2 - d3 / 6
     out[5] = -84 * d0 + 39 * d1 - 7 * d2 + d3 / 2

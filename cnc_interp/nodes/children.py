@@ -1,4 +1,4 @@
-"""The four nodes as child processes: started together, watched, ended by the one who started them."""
+"""The four nodes as child processes: started together, watched, and ended together."""
 
 from __future__ import annotations
 

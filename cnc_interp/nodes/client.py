@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Any
 
 import rclpy
-from action_msgs.msg import GoalStatus
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.action import ActionClient
@@ -97,8 +96,7 @@ class Client:
             return dict(zip(names, values, strict=False))
 
         return RunResult(
-            ok=outcome.code == Result.SUCCEEDED
-            and outcome.blocks_executed == outcome.blocks_sent,
+            ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
             message=outcome.message,
             program=str(request.program),
             machine=machine.name,
@@ -168,7 +166,7 @@ class Client:
 
         self._spin(done)
         answer = wanted.result()
-        progress.end(answer.status == GoalStatus.STATUS_SUCCEEDED)
+        progress.end(answer.result.code == Result.SUCCEEDED)
         result: RunProgram.Result = answer.result
         return result
 

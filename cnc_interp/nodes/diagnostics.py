@@ -1,4 +1,4 @@
-"""What a node says about itself on ``/diagnostics``: once a second, and at once when it changes."""
+"""What a node says about itself on ``/diagnostics``: once a second, and news at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two ends of a stream as ROS topics: window, refusals and acknowledgements around messages."""
+"""The two ends of a stream as ROS topics: window, refusals, acknowledgements."""
 
 from __future__ import annotations
 
@@ -70,9 +70,7 @@ class Inlet:
         self._refused = 0
         self.buffered_time = math.nan
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
-        self._subscription = node.create_subscription(
-            kind, receiver.stream, self._receive, STREAM
-        )
+        self._subscription = node.create_subscription(kind, receiver.stream, self._receive, STREAM)
         self._timer = node.create_timer(status_period, self._tick)
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
@@ -177,9 +175,7 @@ class Outlet:
             return
         now = time.monotonic()
         self.peer, self.peer_seen = status, now
-        self.sender.acknowledge(
-            status.program_id, status.next_sequence, status.window_limit, now
-        )
+        self.sender.acknowledge(status.program_id, status.next_sequence, status.window_limit, now)
         self.pump()
 
     @property

@@ -31,7 +31,7 @@ BATCH = 32
 AT_REST = (MachineState.IDLE, MachineState.STARVED)
 
 
-class FeedrateNode(LifecycleNode):  # type: ignore[misc]
+class FeedrateNode(LifecycleNode):
     """Plans the motion along one program after another."""
 
     def __init__(self) -> None:

@@ -28,7 +28,7 @@ from cnc_interp.smoothing.segments import PathSegments
 BATCH, QUEUE = 256, 1024
 
 
-class LookaheadNode(Node):  # type: ignore[misc]
+class LookaheadNode(Node):
     """Smooths the blocks of one program after another."""
 
     def __init__(self) -> None:

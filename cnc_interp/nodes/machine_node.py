@@ -31,7 +31,7 @@ from cnc_interp.nodes.streams import WindowedReceiver
 LONGEST_CATCH_UP = 0.5
 
 
-class MachineNode(LifecycleNode):  # type: ignore[misc]
+class MachineNode(LifecycleNode):
     """A simulated machine tool."""
 
     def __init__(self) -> None:

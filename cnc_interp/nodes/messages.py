@@ -82,17 +82,17 @@ def segment_messages(
     segments: PathSegments, program_id: str, first_sequence: int, flank_height: float, end: bool
 ) -> list[PathSegment]:
     """Turn consecutive segments into messages; ``end`` marks the last one of the program."""
+    last = len(segments) - 1
     return [
-        _segment_message(segments, i, program_id, first_sequence + i, flank_height)
-        for i in range(len(segments) - 1)
-    ] + [
-        _segment_message(segments, i, program_id, first_sequence + i, flank_height, end)
-        for i in range(max(0, len(segments) - 1), len(segments))
+        _segment_message(
+            segments, i, program_id, first_sequence + i, flank_height, end and i == last
+        )
+        for i in range(len(segments))
     ]
 
 
 def _segment_message(
-    segments: PathSegments, i: int, program_id: str, sequence: int, height: float, end: bool = False
+    segments: PathSegments, i: int, program_id: str, sequence: int, height: float, end: bool
 ) -> PathSegment:
     """Turn one segment into a message."""
     corner = segments.kind[i] == CORNER

@@ -33,7 +33,7 @@ AUTOSTART = Declared('autostart', True, 'Configure and activate without waiting 
 PERIOD = Declared('interpolation_period', 0.001, 'Time between setpoints [s]', 0.0001, 0.01)
 RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s]', 0.02, 10.0)
 PEER_TIMEOUT = Declared(
-    'peer_timeout', 3.0, 'Silence after which the node before or behind counts as lost [s]', 0.5, 60.0
+    'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
 
 LOOKAHEAD = (

@@ -1,4 +1,4 @@
-"""Segments of one program -> setpoints of one run, as fast as they are wanted; no ROS, no clock."""
+"""Segments of one program -> setpoints of one run, as they come; no ROS, no clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A program from its goal to blocks that are known to run: read, then checked to the last block."""
+"""From a goal to blocks that are known to run: read, then checked to the last block."""
 
 from __future__ import annotations
 

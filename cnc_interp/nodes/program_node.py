@@ -32,7 +32,7 @@ Result = RunProgram.Result
 QUEUE, FEEDBACK = 512, 0.1
 
 
-class ProgramNode(Node):  # type: ignore[misc]
+class ProgramNode(Node):
     """Runs one program after another."""
 
     def __init__(self) -> None:
@@ -45,9 +45,7 @@ class ProgramNode(Node):  # type: ignore[misc]
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self)
-        self._outlet = Outlet(
-            self, 'blocks', G1Block, self._values['resend_after'], self._encode
-        )
+        self._outlet = Outlet(self, 'blocks', G1Block, self._values['resend_after'], self._encode)
         self._feedback_at = 0.0
         self._server = ActionServer(
             self, RunProgram, 'run_program', self._execute,

@@ -1,4 +1,4 @@
-"""What the machine received as plan files, so that `cnc-interp check` proves the received stream."""
+"""What the machine received as plan files: `cnc-interp check` proves the received stream."""
 
 from __future__ import annotations
 

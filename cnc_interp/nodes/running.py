@@ -1,4 +1,4 @@
-"""The main loop that all nodes share: start, spin, and end in a controlled way with exit code 0."""
+"""The main loop that all nodes share: start, spin, end in a controlled way with exit code 0."""
 
 from __future__ import annotations
 

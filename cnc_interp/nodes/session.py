@@ -78,7 +78,7 @@ class RunRequest:
 
     def node_parameters(self) -> dict[str, dict[str, object]]:
         """Return what the nodes must know from the start."""
-        machine = {'machine': f"'{self.machine}'"}
+        machine: dict[str, object] = {'machine': f"'{self.machine}'"}
         moving = machine | {'interpolation_period': self.period}
         return {
             'program_node': machine,

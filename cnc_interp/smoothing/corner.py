@@ -12,7 +12,7 @@ The paper sets the inner points from the orientation tolerance alone and bends t
 
 from __future__ import annotations
 
-from math import sqrt
+from math import cos, sqrt
 
 import numpy as np
 from numba import njit
@@ -20,8 +20,7 @@ from numba import njit
 from cnc_interp.smoothing.orientation import connect, turned_by
 from cnc_interp.smoothing.segments import corner_pose
 
-#: Parameters at which the deviation of a corner is measured; the middle is the largest of a plain
-#: corner (Eq. 2), the others matter where the axis turns at different rates on both sides.
+#: Parameters at which the axis is compared with the programmed one.
 PROBES = np.arange(1, 16) / 16.0
 #: Shortest ratio L2/L1 where the lines are too short for the tolerance.
 LEAST_RATIO = 1.5
@@ -54,7 +53,7 @@ def first_lengths(legs, lengths, turns, tolerance, ratio):  # type: ignore[no-un
         if turns[side] > LARGEST_TURN:
             room[side] *= LARGEST_TURN / turns[side]
     inner = min(room[0], room[1]) / LEAST_RATIO
-    bend = sqrt(((legs[0] + legs[1]) ** 2).sum())
+    bend = norm(legs[0] + legs[1])
     if bend * inner > 4.0 * tolerance:
         inner = 4.0 * tolerance / bend  # Eq. 3 and A.3
     return inner, min(ratio * inner, room[0]), min(ratio * inner, room[1])
@@ -96,43 +95,78 @@ def build(tip, axis, height, legs, rates, inner, outer, bottom, top, connection)
 
 
 @njit(cache=True)
+def norm(v):  # type: ignore[no-untyped-def]
+    """Return the length of a vector, shape (3,)."""
+    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+@njit(cache=True)
+def top_bound(height, rates, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
+    """
+    Bound the distance of every top point p + h o of a corner from the programmed top locus [m].
+
+    On each half only one control point lies off that half's leg, with a weight of at most
+    B_33(0.5) = 1/4 (A.2). Let T and D = T - p be spline and tool vector, T' and D' those of the
+    foot on the leg. Then p + h D/|D| lies off p' + h D'/|D'| by at most
+
+        |T - T'| + |D - D'| (h/|D'| - 1) + h/|D'| ||D| - |D'||,
+
+    and ||D| - |D'|| <= |(D - D') . D'|/|D'| + |D - D'|^2 / (2 |D'|). The leg is a chord of the
+    programmed arc; its direction runs ahead of the arc by less than 0.02 angle^3. The connection
+    E adds its largest control point to each term.
+    """
+    largest = added = 0.0
+    for i in range(1, connection.shape[0] - 1):
+        added = max(added, norm(connection[i]))
+    for side in range(2):
+        end, mid, far = 4 * side, 1 + 2 * side, 3 - 2 * side
+        leg, own, other = top[end] - top[2], top[mid] - top[2], top[far] - top[2]
+        tool = other - (bottom[far] - bottom[2])
+        end_tool, corner_tool = top[end] - bottom[end], top[2] - bottom[2]
+        square = (leg**2).sum()
+        if square > 0.0:  # nearest point of the leg; at u = 0.5 it must not pass the corner
+            foot = max((other * leg).sum() / square, -norm(own) / sqrt(square))
+            other = other - foot * leg
+            tool = tool - foot * (end_tool - corner_tool)
+        angle = norm(rates[side]) * outer[side]
+        grow = 1.0 / cos(0.5 * angle)
+        gap = 0.25 * norm(tool) + added
+        along = max(abs((tool * end_tool).sum()), abs((tool * corner_tool).sum())) / height
+        radial = grow * (0.25 * along + added) + 0.5 * grow * gap * gap / height
+        away = 0.25 * norm(other) + added + (grow - 1.0) * gap + grow * radial
+        largest = max(largest, away + 0.02 * height * angle**3)
+    return largest
+
+
+@njit(cache=True)
+def swing(tip, axis, height, legs, rates, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
+    """Return the change of the axis against the programmed one at the tip's nearest point [m]."""
+    largest = 0.0
+    for u in PROBES:
+        point, tool = corner_pose(bottom, top, connection, u)
+        side = 0 if u <= 0.5 else 1
+        x = min(max(((point - tip) * legs[side]).sum(), 0.0), outer[side])
+        programmed = turned_by(axis, rates[side], x if side == 1 else -x)
+        largest = max(largest, height * norm(tool - programmed))
+    return largest
+
+
+@njit(cache=True)
 def deviations(tip, axis, height, legs, rates, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
     """
     Return the contour and the orientation deviation of a corner [m].
 
-    The contour deviation is the distance of the middle from the programmed corner (Eq. 3). The
-    orientation deviation is the largest of three, at flank height: the distance of the middle from
-    the programmed top corner (Eq. 3 again), of the point on the tool axis from the programmed top
+    The contour deviation is the distance of the middle from the programmed corner (Eq. 3), the
+    largest there is in either direction. The orientation deviation, at flank height, is the
+    largest of three: the same distance on top, the bound of the distance from the programmed top
     locus, and the change of the axis against the programmed one at the tip's nearest point.
     """
-    largest = 0.0
-    contour = 0.0
-    for u in PROBES:
-        point, tool = corner_pose(bottom, top, connection, u)
-        point_top = point + height * tool
-        if u == 0.5:
-            contour = sqrt(((point - tip) ** 2).sum())
-            largest = max(largest, sqrt(((point_top - top[2]) ** 2).sum()))
-        nearest, swing, slip = 1e300, 0.0, 1e300
-        for side in range(2):
-            x = ((point - tip) * legs[side]).sum()
-            x = min(max(x, 0.0), outer[side])
-            sense = -1.0 if side == 0 else 1.0
-            programmed = turned_by(axis, rates[side], sense * x)
-            away = ((point - tip - x * legs[side]) ** 2).sum()
-            if away < nearest:
-                nearest = away
-                swing = height * sqrt(((tool - programmed) ** 2).sum())
-            chord = top[4 * side] - top[2]
-            reach = (chord**2).sum()
-            if reach > 0.0:
-                x = ((point_top - top[2]) * chord).sum() / reach * outer[side]
-                x = min(max(x, 0.0), outer[side])
-                programmed = turned_by(axis, rates[side], sense * x)
-            locus = tip + x * legs[side] + height * programmed
-            slip = min(slip, sqrt(((point_top - locus) ** 2).sum()))
-        largest = max(largest, swing, slip)
-    return contour, largest
+    point, tool = corner_pose(bottom, top, connection, 0.5)
+    contour = norm(point - tip)
+    missed = norm(point + height * tool - top[2])
+    away = top_bound(height, rates, outer, bottom, top, connection)
+    turned = swing(tip, axis, height, legs, rates, outer, bottom, top, connection)
+    return contour, max(missed, away, turned)
 
 
 @njit(cache=True)

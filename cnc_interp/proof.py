@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -91,12 +92,11 @@ class Proof:
         """Look up a finding."""
         return next(f for f in self.findings if f.what == what and f.axis == axis)
 
-    def to_json(self) -> str:
-        """Write the proof for machines; NaN becomes null."""
-        content = {'ok': self.ok, **asdict(self)}
-        text = json.dumps(content)
-        plain = json.loads(text, parse_constant=lambda _: None)
-        return json.dumps(plain, indent=1)
+    def to_json(self) -> dict[str, Any]:
+        """Return the proof as plain values for JSON; what is not finite becomes None."""
+        text = json.dumps({'ok': self.ok, **asdict(self)})
+        plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
+        return plain
 
     def text(self) -> str:
         """Write the proof for a terminal."""

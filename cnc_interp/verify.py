@@ -292,7 +292,8 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
         for vertex, row in ((before[i] - 1, before[i] - 1), (after[i], after[i] + 1)):
             if not 0 < row < len(feed):
                 continue
-            if np.linalg.norm(tip[i] - blocks['tip'][vertex]) <= near:
+            gap = np.linalg.norm(tip[i : i + 2] - blocks['tip'][vertex], axis=1)
+            if gap.min() <= near:
                 allowed[i] = max(allowed[i], feed[row])
     finite = np.isfinite(allowed)
     ledger.judge('tip feed', np.where(finite, speed, 0.0), allowed, allowed=ROUNDING, slack=SLACK)

@@ -86,8 +86,9 @@ def test_series_are_the_proof_s_figures(tmp_path):
     series, proof = series_of(plan, MACHINE), verify(plan, MACHINE)
     for k, kind in enumerate(('velocity', 'acceleration', 'jerk')):
         for j, name in enumerate(MACHINE.axis_names):
-            found = proof.largest(kind, name).ratio
-            assert np.abs(series.axis_use[k][:, j]).max() == pytest.approx(found, abs=1e-9)
+            found = proof.largest(kind, name)
+            assert np.abs(series.axis_use[k][:, j]).max() == pytest.approx(found.ratio, abs=1e-9)
+            assert np.abs(series.axis_use[k][found.sample, j]) == pytest.approx(found.ratio)
     assert series.contour_error.max() == pytest.approx(3.0, rel=1e-3)
     assert series.axis_limits[:, 0] == pytest.approx([500.0, 2500.0, 5000.0])
     assert series.axis_limits[0, 4] == pytest.approx(MACHINE.max_velocity[4] / DEG)

@@ -66,7 +66,7 @@ def test_a_sound_plan_is_proven(tmp_path):
     assert proof.largest('tip feed').ratio == pytest.approx(1.0, abs=1e-6)
     assert proof.largest('velocity', 'C').ratio == 0.0
     assert 'proven' in proof.text()
-    assert json.loads(proof.to_json())['ok'] is True
+    assert json.loads(json.dumps(proof.to_json(), allow_nan=False))['ok'] is True
 
 
 @pytest.mark.parametrize('axis', [0, 1, 2, 3, 4])
@@ -246,6 +246,107 @@ def test_a_rotation_about_the_tool_axis_must_reach_its_word(tmp_path):
     assert proof_of(tmp_path, content).ok
     content['blocks']['rotary'][1, 1] = 91 * DEG
     only_failure(proof_of(tmp_path, content), 'rotary word missed')
+
+
+def test_a_rotation_about_the_tool_axis_must_stop_at_its_exact_stop(tmp_path):
+    turn, _, _ = stroke(180 * DEG, MACHINE.max_velocity[4], MACHINE.max_acceleration[4], 5.0)
+    ends = [(0.0, 0.0), (0.0, 90 * DEG), (0.0, 180 * DEG)]
+    content = rotation(0 * turn, turn, ends, rotary=np.array(ends))
+    content['setpoints']['block'] = np.where(turn <= 90 * DEG, 1, 2)
+    assert proof_of(tmp_path, content).ok
+    content['blocks']['exact_stop'] = np.array([False, True, True])
+    only_failure(proof_of(tmp_path, content), 'no rest at the exact stop of line [20]')
+
+
+def test_a_worded_rotation_must_keep_to_its_linear_way(tmp_path):
+    turn, _, _ = stroke(90 * DEG, MACHINE.max_velocity[4], MACHINE.max_acceleration[4], 5.0)
+    ends = [(15 * DEG, 0.0), (15 * DEG, 90 * DEG)]
+    bump = 1e-3 * np.sin(2 * turn) ** 4
+    first, last = tool_axis(*np.array(ends[0])), tool_axis(*np.array(ends[1]))
+    share, angle = (turn / (90 * DEG))[:, None], np.arccos(first @ last)
+    circle = (np.sin((1 - share) * angle) * first + np.sin(share * angle) * last) / np.sin(angle)
+    ways = {
+        'a bump in the tilt': (15 * DEG + bump, turn),
+        'the great circle': (np.arccos(circle[:, 2]), np.arctan2(circle[:, 0], circle[:, 1])),
+    }
+    for way in ways.values():
+        content = rotation(*way, ends, rotary=np.array(ends))
+        content['blocks']['tip'] += content['path']['tip'][0] - content['blocks']['tip'][0]
+        only_failure(proof_of(tmp_path, content), 'orientation error')
+
+
+def test_a_timed_rotation_takes_its_time(tmp_path):
+    angle, _, _ = stroke(20 * DEG, MACHINE.max_velocity[3], MACHINE.max_acceleration[3], 5.0)
+    content = rotation(angle, 0 * angle, [(0.0, 0.0), (20 * DEG, 0.0)])
+    spent = (len(angle) - 1) * PERIOD
+    content['blocks']['duration'] = np.array([np.nan, spent])
+    assert proof_of(tmp_path, content).ok
+    content['blocks']['duration'][1] = spent * 1.02
+    only_failure(proof_of(tmp_path, content), 'rotation time')
+
+
+def test_a_stop_beside_its_vertex_is_missed(tmp_path):
+    content = line_x(MACHINE)
+    content['blocks']['exact_stop'] = np.array([False, False, False, True])
+    assert proof_of(tmp_path, content).ok
+    content['blocks']['tip'][3, 1] += 5e-6
+    only_failure(proof_of(tmp_path, content), 'exact stop missed', 'line 40')
+
+
+def test_the_faster_feed_counts_near_the_border_only(tmp_path):
+    content = line_x(MACHINE)
+    x, speed = (content['setpoints'][name][:, 0] for name in ('position', 'velocity'))
+    vertex = 3 * MM
+    content['blocks']['tip'][1] = content['blocks']['tip'][0] + np.array([vertex, 0.0, 0.0])
+    content['setpoints']['block'] = np.where(x <= vertex, 1, content['setpoints']['block'].clip(2))
+    for before, ok in ((0.05 * MM, True), (0.5 * MM, False)):
+        content['blocks']['feed'][1] = np.interp(vertex - before, x[:400], speed[:400])
+        content['path']['programmed_feed'][:] = 6000 * MM_PER_MIN
+        proof = proof_of(tmp_path, content)
+        assert proof.ok is ok, proof.failures
+
+
+def test_the_planner_s_grid_is_looked_at(tmp_path):
+    def spoil(change):
+        content = line_x(MACHINE)
+        path = content['path']
+        cells = len(path['s']) - 1
+        path['cell_left'] = np.zeros((4, cells, 5))
+        path['cell_right'] = np.zeros((4, cells, 5))
+        path['cell_left'][0], path['cell_right'][0] = path['q'][:-1], path['q'][1:]
+        path['cell_left'][1, :, 0] = path['cell_right'][1, :, 0] = 1.0
+        change(path)
+        return proof_of(tmp_path, content)
+
+    def bulge(path):
+        path['q'][200, 1] += 15e-6
+        path['tip'][200, 1] += 15e-6
+        path['cell_left'][0, 200, 1] += 15e-6
+        path['cell_right'][0, 199, 1] += 15e-6
+
+    def tear(path):
+        path['cell_left'][0, 200, 2] += 1e-6
+
+    def hurry(path):
+        path['cell_right'][1, 300, 3] = 100.0
+
+    def turn_back(path):
+        path['s'][300] = path['s'][302]
+
+    assert spoil(lambda path: None).ok
+    only_failure(spoil(bulge), 'contour error of path')
+    only_failure(spoil(tear), 'axes across path cells')
+    only_failure(spoil(hurry), 'planned velocity of A')
+    only_failure(spoil(turn_back), 's does not increase')
+
+
+def test_the_stated_cycle_time_and_the_first_row(tmp_path):
+    content = line_x(MACHINE)
+    content['summary']['cycle_time'] -= 2.5 * PERIOD
+    only_failure(proof_of(tmp_path, content), 'summary says cycle time')
+    content = line_x(MACHINE)
+    content['setpoints']['block'] = np.maximum(content['setpoints']['block'], 2)
+    only_failure(proof_of(tmp_path, content), 'starts in row 2')
 
 
 def test_blocks_far_shorter_than_the_tolerance(tmp_path, monkeypatch):

@@ -65,6 +65,21 @@ def test_distances_to_one_turning_block(seed):
         assert found.twist[i] == pytest.approx(HEIGHT * angle, abs=1e-8)
 
 
+@pytest.mark.parametrize('seed', range(60))
+def test_points_of_a_locus_that_turns_and_folds_have_no_distance(seed):
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=(2, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    tip = rng.normal(scale=30 * MM, size=(2, 3))
+    part = rng.uniform(size=20)
+    top = tip[0] + part[:, None] * (tip[1] - tip[0]) + HEIGHT * slerp(*axis, part)
+    # The same top points, reached with another tip and axis.
+    upright = np.tile([0.0, 0.0, 1.0], (20, 1))
+    program = ProgrammedPath.of(tip, axis, np.full((2, 2), np.nan), HEIGHT)
+    found = program.deviation(top - HEIGHT * upright, upright, np.ones(20, dtype=np.int64))
+    assert found.orientation.max() < 1e-9
+
+
 def test_the_nearest_of_several_blocks_is_found():
     corners = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0.0]]) * MM
     up = np.tile([0.0, 0.0, 1.0], (4, 1))

@@ -295,12 +295,14 @@ def test_a_stop_beside_its_vertex_is_missed(tmp_path):
 
 def test_the_faster_feed_counts_near_the_border_only(tmp_path):
     content = line_x(MACHINE)
-    x, speed = (content['setpoints'][name][:, 0] for name in ('position', 'velocity'))
+    x = content['setpoints']['position'][:, 0]
     vertex = 3 * MM
     content['blocks']['tip'][1] = content['blocks']['tip'][0] + np.array([vertex, 0.0, 0.0])
     content['setpoints']['block'] = np.where(x <= vertex, 1, content['setpoints']['block'].clip(2))
-    for before, ok in ((0.05 * MM, True), (0.5 * MM, False)):
-        content['blocks']['feed'][1] = np.interp(vertex - before, x[:400], speed[:400])
+    steps = np.diff(x) / PERIOD
+    last = int(np.searchsorted(x, vertex)) - 2
+    for earlier, ok in ((1, True), (6, False)):
+        content['blocks']['feed'][1] = steps[last - earlier]
         content['path']['programmed_feed'][:] = 6000 * MM_PER_MIN
         proof = proof_of(tmp_path, content)
         assert proof.ok is ok, proof.failures

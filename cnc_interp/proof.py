@@ -102,12 +102,13 @@ class Proof:
         """Write the proof for a terminal."""
         lines = [
             f'{self.samples} samples of {self.period * 1e3:g} ms, {self.cycle_time:.3f} s, '
-            f'{self.blocks} blocks, machine {self.machine}',
-            'largest use  ' + ''.join(f'{name:>9}' for name in self.axis_names),
+            f'{self.blocks} blocks, machine {self.machine}'
         ]
-        for kind, _ in DIFFERENCES:
-            uses = [self.largest(kind, name).ratio for name in self.axis_names]
-            lines.append(f'{kind:<13}' + ''.join(f'{use:>9.2%}' for use in uses))
+        if self.findings:
+            lines.append('largest use  ' + ''.join(f'{name:>9}' for name in self.axis_names))
+            for kind, _ in DIFFERENCES:
+                uses = [self.largest(kind, name).ratio for name in self.axis_names]
+                lines.append(f'{kind:<13}' + ''.join(f'{use:>9.2%}' for use in uses))
         for finding in self.findings:
             if not finding.axis:
                 value, limit = _spoken(finding)

@@ -1,0 +1,75 @@
+"""What the package says it needs is what it imports; the wheels are adapted without harm."""
+
+import ast
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+# Imported, but without a rosdep key: the README names them for a full ROS 2.
+WITHOUT_KEY = {'apsw', 'mcap', 'plotly', 'rosbags', 'ruckig'}
+RENAMED = {'toppra': 'python3-toppra-pip', 'yaml': 'python3-yaml', 'ament_index_python': 'rclpy'}
+
+
+def third_party_imports():
+    for folder in ('cnc_interp', 'launch'):
+        for path in (ROOT / folder).rglob('*.py'):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Import):
+                    yield from (alias.name.split('.')[0] for alias in node.names)
+                elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                    yield node.module.split('.')[0]
+
+
+def pins(name):
+    lines = (ROOT / 'requirements' / f'{name}.txt').read_text().splitlines()
+    return [line for line in lines if line and not line.startswith('#')]
+
+
+def test_package_xml_declares_what_is_imported():
+    declared = {e.text for e in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')}
+    needed = set(third_party_imports()) - set(sys.stdlib_module_names) - {'cnc_interp'}
+    missing = {
+        name
+        for name in needed - WITHOUT_KEY
+        if not {name, f'python3-{name}', RENAMED.get(name)} & declared
+    }
+    assert not missing, f'add an exec_depend for {sorted(missing)} to package.xml'
+
+
+@pytest.mark.parametrize('name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'colcon'])
+def test_every_requirement_is_pinned(name):
+    assert pins(name)
+    assert all(re.fullmatch(r'[\w.-]+==[\w.]+', line) for line in pins(name))
+
+
+def test_numpy_is_that_of_jazzy():
+    assert 'numpy==1.26.4' in pins('run')
+
+
+def test_versions_agree():
+    version = (ROOT / 'cnc_interp' / '__init__.py').read_text().split("__version__ = '")[1]
+    version = version.split("'")[0]
+    assert f"version='{version}'" in (ROOT / 'setup.py').read_text()
+    for folder in ('.', 'msg_defs'):
+        package = ElementTree.parse(ROOT / folder / 'package.xml').getroot()
+        assert package.findtext('version') == version
+
+
+def test_wheel_exports_are_relocated_once():
+    spec = importlib.util.spec_from_file_location('ros_wheels', ROOT / 'tools' / 'ros_wheels.py')
+    ros_wheels = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(ros_wheels)
+    builder = '/opt/python/cp312-cp312'
+    text = (
+        f'"${{_IMPORT_PREFIX}}/include;{builder}/include/python3.12;'
+        f'{builder}/lib/python3.12/site-packages/numpy/_core/include"'
+    )
+    once = ros_wheels.relocate(text, '/here/include', '/here/numpy/include')
+    assert once == '"${_IMPORT_PREFIX}/include;/here/include;/here/numpy/include"'
+    assert ros_wheels.relocate(once, '/elsewhere', '/elsewhere') == once

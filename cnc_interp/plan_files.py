@@ -29,6 +29,8 @@ BLOCK_COLUMNS = {
     'tip': '3', 'axis': '3', 'feed': '', 'line': '', 'contour_tolerance': '',
     'orientation_tolerance': '', 'rapid': '',
 }  # fmt: skip
+# One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
+PATH_CELLS = ('cell_left', 'cell_right')
 # Programs without rotary words, inverse-time feeds or exact stops need not carry these.
 OPTIONAL_BLOCK_COLUMNS = {'rotary': '2', 'duration': '', 'exact_stop': ''}
 MAY_BE_UNBOUNDED = frozenset({'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration'})
@@ -100,6 +102,13 @@ def read_plan(directory: Path) -> PlanFiles:
         raise InterpError(f'{directory}: setpoints.npz and path.npz differ in the number of axes')
     if len(setpoints['position']) < 2 or len(path['s']) < 2 or len(blocks['tip']) < 2:
         raise InterpError(f'{directory}: the plan holds no motion; nothing to check')
+    cells = (4, len(path['s']) - 1, path['q'].shape[1])
+    for name in PATH_CELLS:
+        if name in path and path[name].shape != cells:
+            raise InterpError(
+                f'{directory / "path.npz"}: column {name} has shape {path[name].shape}, '
+                f'expected {cells}; plan again'
+            )
     for name, columns in (('setpoints.npz', setpoints), ('path.npz', path)):
         rows = columns['block']
         if rows.min() < 0 or rows.max() >= len(blocks['tip']):
@@ -142,7 +151,8 @@ def _read_columns(
     """Load the columns of one file and check each against its shape."""
     try:
         with np.load(file, allow_pickle=False) as archive:
-            columns = {name: archive[name] for name in archive.files}
+            wanted = {*needed, *(optional or {}), *PATH_CELLS}
+            columns = {name: archive[name] for name in archive.files if name in wanted}
     except (OSError, ValueError, EOFError, BadZipFile) as fault:
         raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
     missing = [name for name in needed if name not in columns]

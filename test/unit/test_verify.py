@@ -392,6 +392,7 @@ def test_unreadable_files_are_named(tmp_path):
     [
         ('blocks', 'feed', None, 'column feed is missing'),
         ('setpoints', 'position', np.zeros((5, 5)), 'column position has shape'),
+        ('path', 'cell_left', np.zeros((4, 3, 5)), 'column cell_left has shape'),
         ('setpoints', 'velocity', 'nan', 'velocity is not finite in row 7'),
         ('setpoints', 'block', 'big', 'block runs from'),
     ],

@@ -4,7 +4,7 @@ The planner's grid: where to put nodes so that a few constant-jerk cells come cl
 Cells of the path that take more time than wanted under the guessed speed, or along which the
 axes bend too much to be judged from their ends, are subdivided, evenly in time; in cruise they
 may grow. Cells of the path that take less time than wanted and lie well on a line of the axes'
-derivatives are grouped; so are those too short to be given a jerk of their own in double precision.
+derivatives are grouped; so are those too short for a jerk of their own in double precision.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ SAMPLES = 96
 
 GROWTH = 0.15
 """Growth of cells in steady cruise, per cell."""
+
+RAMP_CELLS, SHORTEST = 8, 2e-5
+"""Cells in a ramp between rest and cruise, and the shortest of them [s]."""
 
 ROUNDS = 3
 """Most rounds of guessing and refining."""
@@ -83,19 +86,28 @@ def cell_nodes(
     for p in range(SAMPLES + 1):
         if cruise[p]:
             first, last = min(first, p), max(last, p)
+    start, end = tau, tau
+    # a short ramp between rest and slow cruise is given cells of its own scale
+    if last > first and v0 == 0.0:
+        start = min(tau, max(time[first] / RAMP_CELLS, SHORTEST))
+    if last > first and v1 == 0.0:
+        end = min(tau, max((time[SAMPLES] - time[last]) / RAMP_CELLS, SHORTEST))
     for p in range(SAMPLES):
         middle = (time[p] + time[p + 1]) / 2
-        away = max(0.0, min(middle - time[first], time[last] - middle)) if last > first else 0.0
-        by_time = (time[p + 1] - time[p]) / (tau + GROWTH * away)
+        after, before = max(0.0, middle - time[first]), max(0.0, time[last] - middle)
+        if last <= first:
+            after, before = 0.0, 0.0
+        wanted = min(start + GROWTH * after, end + GROWTH * before)
+        by_time = (time[p + 1] - time[p]) / wanted
         count[p + 1] = count[p] + max(by_time, least * (x[p + 1] - x[p]) / h)
     cells = int(np.ceil(count[SAMPLES]))
     cells = min(max(cells, 1), len(out) + 1)
     p = 0
     for c in range(1, cells):
-        wanted = count[SAMPLES] * c / cells
-        while count[p + 1] < wanted:
+        rank = count[SAMPLES] * c / cells
+        while count[p + 1] < rank:
             p += 1
-        share = (wanted - count[p]) / (count[p + 1] - count[p])
+        share = (rank - count[p]) / (count[p + 1] - count[p])
         if p == 0 and v0 == 0.0:
             share = share**3
         out[c - 1] = x[p] + share * (x[p + 1] - x[p])

@@ -19,6 +19,7 @@ from cnc_interp.feedrate.interior_point import BROKEN, solve
 from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle, spread
+from cnc_interp.feedrate.toppra_stage import ceiling
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.program.blocks import FloatArray
 
@@ -46,6 +47,8 @@ class PlanOptions:
         Length of a planning window in stopping horizons; one horizon of it is planned again.
     window_cells : int
         Most cells of the path in one window.
+    toppra : bool
+        Start the jerk stage below the ceiling of the toppra stage.
 
     """
 
@@ -57,12 +60,16 @@ class PlanOptions:
     points: int = 7
     window_ratio: float = 2.5
     window_cells: int = 4000
+    toppra: bool = False
 
     def finer(self) -> PlanOptions:
-        """Ask for half the cell times."""
-        low, high = self.cell_time
+        """Ask for half the cell times, and for a start below toppra's ceiling."""
         return replace(
-            self, cell_time=(low / 2, high / 2), share=self.share / 2, bend=self.bend / 2
+            self,
+            cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
+            share=self.share / 2,
+            bend=self.bend / 2,
+            toppra=True,
         )
 
 
@@ -154,13 +161,17 @@ class Problem:
         self.scale[:k] = np.minimum(kept.scale + RELAXED[:, None], 1.0)
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
-        self.m = first_coefficients(self.h, grid.bounds, grid.guess)
+        guess = grid.guess
+        if options.toppra:
+            squared = ceiling(path, table, start[0])
+            if squared is not None:
+                guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
+        self.m = first_coefficients(self.h, grid.bounds, guess)
         self.jerk = np.empty((n, 2, n_axes, 3))
         self.acceleration = np.empty((n, n_axes, 2))
         self.use = np.empty((2, n, 4, n_axes))
-        members = np.diff(nodes)
-        instants = np.where(members == 1, options.points, 2 + options.points // members)
-        self.points = np.repeat(instants, members)
+        share = np.diff(path.s) / np.repeat(self.h, np.diff(nodes))
+        self.points = 2 + np.ceil((options.points - 2) * share).astype(np.int64)
 
     def reset_widths(self) -> FloatArray:
         """Start the effective widths: 1.5 h beside rest, else h."""

@@ -32,6 +32,9 @@ KEPT_PART = 0.5
 HORIZON = 3.0
 """Stopping distances that must lie between a committed state and the end of its plan."""
 
+SETTLE = 0.1
+"""Time added to every stop when horizons are measured [s]."""
+
 
 @dataclass(frozen=True)
 class PlannedPiece:
@@ -67,7 +70,8 @@ class PlannedPiece:
 @numba.njit(cache=True)
 def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
     """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
-    return float(v * np.sqrt(v / jerk) + v * v / (2 * acceleration))
+    # a part of slow motion too, so that slow windows are not all ramps
+    return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
 
 
 @numba.njit(cache=True)

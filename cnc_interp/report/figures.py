@@ -35,7 +35,7 @@ def path_figure(series: Series) -> Any:
         name='tool axis', hoverinfo='skip',
     ))  # fmt: skip
     figure.add_trace(go.Scatter3d(
-        **_xyz(tip), mode='lines', name='tool path',
+        **_xyz(tip), mode='lines', name='tool path', showlegend=False,
         line={
             'color': feed, 'width': 5, 'colorscale': 'Viridis', 'cmin': 0.0,
             'cmax': feed_span(series)[0],
@@ -47,14 +47,18 @@ def path_figure(series: Series) -> Any:
     ))  # fmt: skip
     plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
     # The longest side is 1, so that flat and slender paths fill the view alike.
-    span = np.ptp(np.concatenate([tip, series.vertices]), axis=0)
+    shown = np.concatenate([tip, series.vertices, _tool_lines(series)])
+    span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
     shape = np.maximum(span / (float(span.max()) or 1.0), 0.08)
     figure.update_layout(
         _layout(600),
         scene={
             'aspectmode': 'manual',
             'aspectratio': dict(zip('xyz', shape.tolist(), strict=True)),
-            **{f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}} for c in 'xyz'},
+            **{
+                f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}, 'nticks': 3 + int(5 * part)}
+                for c, part in zip('xyz', shape, strict=True)
+            },
             'camera': {
                 'eye': {'x': 0.85, 'y': -1.05, 'z': 0.75},
                 'center': {'x': 0.0, 'y': 0.0, 'z': -0.06},

@@ -38,6 +38,14 @@ section > p { margin: 0 0 6px; color: #5c6b78; }
 footer { color: #7b8794; font-size: 12.5px; margin-top: 18px; }
 """
 
+# Part programs are nobody's business: no button that would upload a chart.
+CONTROLS = {
+    'displaylogo': False,
+    'responsive': True,
+    'showSendToCloud': False,
+    'modeBarButtonsToRemove': ['sendChartToCloud', 'sendDataToCloud'],
+}
+
 
 def write_report(directory: Path, out: Path, machine: Machine | None = None) -> None:
     """
@@ -103,7 +111,7 @@ def render(plan: PlanFiles, machine: Machine) -> str:
     for heading, text, figure in sections:
         drawing = figure.to_html(
             full_html=False, include_plotlyjs=False, default_width='100%',
-            config={'displaylogo': False, 'responsive': True},
+            config=CONTROLS,
         )  # fmt: skip
         body.append(f'<section><h2>{heading}</h2><p>{text}</p>{drawing}</section>')
     body.append(f'<footer>{escape(_versions(plan))}</footer>')

@@ -36,6 +36,8 @@ def test_the_page_needs_no_network(tmp_path):
     assert page.count('Plotly.newPlot(') >= 4
     for part in (head, body):
         assert not re.search(r'<(script|img|iframe)[^>]*\ssrc=|<link|@import|url\(', part)
+    # Nor is there a button that would send it anywhere.
+    assert body.count('"modeBarButtonsToRemove"') == 4
     assert len(page) < 8e6
     assert '>proven<' in page and 'not proven' not in page
 

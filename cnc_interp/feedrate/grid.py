@@ -16,7 +16,7 @@ import numpy as np
 
 from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
-from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 
 SAMPLES = 96
 """Points at which a cell to be subdivided is looked at."""
@@ -215,8 +215,13 @@ def group_cells(
     v: FloatArray,
     tau: float,
     most_bend: float,
+    given: BoolArray,
 ) -> IntArray:
-    """Group the cells from ``first`` on; returns the grid points between the groups."""
+    """
+    Group the cells from ``first`` on; returns the grid points between the groups.
+
+    Only points that were ``given`` may vanish inside a group, or what was refined would be undone.
+    """
     n = len(bounds)
     nodes = np.empty(n + 1, dtype=np.int64)
     nodes[0] = first
@@ -229,7 +234,7 @@ def group_cells(
             time = h / middle
             fastest = max(fastest, min(1.5 * max(middle, max(v[i], v[i + 1])), bounds[i, 1]))
             if i > start and time > TINY and spent > TINY:
-                if spent + time > tau or feed[i] != feed[start]:
+                if spent + time > tau or feed[i] != feed[start] or not given[i]:
                     break
                 if not lies_on_line(start, i, s, left, right, table, fastest, most_bend):
                     break
@@ -276,6 +281,7 @@ def planning_grid(
 
     """
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
+    coarse = path.s
     for attempt in range(ROUNDS + 1):
         bounds = speed_bounds(
             np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, table
@@ -290,7 +296,10 @@ def planning_grid(
         if len(new) == 0 or attempt == ROUNDS:
             break
         path = refine(path, new)
-    groups = group_cells(whole, *curve, path.cell_feed, table, bounds, v, tau, most_bend / 3)
+    given = np.isin(path.s, coarse)
+    groups = group_cells(
+        whole, *curve, path.cell_feed, table, bounds, v, tau, most_bend / 3, given
+    )
     start = np.searchsorted(path.s, kept).astype(np.int64)
     nodes = np.concatenate([np.zeros(1, dtype=np.int64), start, groups[1:]])
     return PlanGrid(path, nodes, np.minimum.reduceat(bounds, nodes[:-1], axis=0), v[nodes])

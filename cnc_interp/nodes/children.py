@@ -102,6 +102,11 @@ class Children:
         """Process of each node."""
         return {node.name: node.process.pid for node in self._nodes}
 
+    @property
+    def exit_codes(self) -> dict[str, int | None]:
+        """Exit code of each node; None while it runs."""
+        return {node.name: node.process.poll() for node in self._nodes}
+
     def end(self) -> None:
         """Ask all nodes to end, wait, and kill only what does not."""
         for node in self._nodes:

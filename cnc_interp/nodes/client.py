@@ -115,6 +115,7 @@ class Client:
             velocity_use=by_axis(outcome.velocity_use),
             acceleration_use=by_axis(outcome.acceleration_use),
             jerk_use=by_axis(outcome.jerk_use),
+            position=by_axis(self._peers.state.positions if self._peers.state else ()),
             notices=tuple(outcome.notices),
         )
 
@@ -168,6 +169,9 @@ class Client:
         answer = wanted.result()
         progress.end(answer.result.code == Result.SUCCEEDED)
         result: RunProgram.Result = answer.result
+        if not request.quiet:
+            for notice in result.notices:
+                print(f'note: {notice}', file=sys.stderr)
         return result
 
     def _take_feedback(self, message: Any) -> None:

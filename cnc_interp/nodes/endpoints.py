@@ -81,7 +81,8 @@ class Inlet:
         try:
             receiver.expect(message.program_id, first)
         except StreamError as fault:
-            self._name(WARN, str(fault))
+            known = receiver.refusal if message.program_id == receiver.program_id else ''
+            self._name(ERROR if known else WARN, known or str(fault))
             return
         try:
             self._check(message)
@@ -104,8 +105,6 @@ class Inlet:
     def _name(self, level: bytes, reason: str) -> None:
         """Put a refusal into the diagnostics."""
         self._refused += 1
-        if self.receiver.refusal:
-            level, reason = ERROR, self.receiver.refusal
         self._diagnostics.say(self.receiver.stream, level, reason, refused=self._refused)
 
     def _tick(self) -> None:

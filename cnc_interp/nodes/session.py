@@ -115,6 +115,8 @@ class RunResult:
         Largest distance of the actual tip from the commanded path [m].
     following_error, velocity_use, acceleration_use, jerk_use : dict
         Largest per axis [m, rad; share of the limit].
+    position : dict
+        Where the axes stand at the end [m, rad].
     notices : tuple of str
         What the reader of the program passed on or simplified.
 
@@ -139,6 +141,7 @@ class RunResult:
     velocity_use: dict[str, float] = field(default_factory=dict)
     acceleration_use: dict[str, float] = field(default_factory=dict)
     jerk_use: dict[str, float] = field(default_factory=dict)
+    position: dict[str, float] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:

@@ -39,6 +39,7 @@ def block():
         rapid=True,
         contour_tolerance=20e-6,
         orientation_tolerance=30e-6,
+        flank_height=0.03,
         end_of_program=True,
     )
 
@@ -56,10 +57,10 @@ def segment():
             degree=3, dimension=1, knots=knots, control_points=[0, 0.2, 0.9, 1]
         ),
         flank_height=0.03,
+        feedrate=[0.05, math.inf],
         first_block=4,
         last_block=5,
-        block_ends=[0.04],
-        line_numbers=[20, 21],
+        line_number=21,
     )
 
 
@@ -73,6 +74,7 @@ def chunk(samples=10, axes=5, tail=300):
         positions=rng.normal(size=samples * axes),
         velocities=rng.normal(size=samples * axes),
         accelerations=rng.normal(size=samples * axes),
+        jerks=rng.normal(size=samples * axes),
         sequences=[2**33 + i for i in range(samples)],
         line_numbers=list(range(samples)),
         path_positions=np.linspace(0.0, 0.01, samples),
@@ -89,7 +91,7 @@ def state():
     return MachineState(
         state=MachineState.STARVED,
         program_id='run-1',
-        sample=1234,
+        samples=1234,
         positions=[0.1, 0.2, 0.3, 0.4, 0.5],
         tip=[1.0, 2.0, 3.0],
         jerk_use=[0.99, 1.0, 0.5, 0.25, 0.0],

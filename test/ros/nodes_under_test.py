@@ -1,0 +1,93 @@
+"""The four nodes as real processes, and a client that sends goals and raw messages to them."""
+
+import os
+import time
+import uuid
+
+import rclpy
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import G1Block, MachineState
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import Trigger
+
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.children import Children
+from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.session import nodes_file
+
+START, PATIENCE = 300.0, 30.0  # [s]; the first start compiles; bounds, not timings
+
+
+class NodesUnderTest:
+    """Start the nodes, talk to them, end them."""
+
+    def __init__(self, parameters=None):
+        self.namespace = f'/test_{uuid.uuid4().hex[:8]}'
+        domain = 1 + os.getpid() % 100
+        self.children = Children(self.namespace, domain, parameters or {}, nodes_file())
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node('tester', namespace=self.namespace, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.peers = Peers(self.node)
+        self.diagnostics = []
+        self.states = []
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, qos.DIAGNOSTICS)
+        self.node.create_subscription(MachineState, 'machine_state', self.states.append, qos.STATE)
+        self.blocks = self.node.create_publisher(G1Block, 'blocks', qos.STREAM)
+        self.action = ActionClient(self.node, RunProgram, 'run_program')
+        self.reset = self.node.create_client(Trigger, 'reset')
+        self.spin_until(
+            lambda: (
+                self.action.server_is_ready()
+                and not self.peers.missing(time.monotonic(), 1.0)
+                and self.blocks.get_subscription_count() == 1
+            ),
+            START,
+        )
+
+    def _hear(self, array):
+        self.diagnostics += [
+            (status.name, status.message)
+            for status in array.status
+            if status.hardware_id == self.namespace
+        ]
+
+    def spin_until(self, done, patience=PATIENCE):
+        deadline = time.monotonic() + patience
+        while not done():
+            assert time.monotonic() < deadline, 'waited too long'
+            self.children.check()
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def start(self, **goal):
+        """Send a goal; returns its handle."""
+        accepted = self.action.send_goal_async(RunProgram.Goal(**goal))
+        self.spin_until(accepted.done)
+        return accepted.result()
+
+    def result_of(self, handle):
+        wanted = handle.get_result_async()
+        self.spin_until(wanted.done)
+        return wanted.result().result
+
+    def run(self, **goal):
+        return self.result_of(self.start(**goal))
+
+    def next_state(self):
+        """A machine state sent after this call."""
+        self.states.clear()
+        self.spin_until(lambda: len(self.states) > 1)
+        return self.states[-1]
+
+    def close(self):
+        """End everything; returns the exit codes."""
+        self.executor.shutdown()
+        self.action.destroy()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+        self.children.end()
+        return self.children.exit_codes

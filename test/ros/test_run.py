@@ -1,0 +1,188 @@
+"""Real processes: programs run to their end, bad input moves nothing, unsound messages are named."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState
+from nodes_under_test import NodesUnderTest
+
+from cnc_interp.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes.messages import block_messages
+from cnc_interp.nodes.session import RunRequest, run_session
+from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.verify import verify_plan
+
+Result = RunProgram.Result
+MACHINE = Machine.load('xyzac')
+TRANSFORM = Transform.of(MACHINE)
+PROGRAM = """PARTNO TEST
+UNITS/MM
+MULTAX/ON
+GOTO/0.0,0.0,0.0,0.10,-0.20,0.974679434
+FEDRAT/3000,MMPM
+GOTO/10.0,0.0,0.0,0.14,-0.18,0.973653
+GOTO/10.0,8.0,1.0,0.15,-0.10,0.983616
+GOTO/16.0,12.0,0.0,0.05,-0.12,0.991514
+FINI
+"""
+LAST = (np.array([16.0, 12.0, 0.0]) * 1e-3, np.array([0.05, -0.12, 0.991514]))
+TOO_FAR = PROGRAM.replace('16.0,12.0', '1600.0,12.0')
+NO_NUMBER = PROGRAM.replace('10.0,8.0', '10.0,eight')
+
+
+def assert_at_the_last_pose(position):
+    tip, axis = TRANSFORM.forward(np.array([position]))
+    assert np.linalg.norm(tip[0] - LAST[0]) < 1e-6
+    assert np.linalg.norm(axis[0] - LAST[1] / np.linalg.norm(LAST[1])) < 1e-5
+
+
+@pytest.fixture(scope='module')
+def nodes():
+    running = NodesUnderTest()
+    yield running
+    codes = running.close()
+    assert codes == dict.fromkeys(codes, 0), 'nodes end with exit code 0 on SIGTERM'
+
+
+def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path):
+    program, out = tmp_path / 'part.apt', tmp_path / 'received'
+    program.write_text(PROGRAM)
+    result = run_session(RunRequest(program, out=out, quiet=True))
+    assert result.ok, result.message
+    assert result.blocks_sent == result.blocks_executed == 3
+    assert_at_the_last_pose(list(result.position.values()))
+    proof = verify_plan(out, MACHINE)
+    assert proof.ok, proof.text()
+    samples = np.load(out / 'setpoints.npz')
+    assert len(samples['time']) == result.samples
+    assert result.cycle_time == pytest.approx(samples['time'][-1])
+
+
+def test_session_names_a_missing_program_and_a_wrong_machine(tmp_path):
+    with pytest.raises(InterpError, match=r'nothing\.ngc'):
+        run_session(RunRequest(tmp_path / 'nothing.ngc', quiet=True))
+
+
+@pytest.mark.parametrize(
+    ('text', 'code', 'word'),
+    [
+        (NO_NUMBER, Result.BAD_PROGRAM, ':7'),
+        (TOO_FAR, Result.REFUSED, 'axis X'),
+        ('', Result.BAD_PROGRAM, ''),
+    ],
+)
+def test_a_bad_program_is_refused_and_nothing_moves(nodes, text, code, word):
+    before = nodes.next_state()
+    result = nodes.run(text=text)
+    assert result.code == code and word in result.message and '\n' not in result.message
+    assert (result.blocks_sent, result.blocks_executed, result.samples) == (0, 0, 0)
+    after = nodes.next_state()
+    assert after.commanded_positions == before.commanded_positions
+    assert (after.state, after.samples) == (MachineState.IDLE, before.samples)
+
+
+def test_another_machine_than_the_nodes_run_is_refused(nodes):
+    result = nodes.run(text=PROGRAM, machine='xyzbc')
+    assert result.code == Result.REFUSED and 'xyzbc' in result.message
+
+
+def test_programs_run_one_after_the_other_without_restart(nodes):
+    first = nodes.run(text=PROGRAM)
+    assert (first.code, first.message) == (Result.SUCCEEDED, 'executed to the end')
+    state = nodes.next_state()
+    assert state.completed and state.state == MachineState.IDLE
+    assert_at_the_last_pose(state.positions)
+    second = nodes.run(text=PROGRAM)
+    assert second.code == Result.SUCCEEDED
+    assert second.program_id != first.program_id
+    for result in (first, second):
+        assert result.blocks_sent == result.blocks_executed == 3
+        assert result.starvations == 0
+        use = [*result.velocity_use, *result.acceleration_use, *result.jerk_use]
+        assert 0.1 < max(use) <= 1.001
+    # The way from the end back to the start is an approach of its own and does not count.
+    assert second.cycle_time == first.cycle_time and second.approach_time > 0.0
+
+
+def test_a_second_program_is_told_that_one_is_running(nodes):
+    handle = nodes.start(text=PROGRAM)
+    assert nodes.run(text=PROGRAM).code == Result.BUSY
+    assert nodes.result_of(handle).code == Result.SUCCEEDED
+
+
+def test_cancelling_ends_at_rest_on_the_path(nodes):
+    handle = nodes.start(text=PROGRAM)
+    nodes.spin_until(lambda: nodes.peers.state.state == MachineState.RUNNING)
+    handle.cancel_goal_async()
+    result = nodes.result_of(handle)
+    assert result.code in (Result.CANCELED, Result.SUCCEEDED)  # all blocks may be on their way
+    assert nodes.next_state().state == MachineState.IDLE
+
+
+def sound_blocks(program_id):
+    blocks = read_text(PROGRAM, 'part.apt', TRANSFORM, ReadOptions()).blocks
+    return block_messages(blocks, program_id, 0, 0.03, end=True)
+
+
+def named(nodes, word):
+    return lambda: any('blocks' in name and word in text for name, text in nodes.diagnostics)
+
+
+@pytest.mark.parametrize(
+    ('field', 'value', 'word'),
+    [
+        ('axis', [0.0, 0.0, 2.0], 'block 0 .* length 2'),
+        ('tip', [math.nan, 0.0, 0.0], 'block 0 .* not finite'),
+        ('contour_tolerance', -1e-5, 'block 0 .* contour_tolerance'),
+        ('sequence', 4, 'gap: 4 of unknown program'),
+    ],
+)
+def test_an_unsound_first_block_is_named_and_nothing_moves(nodes, field, value, word):
+    before = nodes.next_state()
+    message = sound_blocks(f'bad-{field}')[0]
+    setattr(message, field, value)
+    nodes.diagnostics.clear()
+    nodes.blocks.publish(message)
+    parts = word.split(' .* ')
+    nodes.spin_until(lambda: all(named(nodes, part)() for part in parts))
+    after = nodes.next_state()
+    assert after.commanded_positions == before.commanded_positions
+
+
+def test_motion_ends_at_the_last_sound_block(nodes):
+    blocks = sound_blocks('spoiled')
+    blocks[2].axis = [math.nan, 0.0, 0.0]
+    nodes.diagnostics.clear()
+    for message in blocks:
+        nodes.blocks.publish(message)
+    nodes.spin_until(named(nodes, 'block 2'))
+    nodes.spin_until(lambda: nodes.peers.state.program_id == 'spoiled')
+    nodes.spin_until(lambda: nodes.peers.state.completed)
+    state = nodes.next_state()
+    tip, _ = TRANSFORM.forward(np.array([state.commanded_positions]))
+    assert state.state == MachineState.IDLE and state.sequence == 1
+    assert np.linalg.norm(tip[0] - np.array(blocks[1].tip)) < 1e-9
+
+
+def test_lost_repeated_and_foreign_blocks_do_not_move_the_machine_off_its_program(nodes):
+    blocks = sound_blocks('patchy')
+    for i in (0, 0, 2, 3, 1, 1):  # repeat, gap, gap, repeat
+        nodes.blocks.publish(blocks[i])
+    foreign = sound_blocks('foreign')[0]
+    nodes.blocks.publish(foreign)
+    nodes.spin_until(named(nodes, 'foreign program foreign'))
+    for i in (2, 3):
+        nodes.blocks.publish(blocks[i])
+    nodes.spin_until(lambda: nodes.peers.state.program_id == 'patchy')
+    nodes.spin_until(lambda: nodes.peers.state.completed)
+    state = nodes.next_state()
+    assert state.sequence == 3
+    assert_at_the_last_pose(state.positions)
+    assert nodes.run(text=PROGRAM).code == Result.SUCCEEDED

@@ -1,0 +1,198 @@
+"""Windowed streams over a line that loses, repeats and reorders."""
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cnc_interp.errors import StreamError
+from cnc_interp.nodes.streams import WindowedReceiver, WindowedSender
+
+RESEND = 0.5
+
+
+def receive(receiver, program, first, count=1, end=False):
+    """What an inlet does with a sound message; True when it was let in."""
+    try:
+        receiver.expect(program, first)
+    except StreamError:
+        return False
+    receiver.take(program, count, end)
+    return True
+
+
+def acknowledge(sender, receiver, now):
+    sender.acknowledge(receiver.program_id, receiver.next_number, receiver.limit, now)
+
+
+@pytest.mark.parametrize('count', [1, 7])
+def test_perfect_line_delivers_everything_within_the_window(count):
+    sender, receiver = WindowedSender(RESEND), WindowedReceiver('blocks', 20)
+    sender.begin('p')
+    for i in range(100):
+        sender.put(i, count)
+    got, now = [], 0.0
+    while len(got) < 100:
+        now += 0.01
+        for item in sender.due(now):
+            assert item.after <= receiver.consumed + 20 or item.first == 0
+            assert receive(receiver, 'p', item.first, item.count, item.item == 99)
+            got.append(item.item)
+            receiver.consume(item.count)
+        acknowledge(sender, receiver, now)
+    assert got == list(range(100))
+    assert sender.all_acknowledged and receiver.complete and sender.sent == 100 * count
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    loss=st.floats(0.0, 0.6),
+    repeat=st.floats(0.0, 0.5),
+    swap=st.floats(0.0, 0.5),
+    window=st.integers(1, 30),
+)
+def test_bad_line_still_delivers_each_item_once_and_in_order(seed, loss, repeat, swap, window):
+    line = random.Random(seed)
+    sender, receiver = WindowedSender(RESEND), WindowedReceiver('blocks', window)
+    sender.begin('p')
+    total, got, waiting, now = 60, [], [], 0.0
+    for i in range(total):
+        sender.put(i)
+    for _ in range(20_000):
+        now += 0.1
+        for item in sender.due(now):
+            assert item.first == 0 or item.first < receiver.consumed + window
+            if line.random() >= loss:
+                waiting.append(item)
+                if line.random() < repeat:
+                    waiting.append(item)
+        if len(waiting) > 1 and line.random() < swap:
+            i = line.randrange(len(waiting) - 1)
+            waiting[i], waiting[i + 1] = waiting[i + 1], waiting[i]
+        for item in waiting:
+            if receive(receiver, 'p', item.first, 1, item.first == total - 1):
+                got.append(item.item)
+        waiting = []
+        receiver.consumed = line.randint(receiver.consumed, len(got))
+        if line.random() >= loss:
+            acknowledge(sender, receiver, now)
+        if receiver.complete:
+            break
+    assert got == list(range(total))
+
+
+def test_nothing_goes_beyond_the_window_while_the_receiver_does_not_consume():
+    sender, receiver = WindowedSender(RESEND), WindowedReceiver('setpoints', 100)
+    sender.begin('p')
+    for i in range(50):
+        sender.put(i, 10)
+    sent = []
+    for now in range(20):
+        for item in sender.due(0.01 * now):
+            sent.append(item)
+            receive(receiver, 'p', item.first, 10)
+        acknowledge(sender, receiver, 0.01 * now)
+    assert [item.first for item in sent] == list(range(0, 100, 10))
+    receiver.consume(10)
+    acknowledge(sender, receiver, 1.0)
+    assert [item.first for item in sender.due(1.0)] == [100]
+
+
+def test_only_what_was_not_acknowledged_is_sent_again_and_only_after_a_while():
+    sender = WindowedSender(RESEND)
+    sender.begin('p')
+    for i in range(6):
+        sender.put(i)
+    assert [i.first for i in sender.due(0.0)] == [0]
+    sender.acknowledge('p', 1, 6, 0.1)
+    assert [i.first for i in sender.due(0.1)] == [1, 2, 3, 4, 5]
+    sender.acknowledge('p', 3, 6, 0.2)
+    assert sender.due(0.2 + 0.9 * RESEND) == []
+    assert [i.first for i in sender.due(0.21 + RESEND)] == [3, 4, 5]
+
+
+def test_a_busy_line_is_tried_again():
+    sender = WindowedSender(RESEND)
+    sender.begin('p')
+    sender.put('a')
+    assert len(sender.due(0.0)) == 1
+    sender.take_back(1)
+    assert len(sender.due(0.001)) == 1
+
+
+def test_words_about_another_program_or_from_the_future_are_ignored():
+    sender = WindowedSender(RESEND)
+    sender.begin('p')
+    sender.put(0)
+    sender.put(1)
+    sender.due(0.0)
+    sender.acknowledge('other', 1, 50, 0.0)
+    sender.acknowledge('p', 40, 50, 0.0)
+    assert sender.limit == 0 and sender.acknowledged == 0
+
+
+def test_dropping_unsent_items_frees_their_numbers():
+    sender = WindowedSender(RESEND)
+    sender.begin('p')
+    for i in range(10):
+        sender.put(i)
+    sender.due(0.0)
+    sender.acknowledge('p', 1, 4, 0.0)
+    sender.due(0.0)
+    sender.drop_unsent()
+    assert sender.next_number == sender.sent == 4
+    sender.put('end')
+    sender.acknowledge('p', 4, 9, 0.0)
+    assert [(i.first, i.item) for i in sender.due(0.0)] == [(4, 'end')]
+
+
+@pytest.mark.parametrize(
+    ('program', 'first', 'word'),
+    [
+        ('p', 5, 'gap'),
+        ('p', 2, 'repeat'),
+        ('other', 0, 'foreign'),
+        ('other', 3, 'foreign'),
+        ('', 3, 'no program id'),
+    ],
+)
+def test_receiver_names_what_is_wrong_and_stays_as_it_was(program, first, word):
+    receiver = WindowedReceiver('blocks', 10)
+    for i in range(3):
+        receive(receiver, 'p', i)
+    with pytest.raises(StreamError, match=word):
+        receiver.expect(program, first)
+    assert (receiver.program_id, receiver.next_number) == ('p', 3)
+    assert receive(receiver, 'p', 3)
+
+
+def test_a_program_begins_with_its_first_item_only():
+    receiver = WindowedReceiver('blocks', 10)
+    with pytest.raises(StreamError, match='unknown program'):
+        receiver.expect('p', 4)
+    assert receive(receiver, 'p', 0, end=True)
+    with pytest.raises(StreamError, match='after the end'):
+        receiver.expect('p', 1)
+    assert receive(receiver, 'q', 0)
+    assert (receiver.next_number, receiver.consumed, receiver.complete) == (1, 0, False)
+
+
+def test_old_programs_never_come_back():
+    receiver = WindowedReceiver('blocks', 10)
+    for program in ('p', 'q', 'r'):
+        assert receive(receiver, program, 0, end=True)
+    with pytest.raises(StreamError, match='old program'):
+        receiver.expect('p', 0)
+
+
+def test_after_a_refusal_nothing_of_the_program_gets_in_but_another_may_begin():
+    receiver = WindowedReceiver('blocks', 10)
+    receive(receiver, 'p', 0)
+    receiver.refuse('p', 'the tool axis has length 2')
+    with pytest.raises(StreamError, match='length 2'):
+        receiver.expect('p', 1)
+    assert receiver.limit == 1
+    assert receive(receiver, 'q', 0)
+    assert receiver.refusal == ''

@@ -106,34 +106,38 @@ def top_bound(height, rates, outer, bottom, top, connection):  # type: ignore[no
     Bound the distance of every top point p + h o of a corner from the programmed top locus [m].
 
     On each half only one control point lies off that half's leg, with a weight of at most
-    B_33(0.5) = 1/4 (A.2). Let T and D = T - p be spline and tool vector, T' and D' those of the
-    foot on the leg. Then p + h D/|D| lies off p' + h D'/|D'| by at most
+    B_33(0.5) = 1/4 (A.2). Let p and D be tip and tool vector, p' and D' those of the foot on the
+    leg, and o' the direction of D'. Normalising takes away the part of d = D - D' along o':
 
-        |T - T'| + |D - D'| (h/|D'| - 1) + h/|D'| ||D| - |D'||,
+        |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + (h/|D'| - 1) |d| + 2.3 |d|^2/h
 
-    and ||D| - |D'|| <= |(D - D') . D'|/|D'| + |D - D'|^2 / (2 |D'|). The leg is a chord of the
-    programmed arc; its direction runs ahead of the arc by less than 0.02 angle^3. The connection
-    E adds its largest control point to each term.
+    for |d| < h/4. Between the ends of the leg o' turns by ``angle``, which moves the projection by
+    at most |d| angle. The leg is a chord of the programmed arc, and its direction runs ahead of
+    the arc's by less than 0.02 angle^3. The connection E adds to d, at most its control points.
     """
     largest = added = 0.0
     for i in range(1, connection.shape[0] - 1):
         added = max(added, norm(connection[i]))
     for side in range(2):
         end, mid, far = 4 * side, 1 + 2 * side, 3 - 2 * side
-        leg, own, other = top[end] - top[2], top[mid] - top[2], top[far] - top[2]
-        tool = other - (bottom[far] - bottom[2])
-        end_tool, corner_tool = top[end] - bottom[end], top[2] - bottom[2]
+        leg, own, off = top[end] - top[2], top[mid] - top[2], top[far] - top[2]
+        off_tip = bottom[far] - bottom[2]
         square = (leg**2).sum()
         if square > 0.0:  # nearest point of the leg; at u = 0.5 it must not pass the corner
-            foot = max((other * leg).sum() / square, -norm(own) / sqrt(square))
-            other = other - foot * leg
-            tool = tool - foot * (end_tool - corner_tool)
+            foot = max((off * leg).sum() / square, -norm(own) / sqrt(square))
+            off = off - foot * leg
+            off_tip = off_tip - foot * (bottom[end] - bottom[2])
+        off_tool = off - off_tip
+        away = 0.0
+        for k in (end, 2):
+            tool = (top[k] - bottom[k]) / height
+            across = 0.0
+            for i in range(1, connection.shape[0] - 1):
+                across = max(across, norm(connection[i] - (connection[i] * tool).sum() * tool))
+            away = max(away, 0.25 * norm(off - (off_tool * tool).sum() * tool) + across)
         angle = norm(rates[side]) * outer[side]
-        grow = 1.0 / cos(0.5 * angle)
-        gap = 0.25 * norm(tool) + added
-        along = max(abs((tool * end_tool).sum()), abs((tool * corner_tool).sum())) / height
-        radial = grow * (0.25 * along + added) + 0.5 * grow * gap * gap / height
-        away = 0.25 * norm(other) + added + (grow - 1.0) * gap + grow * radial
+        gap = 0.25 * norm(off_tool) + added
+        away += gap * (angle + 1.0 / cos(0.5 * angle) - 1.0 + 2.3 * gap / height)
         largest = max(largest, away + 0.02 * height * angle**3)
     return largest
 

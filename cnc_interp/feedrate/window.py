@@ -107,6 +107,17 @@ def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
     return 0
 
 
+def refuse_unsound(path: AxisPath) -> None:
+    """Refuse a path that is not finite, does not advance, or has no feed; names the block."""
+    sound = np.isfinite(path.cell_left).all(axis=(0, 2)) & (path.cell_feed > 0.0)
+    sound &= np.isfinite(path.cell_right).all(axis=(0, 2)) & (np.diff(path.s) > 0.0)
+    if not sound.all():
+        block = int(path.cell_block[np.argmin(sound)])
+        raise PlanningError(
+            f'block {block} has no finite path with a positive feed: check its coordinates and F'
+        )
+
+
 class FeedPlanner:
     """
     Plan the motion along a path that arrives in parts.
@@ -148,9 +159,10 @@ class FeedPlanner:
         Raises
         ------
         PlanningError
-            If there is no law within the limits at all.
+            If the path is not finite, or there is no law within the limits at all.
 
         """
+        refuse_unsound(path)
         self._path = path if self._path is None else AxisPath.join([self._path, path])
         return self._plan_windows(finished=False)
 

@@ -1,0 +1,246 @@
+"""The feed planner against ruckig, against itself, and against its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from feedrate_paths import (
+    XYZAC,
+    Limits,
+    first_axes,
+    line_path,
+    polyline_path,
+    random_polyline,
+    sampled_ratios,
+    scaled,
+)
+
+from cnc_interp.errors import PlanningError
+from cnc_interp.feedrate.jerk_stage import PlanOptions, plan
+from cnc_interp.feedrate.limits import limit_table
+from cnc_interp.feedrate.toppra_stage import ceiling
+from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
+from cnc_interp.kinematics.axis_path import AxisPath, cut
+
+ruckig = pytest.importorskip('ruckig')
+
+CORNER = np.array([[0, 0, 0], [0.03, 0, 0], [0.03, 0.02, 0], [0.05, 0.02, 0.01]], dtype=float)
+
+
+def stroke_time(length: float, feed: float) -> float:
+    """Time of the time-optimal rest-to-rest stroke of the X axis."""
+    inp, out = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    inp.current_position, inp.target_position = [0.0], [length]
+    inp.max_velocity = [min(feed, XYZAC.max_velocity[0])]
+    inp.max_acceleration, inp.max_jerk = [XYZAC.max_acceleration[0]], [XYZAC.max_jerk[0]]
+    ruckig.Ruckig(1).calculate(inp, out)
+    return float(out.duration)
+
+
+def assert_within_limits(piece: PlannedPiece, limits: Limits, most: float = 1.0005) -> None:
+    assert sampled_ratios(piece.path, piece.law, limits).max() <= most
+
+
+def spiral(blocks: int, noise: float = 0.0) -> AxisPath:
+    """Blocks of 0.5 mm along a circle, with as much noise as asked."""
+    angle = np.arange(blocks) * 0.5e-3 / 0.03
+    points = np.column_stack([0.03 * np.cos(angle), 0.03 * np.sin(angle), 1e-3 * angle])
+    points += noise * np.random.default_rng(1).normal(size=points.shape)
+    return polyline_path(points, 0.05, cells=4, tolerance=1e-5, amplitude=0.5)
+
+
+@pytest.mark.parametrize('length', [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0])
+@pytest.mark.parametrize('feed', [np.inf, 0.05, 0.001])
+@pytest.mark.parametrize('cells', [1, 7])
+def test_strokes_take_the_time_of_ruckig(length, feed, cells):
+    if length / feed > 20:
+        pytest.skip('cruise only')
+    piece = plan_path(line_path(length, feed, cells), XYZAC)
+    best = stroke_time(length, feed)
+    assert best * (1 - 1e-6) <= piece.law.end_time <= best * 1.002
+    assert_within_limits(piece, XYZAC)
+
+
+def test_slow_feed_on_a_short_stroke():
+    """A window of the slow cruise once consisted of nothing but ramps."""
+    piece = plan_path(line_path(1e-5, 1e-5), XYZAC)
+    assert piece.law.end_time <= 1.002 * stroke_time(1e-5, 1e-5)
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_random_corners_keep_all_limits(seed):
+    rng = np.random.default_rng(seed)
+    points = random_polyline(rng, int(rng.integers(2, 9)))
+    feed = 10 ** rng.uniform(-3, -0.5, len(points) - 1) if seed % 3 == 0 else np.inf
+    n_axes = 3 if seed % 4 == 3 else 5
+    limits = first_axes(XYZAC, n_axes)
+    path = polyline_path(
+        points, feed, cells=int(rng.integers(4, 12)), n_axes=n_axes, amplitude=rng.uniform(0, 1)
+    )
+    piece = plan_path(path, limits)
+    assert_within_limits(piece, limits)
+    assert np.all(np.diff(piece.law.time) > 0)
+    t = np.arange(0, piece.law.end_time, 2e-3)
+    _, s_dot, _, _ = piece.law.evaluate(t)
+    feed_there = piece.path.cell_feed[piece.law.cell[piece.law.piece_at(t)]]
+    assert np.all(s_dot <= feed_there * (1 + 1e-5))
+
+
+def test_feed_steps_up_and_down_are_obeyed_at_the_border():
+    feed = np.array([0.05, 0.0005, 0.08])
+    path = polyline_path(CORNER, feed, amplitude=0.0)
+    piece = plan_path(path, XYZAC)
+    assert_within_limits(piece, XYZAC)
+    ends = np.append(piece.law.s_dot[1:], 0.0)
+    assert np.all(np.maximum(piece.law.s_dot, ends) <= piece.path.cell_feed * (1 + 1e-5))
+
+
+def test_inner_stops_are_rests():
+    path = polyline_path(CORNER, 0.05, stops=(1, 2))
+    piece = plan_path(path, XYZAC)
+    assert_within_limits(piece, XYZAC)
+    at = np.searchsorted(piece.law.s, path.s[np.flatnonzero(path.stop)[1:-1]])
+    np.testing.assert_array_equal(piece.law.s_dot[at], 0.0)
+    np.testing.assert_array_equal(piece.law.s_ddot[at], 0.0)
+
+
+def test_axes_that_never_move_and_rotary_only_moves():
+    path = line_path(0.05, 0.05)
+    left, right = path.cell_left.copy(), path.cell_right.copy()
+    left[:, :, 4], right[:, :, 4] = left[:, :, 0] / 0.03, right[:, :, 0] / 0.03
+    left[:, :, 0] = right[:, :, 0] = 0.0
+    turn = AxisPath(
+        path.s.copy(), left, right, path.tip.copy(), path.axis.copy(),
+        np.full(len(path.s) - 1, np.inf), path.cell_block.copy(), path.stop.copy(),
+    )  # fmt: skip
+    piece = plan_path(turn, XYZAC)
+    assert_within_limits(piece, XYZAC)
+    assert sampled_ratios(piece.path, piece.law, XYZAC)[2, 4] > 0.9
+
+
+def test_cells_of_every_length():
+    points = np.zeros((9, 3))
+    points[:, 0] = np.cumsum([0, 1e-7, 0.1, 3e-9, 1e-6, 2e-8, 1e-3, 5e-8, 0.05])
+    piece = plan_path(polyline_path(points, 0.05, amplitude=0.0), XYZAC)
+    assert_within_limits(piece, XYZAC)
+    whole = polyline_path(points[[0, -1]], 0.05, amplitude=0.0)
+    assert piece.law.end_time <= 1.001 * plan_path(whole, XYZAC).law.end_time
+
+
+def test_leftover_cells_of_nanometres_between_corners():
+    """Noise of 2 um on dense blocks leaves cells of 1e-9 m; the planner once gave up there."""
+    piece = plan_path(spiral(120, 2e-6), XYZAC)
+    assert_within_limits(piece, XYZAC)
+    assert np.median(piece.law.s_dot) > 0.01
+
+
+@pytest.mark.parametrize('cells', [2, 5, 13])
+def test_a_line_cut_in_pieces_takes_the_same_time(cells):
+    once = plan_path(line_path(0.06, 0.1), XYZAC).law.end_time
+    assert np.isclose(plan_path(line_path(0.06, 0.1, cells), XYZAC).law.end_time, once, rtol=1e-3)
+
+
+@pytest.mark.parametrize('relaxed', [(1.5, 1, 1), (1, 1.5, 1), (1, 1, 1.5), (2, 2, 2)])
+def test_relaxing_limits_never_costs_time(relaxed):
+    path = polyline_path(CORNER)
+    strict = plan_path(path, XYZAC).law.end_time
+    assert plan_path(path, scaled(XYZAC, *relaxed)).law.end_time <= 1.001 * strict
+
+
+def test_some_limit_is_always_at_work():
+    piece = plan_path(polyline_path(CORNER, 0.05), XYZAC)
+    law, path = piece.law, piece.path
+    jets = path.cell_left[:, law.cell]
+    v, a, j = law.s_dot[:, None], law.s_ddot[:, None], law.jerk[:, None]
+    use = np.column_stack([
+        np.abs(jets[1] * v) / XYZAC.max_velocity,
+        np.abs(jets[2] * v**2 + jets[1] * a) / XYZAC.max_acceleration,
+        np.abs(jets[3] * v**3 + 3 * jets[2] * v * a + jets[1] * j) / XYZAC.max_jerk,
+        law.s_dot / path.cell_feed,
+    ])  # fmt: skip
+    busy = np.max(use, axis=1) > 0.95
+    assert np.sum(law.duration[busy]) > 0.9 * law.end_time
+
+
+def test_doubling_the_grid_gains_little():
+    for seed in (1, 2, 7):
+        path = polyline_path(random_polyline(np.random.default_rng(seed), 4), 0.08)
+        table = limit_table(XYZAC)
+        coarse, fine = plan(path, table), plan(path, table, options=PlanOptions().finer())
+        assert coarse is not None and fine is not None
+        assert coarse.duration.sum() <= 1.005 * fine.duration.sum()
+
+
+def test_toppra_is_a_ceiling():
+    path = plan_path(polyline_path(CORNER, 0.05), XYZAC).path
+    squared = ceiling(path, XYZAC)
+    stretch = plan(path, limit_table(XYZAC))
+    assert squared is not None and stretch is not None
+    on_grid = np.interp(path.s, stretch.path.s, stretch.v)
+    assert np.all(on_grid <= np.sqrt(squared) * 1.01 + 1e-6)
+
+
+def test_windows_lose_next_to_nothing():
+    path = spiral(300)
+    whole = plan(path, limit_table(XYZAC))
+    assert whole is not None
+    piece = plan_path(path, XYZAC)
+    assert_within_limits(piece, XYZAC)
+    assert piece.law.end_time <= 1.001 * whole.duration.sum()
+
+
+def test_the_same_bits_however_the_path_arrives():
+    path = spiral(250)
+    once = plan_path(path, XYZAC)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        at = np.unique(rng.integers(1, len(path.s) - 1, 40))
+        borders = [0, *at.tolist(), len(path.s) - 1]
+        planner = FeedPlanner(XYZAC)
+        pieces = []
+        for first, last in zip(borders[:-1], borders[1:], strict=True):
+            pieces += planner.push(cut(path, first, last))
+        pieces += planner.finish()
+        assert len(pieces) > 2
+        joined = PlannedPiece.join(pieces)
+        np.testing.assert_array_equal(joined.law.time, once.law.time)
+        np.testing.assert_array_equal(joined.law.jerk, once.law.jerk)
+        np.testing.assert_array_equal(joined.path.s, once.path.s)
+
+
+def test_a_window_that_fails_is_driven_to_the_older_plans_stop(monkeypatch):
+    from cnc_interp.feedrate import window
+
+    calls = []
+
+    def failing(path, table, start, options, kept):
+        calls.append(start)
+        return None if start[0] > 0 else plan(path, table, start, options, kept)
+
+    monkeypatch.setattr(window, 'plan', failing)
+    piece = plan_path(spiral(200), XYZAC)
+    assert any(start[0] > 0 for start in calls)
+    assert_within_limits(piece, XYZAC)
+    assert piece.law.s_dot[0] == 0.0
+
+
+def spoiled(path: AxisPath, what: str) -> AxisPath:
+    """Spoil one cell of a path, and count its blocks from 7."""
+    left, feed, s = path.cell_left.copy(), path.cell_feed.copy(), path.s.copy()
+    if what == 'jet':
+        left[3, 3, 0] = np.nan
+    elif what == 'feed':
+        feed[3] = 0.0
+    else:
+        s[4] = s[3]
+    return AxisPath(
+        s, left, path.cell_right.copy(), path.tip.copy(), path.axis.copy(), feed,
+        path.cell_block.copy() + 7, path.stop.copy(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize('what', ['jet', 'feed', 'length'])
+def test_an_unsound_path_is_refused_with_its_block(what):
+    path = polyline_path(CORNER)
+    with pytest.raises(PlanningError, match=f'block {7 + path.cell_block[3]} '):
+        FeedPlanner(XYZAC).push(spoiled(path, what))

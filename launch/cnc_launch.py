@@ -1,68 +1,46 @@
-"""Start the four nodes of the interpolator; the lifecycle nodes come up configured and active."""
+"""Start the four nodes of the interpolator; they configure and activate themselves."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
-from launch.event_handlers import OnProcessStart
-from launch.events import matches_action
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, Node
-from launch_ros.event_handlers import OnStateTransition
-from launch_ros.events.lifecycle import ChangeState
-from lifecycle_msgs.msg import Transition
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+NODES = ('lookahead_node', 'feedrate_node', 'machine_node', 'program_node')
+
+PARAMETERS_FILE = PathJoinSubstitution([FindPackageShare('cnc_interp'), 'config', 'nodes.yaml'])
 
 ARGUMENTS = (
-    ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('machine', 'xyzac', 'Name of a bundled machine, or path of a machine file.'),
+    ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
+    ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('log_level', 'info', 'Least severe messages that are logged: debug, info, warn or error.'),
 )
 
-PLAIN_NODES = ('lookahead_node', 'program_node')
-LIFECYCLE_NODES = ('feedrate_node', 'machine_node')  # what moves axes
 
-COMMON = {
-    'package': 'cnc_interp',
-    'namespace': LaunchConfiguration('namespace'),
-    'output': 'screen',
-    'parameters': [
-        {
-            'machine': LaunchConfiguration('machine'),
-            'use_sim_time': LaunchConfiguration('use_sim_time'),
-        }
-    ],
-    'ros_arguments': ['--log-level', LaunchConfiguration('log_level')],
-}
-
-
-def request(node: LifecycleNode, transition: int) -> EmitEvent:
-    """Ask a lifecycle node for a transition."""
-    return EmitEvent(
-        event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition)
+def node(name: str) -> Node:
+    """Describe one node; the values of this launch win over those of the parameters file."""
+    values = {
+        'machine': ParameterValue(LaunchConfiguration('machine'), value_type=str),
+        'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool),
+    }
+    return Node(
+        package='cnc_interp',
+        executable=name,
+        name=name,
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('parameters_file'), values],
+        ros_arguments=['--log-level', LaunchConfiguration('log_level')],
+        output='screen',
     )
-
-
-def bring_up(node: LifecycleNode) -> list[RegisterEventHandler]:
-    """Configure a lifecycle node once it has started and activate it once it is configured."""
-    started = OnProcessStart(
-        target_action=node, on_start=[request(node, Transition.TRANSITION_CONFIGURE)]
-    )
-    configured = OnStateTransition(
-        target_lifecycle_node=node,
-        start_state='configuring',
-        goal_state='inactive',
-        entities=[request(node, Transition.TRANSITION_ACTIVATE)],
-    )
-    return [RegisterEventHandler(started), RegisterEventHandler(configured)]
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the arguments and the nodes."""
-    lifecycle = [LifecycleNode(name=n, executable=n, **COMMON) for n in LIFECYCLE_NODES]
-    return LaunchDescription(
-        [
-            *(DeclareLaunchArgument(n, default_value=v, description=t) for n, v, t in ARGUMENTS),
-            *(handler for node in lifecycle for handler in bring_up(node)),
-            *lifecycle,
-            *(Node(name=n, executable=n, **COMMON) for n in PLAIN_NODES),
-        ]
-    )
+    arguments = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, value, text in ARGUMENTS
+    ]
+    return LaunchDescription([*arguments, *(node(name) for name in NODES)])

@@ -140,6 +140,17 @@ def rotated(axis, sine, cosine, v):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline='always')
+def compose(a, f):  # type: ignore[no-untyped-def]
+    """Return a(f), with ``a`` the jet at f[0] in its own parameter."""
+    return (
+        a[0],
+        a[1] * f[1],
+        a[1] * f[2] + a[2] * f[1] * f[1],
+        a[1] * f[3] + 2.0 * a[2] * f[1] * f[2] + a[3] * f[1] ** 3,
+    )
+
+
+@njit(cache=True, inline='always')
 def by_arc_length(a, speed):  # type: ignore[no-untyped-def]
     """
     Turn a jet in u into (value, d/ds, d2/ds2, d3/ds3), with ``speed`` the jet of ds/du.

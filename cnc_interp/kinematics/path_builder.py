@@ -24,18 +24,29 @@ from cnc_interp.kinematics.sampling import (
     shapes_of,
 )
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 from cnc_interp.smoothing.orientation import turned_by
-from cnc_interp.smoothing.segments import CORNER, ROTATION, PathSegments
-from cnc_interp.units import DEG, MM
+from cnc_interp.smoothing.segments import CORNER, ROTATION, PathSegments, corner_breaks
+from cnc_interp.units import DEG, MM, MS
 
 #: Parameters between the cells of a corner and of a line, before refinement.
 CORNER_GRID = np.linspace(0.0, 1.0, 13)
 LINE_GRID = np.array([0.0, 0.5, 1.0])
 #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_ANGLE = 1e-8
+#: A kink of the path shows as jerk over this period [s]; more than this share of the limit counts.
+KINK_PERIOD, KINK_JERK = 1.0 * MS, 0.02
 #: A great circle whose normal is this perpendicular to the pole runs through it [-].
 IN_PLANE = 1e-10
+
+
+def corner_grid(parametrization: FloatArray) -> FloatArray:
+    """Return the first parameters of a corner's cells, its breaks among them."""
+    if not len(parametrization):
+        return CORNER_GRID
+    breaks = corner_breaks(parametrization)
+    apart = np.abs(CORNER_GRID[:, None] - breaks).min(axis=1) > 1e-3
+    return np.asarray(np.unique(np.concatenate([breaks, CORNER_GRID[apart]])))
 
 
 @dataclass
@@ -81,6 +92,7 @@ class AxisPathBuilder:
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
         self._s = 0.0
         self._stopped = True
+        self._end: tuple[FloatArray, FloatArray] | None = None
 
     def start(self, axis: FloatArray, rotary: FloatArray, line_number: int = 0) -> FloatArray:
         """
@@ -226,9 +238,10 @@ class AxisPathBuilder:
             len(self.machine.axis_names),
             kind,
             shapes[i],
+            segments.parametrization[i],
             segments.length[i],
             motion,
-            CORNER_GRID if kind == CORNER else LINE_GRID,
+            corner_grid(segments.parametrization[i]) if kind == CORNER else LINE_GRID,
         )
         if status != FINE:
             self._refuse_orientation(status, line)
@@ -248,17 +261,40 @@ class AxisPathBuilder:
         stop = np.zeros(len(s), dtype=bool)
         stop[0] = self._stopped
         stop[np.cumsum([len(part.steps) for part in parts])] = [part.stop for part in parts]
+        left = np.concatenate([part.left for part in parts], axis=1)
+        right = np.concatenate([part.right for part in parts], axis=1)
+        feed = np.concatenate([part.feed for part in parts])
+        before, self._end = self._end, (right[:, -1:], feed[-1:])
+        if before is not None:
+            stop[0] |= self._kinks(*before, left[:, :1], feed[:1])[0]
+        stop[1:-1] |= self._kinks(right[:, :-1], feed[:-1], left[:, 1:], feed[1:])
         self._s, self._stopped = float(s[-1]), bool(stop[-1])
         return AxisPath(
             s=s,
-            cell_left=np.concatenate([part.left for part in parts], axis=1),
-            cell_right=np.concatenate([part.right for part in parts], axis=1),
+            cell_left=left,
+            cell_right=right,
             tip=np.concatenate([parts[0].tips[:1]] + [part.tips[1:] for part in parts]),
             axis=np.concatenate([parts[0].tools[:1]] + [part.tools[1:] for part in parts]),
-            cell_feed=np.concatenate([part.feed for part in parts]),
+            cell_feed=feed,
             cell_block=np.concatenate([part.block for part in parts]),
             stop=stop,
         )
+
+    def _kinks(
+        self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray
+    ) -> BoolArray:
+        """
+        Tell at which grid points q_s or q_ss jump so far that the tool must rest, shape (n,).
+
+        Within one period a jump of q_s at speed v is a jerk of |jump| v / T^2, one of q_ss a jerk
+        of |jump| v^2 / T. Exact corners jump by rounding only; ``linear`` and ``paper`` do not.
+        """
+        speed = np.minimum(feed_left, feed_right)[:, None]
+        speed = np.minimum(speed, self.machine.max_velocity / np.maximum(np.abs(left[1]), 1e-12))
+        speed = speed.min(axis=1, keepdims=True)
+        jerk = np.abs(right[1] - left[1]) * speed / KINK_PERIOD**2
+        jerk += np.abs(right[2] - left[2]) * speed**2 / KINK_PERIOD
+        return np.asarray((jerk > KINK_JERK * self.machine.max_jerk).any(axis=1))
 
     def _branch_at(self, rotary: FloatArray) -> float:
         """Return the branch on which rotary positions lie."""

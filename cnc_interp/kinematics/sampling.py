@@ -24,6 +24,7 @@ from cnc_interp.smoothing.segments import (
     corner_jets,
     great_circle_jets,
     line_jets,
+    spline_component,
 )
 
 #: Septic and exact axes agree to this inside a cell [m or rad],
@@ -59,7 +60,7 @@ def shapes_of(segments: PathSegments) -> FloatArray:
 
 
 @njit(cache=True)
-def sample(packed, kind, shape, length, rotary, u, late):  # type: ignore[no-untyped-def]
+def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
     """
     Return the axes at one point of a segment.
 
@@ -69,16 +70,16 @@ def sample(packed, kind, shape, length, rotary, u, late):  # type: ignore[no-unt
         Geometry of the machine.
     kind, length : int, float
         Kind of the segment, and its length unless it is a corner [m].
-    shape : ndarray, shape (18, 3)
-        Its geometry.
+    shape, f : ndarray, shapes (m, 3) and (spans, 8)
+        Its geometry, and the parametrization of corners.
     rotary : ndarray, shape (5,)
         Rotary axes: with branch 0 they run linearly in u from the given positions at the given
         rates; otherwise they follow from the tool axis, on that branch and at the whole turns
         nearest to the given positions [rad].
     u : float
         Parameter in [0, 1].
-    late : bool
-        Which side of u = 0.5 to take.
+    inside : float
+        A parameter inside the cell that u belongs to, where u lies on a break.
 
     Returns
     -------
@@ -91,7 +92,7 @@ def sample(packed, kind, shape, length, rotary, u, late):  # type: ignore[no-unt
 
     """
     if kind == CORNER:
-        p, o = corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u, late)
+        p, o = corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
         dx = (p[0][1], 2.0 * p[0][2], 3.0 * p[0][3], 0.0)
         dy = (p[1][1], 2.0 * p[1][2], 3.0 * p[1][3], 0.0)
         dz = (p[2][1], 2.0 * p[2][2], 3.0 * p[2][3], 0.0)
@@ -131,8 +132,10 @@ def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(_GAUSS.shape[1]):
         u = 0.5 * (a + b) + 0.5 * (b - a) * _GAUSS[0, i]
-        p, _ = corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u, late)
-        total += _GAUSS[1, i] * sqrt(p[0][1] ** 2 + p[1][1] ** 2 + p[2][1] ** 2)
+        dx = spline_component(shape[BOTTOM], 0, u, late)[1]
+        dy = spline_component(shape[BOTTOM], 1, u, late)[1]
+        dz = spline_component(shape[BOTTOM], 2, u, late)[1]
+        total += _GAUSS[1, i] * sqrt(dx * dx + dy * dy + dz * dz)
     return 0.5 * (b - a) * total
 
 
@@ -152,20 +155,20 @@ def septic_fits(left, right, h, x, exact, n_axes):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def sample_segment(packed, cone_sine, n_axes, kind, shape, length, rotary, grid):  # type: ignore[no-untyped-def]
+def sample_segment(packed, cone_sine, n_axes, kind, shape, f, length, rotary, grid):  # type: ignore[no-untyped-def]
     """
     Cut one segment into cells.
 
     Parameters
     ----------
-    packed, kind, shape, length, rotary
+    packed, kind, shape, f, length, rotary
         As in ``sample``; on return ``rotary`` holds the positions at the end of the segment.
     cone_sine : float
         Sine of the singular cone [-].
     n_axes : int
         3 or 5.
     grid : ndarray
-        First parameters to use, from 0 to 1; 0.5 among them for corners.
+        First parameters to use, from 0 to 1, all breaks among them.
 
     Returns
     -------
@@ -189,22 +192,22 @@ def sample_segment(packed, cone_sine, n_axes, kind, shape, length, rotary, grid)
     ends[:waiting] = grid[:0:-1]
     free = rotary[BRANCH] != 0.0
     least = cone_sine * cone_sine
-    count, early, a = 0, 0, 0.0
-    q_a, tips[0], tools[0], sine = sample(packed, kind, shape, length, rotary, a, False)
+    count, early, a, fresh = 0, 0, 0.0, False
+    q_a, tips[0], tools[0], sine = sample(packed, kind, shape, f, length, rotary, 0.0, 0.0)
     while waiting > 0 and sine >= least:
         b = ends[waiting - 1]
         middle = 0.5 * (a + b)
-        late = middle > 0.5
-        if a == 0.5:
-            q_a = sample(packed, kind, shape, length, rotary, a, True)[0]
+        if fresh:  # on a break the left end is another one than the last right end
+            q_a = sample(packed, kind, shape, f, length, rotary, a, middle)[0]
+            fresh = False
         if free:  # whole turns follow the left end of the cell
             rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
-        q_m, _, _, sine = sample(packed, kind, shape, length, rotary, middle, late)
+        q_m, _, _, sine = sample(packed, kind, shape, f, length, rotary, middle, middle)
         if sine < least:
             break
         if free:
             rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
-        q_b, tip, tool, sine = sample(packed, kind, shape, length, rotary, b, late)
+        q_b, tip, tool, sine = sample(packed, kind, shape, f, length, rotary, b, middle)
         h = arc_length(kind, shape, length, a, b)
         half = arc_length(kind, shape, length, a, middle)
         room = count + waiting < MOST_CELLS - 1
@@ -216,10 +219,10 @@ def sample_segment(packed, cone_sine, n_axes, kind, shape, length, rotary, grid)
         steps[count] = h
         left[:, count], right[:, count] = q_a[:, :n_axes], q_b[:, :n_axes]
         count += 1
-        if not late:
+        if b <= 0.5:
             early = count
         tips[count], tools[count] = tip, tool
-        a, q_a = b, q_b
+        a, q_a, fresh = b, q_b, kind == CORNER and b in grid
     status = FINE if sine >= least else (UNREACHABLE if sine < 0.0 else SINGULAR)
     rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
     return (

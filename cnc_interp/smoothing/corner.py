@@ -4,106 +4,256 @@ The 5-axis corner: two cubic B-splines within contour and orientation tolerance 
 Bottom polygon: P2 the programmed corner, P1 and P3 at L1 from it, P0 and P4 at L2 on the two
 lines. The largest deviation is that of the middle, |C(0.5) - P2| = |L1 (v + w)| / 4 (Eq. 3, A.3).
 
-Top polygon: P12 = P2 + h o; P10 and P14 lie on the programmed axis at entry and exit. Its inner
-points divide the legs like those of the bottom polygon (*in step*), so u_top = u_bottom is right
-to first order; where the top then deviates by more than the orientation tolerance, L1 shrinks.
-The paper sets the inner points from the orientation tolerance alone and bends the parametrization.
+Top polygon: P12 = P2 + h o; P10 and P14 lie on the programmed axis at entry and exit. Two ways to
+place its inner points. ``in_step`` divides its legs like those of the bottom polygon, so that
+u_top = u_bottom is right to first order; where the top then deviates by more than the orientation
+tolerance, L1 shrinks. ``tolerance``, the paper's, sets them from the orientation tolerance alone.
+Everything is vectorised over corners.
 """
 
 from __future__ import annotations
 
-from math import cos, sqrt
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit
 
-from cnc_interp.smoothing.orientation import connect, turned_by
-from cnc_interp.smoothing.segments import corner_pose
+from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.smoothing.connection import connect
+from cnc_interp.smoothing.curves import Curves, poses
+from cnc_interp.smoothing.orientation import dot, norm, turned_by
 
 #: Parameters at which the axis is compared with the programmed one.
 PROBES = np.arange(1, 16) / 16.0
 #: Shortest ratio L2/L1 where the lines are too short for the tolerance.
 LEAST_RATIO = 1.5
+#: The same on top, where the inner points follow from the orientation tolerance alone.
+LEAST_TOP_RATIO = 1.4
 #: The tool axis turns at most this much on each side inside one corner [rad].
 LARGEST_TURN = 0.7
+#: A corner that uses its tolerance to this is not shrunk any more.
+USED_UP = 1.0 + 1e-9
 
 
-@njit(cache=True)
-def first_lengths(legs, lengths, turns, tolerance, ratio):  # type: ignore[no-untyped-def]
+@dataclass(frozen=True)
+class Corners:
     """
-    Return L1 and both L2 of a corner from the contour tolerance and the lengths of its lines.
+    What the program says about n corners.
 
     Parameters
     ----------
-    legs : ndarray, shape (2, 3)
+    tip, axis : ndarray, shape (n, 3)
+        Programmed corners [m] and tool axes there [-].
+    legs : ndarray, shape (n, 2, 3)
         Unit vectors from the corner along both lines [-].
-    lengths : ndarray, shape (2,)
-        Length of each line that the corner may use [m].
-    turns : ndarray, shape (2,)
-        Angle of the tool axis over that length [rad].
-    tolerance : float
-        Contour tolerance [m].
-    ratio : float
-        L2/L1 where there is room [-].
+    rates : ndarray, shape (n, 2, 3)
+        Rotation vector per metre of path on the lines before and after [rad/m].
+    tolerances : ndarray, shape (n, 2)
+        Contour and orientation tolerance [m].
 
     """
-    room = np.empty(2)
-    for side in range(2):
-        room[side] = lengths[side]
-        if turns[side] > LARGEST_TURN:
-            room[side] *= LARGEST_TURN / turns[side]
-    inner = min(room[0], room[1]) / LEAST_RATIO
-    bend = norm(legs[0] + legs[1])
-    if bend * inner > 4.0 * tolerance:
-        inner = 4.0 * tolerance / bend  # Eq. 3 and A.3
-    return inner, min(ratio * inner, room[0]), min(ratio * inner, room[1])
+
+    tip: FloatArray
+    axis: FloatArray
+    legs: FloatArray
+    rates: FloatArray
+    tolerances: FloatArray
+
+    def __getitem__(self, rows: IntArray) -> Corners:
+        """Take some of the corners."""
+        return Corners(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def axis_at(self, side: int, x: FloatArray) -> FloatArray:
+        """Return the programmed axis at x metres from the corner on one side, shape (n, 3)."""
+        return turned_by(self.axis, self.rates[:, side], x if side else -x)
 
 
-@njit(cache=True)
-def build(tip, axis, height, legs, rates, inner, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
+@dataclass(frozen=True)
+class Style:
     """
-    Fill the control points of a corner.
+    How corners are made.
 
     Parameters
     ----------
-    tip, axis : ndarray, shape (3,)
-        The programmed corner [m] and tool axis [-].
     height : float
         Flank height h [m].
-    legs : ndarray, shape (2, 3)
-        Unit vectors from the corner along both lines [-].
-    rates : ndarray, shape (2, 3)
-        Rotation vector per metre of path before and after [rad/m].
-    inner, outer : float and ndarray, shape (2,)
+    ratio : float
+        L2/L1 where there is room [-].
+    in_step : bool
+        How the top polygon is divided.
+    method : {'exact', 'linear', 'paper'}
+        How the orientation is connected.
+    septic : bool
+        Whether E is septic instead of quintic.
+
+    """
+
+    height: float
+    ratio: float
+    in_step: bool
+    method: str
+    septic: bool
+
+    def room(self, count: int) -> Curves:
+        """Return room for the curves of some corners."""
+        spans = {'paper': 7, 'linear': 0, 'exact': 0 if self.in_step else 1}[self.method]
+        return Curves.empty(count, 8 if self.septic else 6, spans)
+
+
+def first_lengths(
+    corners: Corners, lengths: FloatArray, style: Style
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Return L1, shape (n,), and both L2, shape (n, 2), from the contour tolerance and the room.
+
+    ``lengths`` says how much of each line a corner may use, shape (n, 2) [m].
+    """
+    turn = norm(corners.rates) * lengths
+    room = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
+    inner = room.min(axis=1) / LEAST_RATIO
+    bend = norm(corners.legs[:, 0] + corners.legs[:, 1])
+    allowed = 4.0 * corners.tolerances[:, 0]
+    bound = bend * inner > allowed
+    inner = np.where(bound, allowed / np.where(bound, bend, 1.0), inner)  # Eq. 3 and A.3
+    return inner, np.minimum(style.ratio * inner[:, None], room)
+
+
+def build(
+    corners: Corners, inner: FloatArray, outer: FloatArray, reach: FloatArray, style: Style
+) -> Curves:
+    """
+    Return the curves of corners.
+
+    Parameters
+    ----------
+    inner, outer : ndarray, shapes (n,) and (n, 2)
         L1 and both L2 [m].
-    bottom, top, connection : ndarray, shapes (5, 3), (5, 3), (6, 3)
-        Results [m].
+    reach : ndarray, shape (n,)
+        Deviation for which ``tolerance`` sets the inner points of the top polygon [m].
 
     """
-    axes = np.empty((2, 3))
-    axes[0] = turned_by(axis, rates[0], -outer[0])
-    axes[1] = turned_by(axis, rates[1], outer[1])
-    bottom[2] = tip
-    top[2] = tip + height * axis
-    for side in range(2):
-        end, mid = 4 * side, 1 + 2 * side
-        bottom[end] = tip + outer[side] * legs[side]
-        bottom[mid] = tip + inner * legs[side]
-        top[end] = bottom[end] + height * axes[side]
-        top[mid] = top[2] + (inner / outer[side]) * (top[end] - top[2])
-    connect(bottom, top, height, axes, rates, connection)
+    curves = style.room(len(inner))
+    bottom, top = curves.bottom, curves.top
+    axes = np.stack([corners.axis_at(side, outer[:, side]) for side in (0, 1)], axis=1)
+    bottom[:, 2] = corners.tip
+    top[:, 2] = corners.tip + style.height * corners.axis
+    for side in (0, 1):
+        leg = corners.legs[:, side]
+        bottom[:, 4 * side] = corners.tip + outer[:, side, None] * leg
+        bottom[:, 1 + 2 * side] = corners.tip + inner[:, None] * leg
+        top[:, 4 * side] = bottom[:, 4 * side] + style.height * axes[:, side]
+    shares = inner[:, None] / outer if style.in_step else top_shares(top, reach)
+    for side in (0, 1):
+        leg = top[:, 4 * side] - top[:, 2]
+        top[:, 1 + 2 * side] = top[:, 2] + shares[:, side, None] * leg
+    connect(curves, style.height, axes, corners.rates, style.method)
+    return curves
 
 
-@njit(cache=True)
-def norm(v):  # type: ignore[no-untyped-def]
-    """Return the length of a vector, shape (3,)."""
-    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+def top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
+    """Return where the paper's inner top points divide the legs, shape (n, 2): Eq. 3 on top."""
+    legs = top[:, [0, 4]] - top[:, 2:3]
+    lengths = np.maximum(norm(legs), 1e-300)
+    inner = lengths.min(axis=1) / LEAST_TOP_RATIO
+    unit = legs / lengths[..., None]
+    bend = norm(unit[:, 0] + unit[:, 1])
+    bound = bend * inner > 4.0 * reach
+    inner = np.where(bound, 4.0 * reach / np.where(bound, bend, 1.0), inner)
+    return np.asarray(inner[:, None] / lengths)
 
 
-@njit(cache=True)
-def top_bound(height, rates, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
+def fit(
+    corners: Corners, inner: FloatArray, outer: FloatArray, style: Style, free_ends: bool
+) -> tuple[FloatArray, FloatArray, Curves, FloatArray]:
     """
-    Bound the distance of every top point p + h o of a corner from the programmed top locus [m].
+    Build corners and shrink them until both tolerances hold.
+
+    Parameters
+    ----------
+    corners : Corners
+        The corners.
+    inner, outer : ndarray, shapes (n,) and (n, 2)
+        L1 and both L2 to begin with [m].
+    style : Style
+        How corners are made.
+    free_ends : bool
+        Whether L2 shrinks with L1, or the ends must stay where they are.
+
+    Returns
+    -------
+    inner, outer : ndarray
+        As reached.
+    curves : Curves
+        The corners.
+    deviation : ndarray, shape (n, 2)
+        Contour and orientation deviation [m].
+
+    """
+    inner, outer = inner.copy(), outer.copy()
+    reach = corners.tolerances[:, 1].copy()
+    curves, deviation = style.room(len(inner)), np.zeros((len(inner), 2))
+    rows = np.arange(len(inner))
+    for _ in range(30):
+        some = corners[rows]
+        built = build(some, inner[rows], outer[rows], reach[rows], style)
+        curves.put(rows, built)
+        deviation[rows] = deviations(some, outer[rows], built, style)
+        excess = (deviation[rows] / some.tolerances).max(axis=1)
+        too_large = excess > USED_UP
+        rows = rows[too_large]
+        if not len(rows):
+            break
+        shrink = np.clip(0.998 / excess[too_large], 0.05, 0.995)
+        inner[rows] *= shrink
+        reach[rows] *= shrink
+        if free_ends:
+            outer[rows] = np.minimum(outer[rows], style.ratio * inner[rows, None])
+    return inner, outer, curves, deviation
+
+
+def deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Style) -> FloatArray:
+    """
+    Return contour and orientation deviation of corners, shape (n, 2) [m].
+
+    The contour deviation is the distance of the middle from the programmed corner (Eq. 3), the
+    largest there is in either direction. The orientation deviation, at flank height, is the
+    largest of three: the same distance on top; the distance from the programmed top locus, as a
+    bound for ``in_step`` with f(u) = u, else as measured; and the change of the axis against the
+    programmed one at the tip's nearest point.
+    """
+    point, tool = poses(curves, 0.5)
+    contour = norm(point - corners.tip)
+    missed = norm(point + style.height * tool - curves.top[:, 2])
+    bounded = style.in_step and curves.parametrization.shape[1] == 0
+    away = top_bound(corners, outer, curves, style.height) if bounded else np.zeros(len(contour))
+    swing = np.zeros(len(contour))
+    for u in PROBES:
+        point, tool = poses(curves, u)
+        side = 0 if u <= 0.5 else 1
+        x = dot(point - corners.tip, corners.legs[:, side]).clip(0.0, outer[:, side])
+        swing = np.maximum(swing, norm(tool - corners.axis_at(side, x)))
+        if not bounded:
+            top_point = point + style.height * tool
+            away = np.maximum(away, top_distance(corners, outer, curves, style.height, top_point))
+    return np.stack([contour, np.maximum(np.maximum(missed, away), style.height * swing)], axis=1)
+
+
+def top_distance(
+    corners: Corners, outer: FloatArray, curves: Curves, height: float, point: FloatArray
+) -> FloatArray:
+    """Return the distance of top points from the programmed top locus, shape (n,) [m]."""
+    nearest = np.full(len(point), np.inf)
+    for side in (0, 1):
+        leg = curves.top[:, 4 * side] - curves.top[:, 2]
+        share = dot(point - curves.top[:, 2], leg) / np.maximum(dot(leg, leg), 1e-300)
+        x = share.clip(0.0, 1.0) * outer[:, side]
+        locus = corners.tip + x[:, None] * corners.legs[:, side]
+        nearest = np.minimum(nearest, norm(point - locus - height * corners.axis_at(side, x)))
+    return nearest
+
+
+def top_bound(corners: Corners, outer: FloatArray, curves: Curves, height: float) -> FloatArray:
+    """
+    Bound the distance of every top point p + h o of corners from the top locus, shape (n,) [m].
 
     On each half only one control point lies off that half's leg, with a weight of at most
     B_33(0.5) = 1/4 (A.2). Let p and D be tip and tool vector, p' and D' those of the foot on the
@@ -115,137 +265,26 @@ def top_bound(height, rates, outer, bottom, top, connection):  # type: ignore[no
     at most |d| angle. The leg is a chord of the programmed arc, and its direction runs ahead of
     the arc's by less than 0.02 angle^3. The connection E adds to d, at most its control points.
     """
-    largest = added = 0.0
-    for i in range(1, connection.shape[0] - 1):
-        added = max(added, norm(connection[i]))
-    for side in range(2):
+    bottom, top, inside = curves.bottom, curves.top, curves.connection[:, 1:-1]
+    largest = np.zeros(len(bottom))
+    added = norm(inside).max(axis=1)
+    for side in (0, 1):
         end, mid, far = 4 * side, 1 + 2 * side, 3 - 2 * side
-        leg, own, off = top[end] - top[2], top[mid] - top[2], top[far] - top[2]
-        off_tip = bottom[far] - bottom[2]
-        square = (leg**2).sum()
-        if square > 0.0:  # nearest point of the leg; at u = 0.5 it must not pass the corner
-            foot = max((off * leg).sum() / square, -norm(own) / sqrt(square))
-            off = off - foot * leg
-            off_tip = off_tip - foot * (bottom[end] - bottom[2])
-        off_tool = off - off_tip
-        away = 0.0
+        leg, own, off = (top[:, k] - top[:, 2] for k in (end, mid, far))
+        off_tip, tip_leg = bottom[:, far] - bottom[:, 2], bottom[:, end] - bottom[:, 2]
+        square = np.maximum(dot(leg, leg), 1e-300)
+        # nearest point of the leg; at u = 0.5 it must not pass the corner
+        foot = np.maximum(dot(off, leg) / square, -norm(own) / np.sqrt(square))[:, None]
+        off_tool = off - off_tip - foot * (leg - tip_leg)
+        off = off - foot * leg
+        away = np.zeros(len(bottom))
         for k in (end, 2):
-            tool = (top[k] - bottom[k]) / height
-            across = 0.0
-            for i in range(1, connection.shape[0] - 1):
-                across = max(across, norm(connection[i] - (connection[i] * tool).sum() * tool))
-            away = max(away, 0.25 * norm(off - (off_tool * tool).sum() * tool) + across)
-        angle = norm(rates[side]) * outer[side]
+            tool = (top[:, k] - bottom[:, k]) / height
+            across = inside - dot(inside, tool[:, None])[..., None] * tool[:, None]
+            plain = off - dot(off_tool, tool)[:, None] * tool
+            away = np.maximum(away, 0.25 * norm(plain) + norm(across).max(axis=1))
+        angle = norm(corners.rates[:, side]) * outer[:, side]
         gap = 0.25 * norm(off_tool) + added
-        away += gap * (angle + 1.0 / cos(0.5 * angle) - 1.0 + 2.3 * gap / height)
-        largest = max(largest, away + 0.02 * height * angle**3)
+        away += gap * (angle + 1.0 / np.cos(0.5 * angle) - 1.0 + 2.3 * gap / height)
+        largest = np.maximum(largest, away + 0.02 * height * angle**3)
     return largest
-
-
-@njit(cache=True)
-def swing(tip, axis, height, legs, rates, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
-    """Return the change of the axis against the programmed one at the tip's nearest point [m]."""
-    largest = 0.0
-    for u in PROBES:
-        point, tool = corner_pose(bottom, top, connection, u)
-        side = 0 if u <= 0.5 else 1
-        x = min(max(((point - tip) * legs[side]).sum(), 0.0), outer[side])
-        programmed = turned_by(axis, rates[side], x if side == 1 else -x)
-        largest = max(largest, height * norm(tool - programmed))
-    return largest
-
-
-@njit(cache=True)
-def deviations(tip, axis, height, legs, rates, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
-    """
-    Return the contour and the orientation deviation of a corner [m].
-
-    The contour deviation is the distance of the middle from the programmed corner (Eq. 3), the
-    largest there is in either direction. The orientation deviation, at flank height, is the
-    largest of three: the same distance on top, the bound of the distance from the programmed top
-    locus, and the change of the axis against the programmed one at the tip's nearest point.
-    """
-    point, tool = corner_pose(bottom, top, connection, 0.5)
-    contour = norm(point - tip)
-    missed = norm(point + height * tool - top[2])
-    away = top_bound(height, rates, outer, bottom, top, connection)
-    turned = swing(tip, axis, height, legs, rates, outer, bottom, top, connection)
-    return contour, max(missed, away, turned)
-
-
-@njit(cache=True)
-def fit(tip, axis, height, legs, rates, tolerances, inner, outer, bottom, top, connection):  # type: ignore[no-untyped-def]
-    """
-    Build a corner and shrink its L1 until both tolerances hold; ends stay where they are.
-
-    Returns
-    -------
-    inner, contour, orientation : float
-        L1 and the deviations reached [m].
-
-    """
-    contour = orientation = 0.0
-    for _ in range(30):
-        build(tip, axis, height, legs, rates, inner, outer, bottom, top, connection)
-        contour, orientation = deviations(
-            tip, axis, height, legs, rates, outer, bottom, top, connection
-        )
-        excess = max(contour / tolerances[0], orientation / tolerances[1])
-        if excess <= 1.0 + 1e-9:
-            break
-        inner *= min(0.995, max(0.25, 0.998 / excess))
-    return inner, contour, orientation
-
-
-@njit(cache=True)
-def size_corners(  # type: ignore[no-untyped-def]
-    tip, axis, height, legs, rates, lengths, turns, tolerances, ratio, inner, outer
-):
-    """
-    Choose L1 and both L2 of many corners, each on its own (first pass).
-
-    Parameters
-    ----------
-    tip, axis : ndarray, shape (n, 3)
-        Corners and tool axes.
-    height, ratio : float
-        Flank height [m] and L2/L1 [-].
-    legs, rates : ndarray, shape (n, 2, 3)
-        As in ``build``.
-    lengths, turns, tolerances : ndarray, shape (n, 2)
-        As in ``first_lengths``; contour and orientation tolerance [m].
-    inner, outer : ndarray, shapes (n,) and (n, 2)
-        Results [m].
-
-    """
-    bottom, top, connection = np.empty((5, 3)), np.empty((5, 3)), np.empty((6, 3))
-    for i in range(len(tip)):
-        l1, a, b = first_lengths(legs[i], lengths[i], turns[i], tolerances[i, 0], ratio)
-        outer[i, 0], outer[i, 1] = a, b
-        for _ in range(20):
-            build(
-                tip[i], axis[i], height, legs[i], rates[i], l1, outer[i], bottom, top, connection
-            )
-            contour, orientation = deviations(
-                tip[i], axis[i], height, legs[i], rates[i], outer[i], bottom, top, connection
-            )
-            excess = max(contour / tolerances[i, 0], orientation / tolerances[i, 1])
-            if excess <= 1.0 + 1e-9:
-                break
-            shrink = min(0.995, max(0.05, 0.998 / excess))
-            l1 *= shrink
-            outer[i, 0] = min(outer[i, 0], ratio * l1)
-            outer[i, 1] = min(outer[i, 1], ratio * l1)
-        inner[i] = l1
-
-
-@njit(cache=True)
-def fit_corners(  # type: ignore[no-untyped-def]
-    tip, axis, height, legs, rates, tolerances, inner, outer, bottom, top, connection, deviation
-):
-    """Build many corners whose ends are decided (second pass); arrays as in ``fit``."""
-    for i in range(len(tip)):
-        inner[i], deviation[i, 0], deviation[i, 1] = fit(
-            tip[i], axis[i], height, legs[i], rates[i], tolerances[i],
-            inner[i], outer[i], bottom[i], top[i], connection[i],
-        )  # fmt: skip

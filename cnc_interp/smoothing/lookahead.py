@@ -9,13 +9,21 @@ sized, because the line between them may be so short that both take what is left
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from cnc_interp.errors import BlockError
 from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray, IntArray
 from cnc_interp.smoothing import corner
-from cnc_interp.smoothing.orientation import angles_between, rotations_between, turned_by_each
+from cnc_interp.smoothing.corner import Corners, Style
+from cnc_interp.smoothing.orientation import (
+    angles_between,
+    dot,
+    norm,
+    rotations_between,
+    turned_by,
+)
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
 from cnc_interp.units import DEG, MM
 
@@ -37,6 +45,12 @@ class SmoothingOptions:
         Height h over the tip at which the orientation tolerance is measured [m].
     ratio : float
         L2/L1 of a corner where there is room [-].
+    parametrization : {'exact', 'linear', 'paper'}
+        How the orientation of a corner is connected to its lines; see ``connection.py``.
+    top : {'in_step', 'tolerance'}
+        How the inner points of the top polygon are placed; see ``corner.py``.
+    septic : bool
+        Continue the third derivative of the tool axis as well (``exact`` only).
     left_over : float
         A line shorter than this share of its block goes to the corners [-].
     sharpest_turn : float
@@ -50,10 +64,19 @@ class SmoothingOptions:
 
     flank_height: float = 30.0 * MM
     ratio: float = 2.0
+    parametrization: Literal['exact', 'linear', 'paper'] = 'exact'
+    top: Literal['in_step', 'tolerance'] = 'in_step'
+    septic: bool = False
     left_over: float = 0.05
     sharpest_turn: float = 165.0 * DEG
     pole: tuple[float, float, float] | None = None
     pole_cone: float = 0.02 * DEG
+
+    @property
+    def style(self) -> Style:
+        """Return what concerns the corners alone."""
+        in_step = self.top == 'in_step'
+        return Style(self.flank_height, self.ratio, in_step, self.parametrization, self.septic)
 
 
 @dataclass
@@ -64,18 +87,19 @@ class Legs:
     direction: FloatArray
     rotation: FloatArray
     turn: FloatArray
+    rate: FloatArray
     resting: BoolArray
 
     @staticmethod
     def of(blocks: Blocks) -> Legs:
         """Measure the blocks; row i leads from vertex i to vertex i + 1."""
         step = np.diff(blocks.tip, axis=0)
-        length = np.sqrt((step**2).sum(axis=1))
+        length = norm(step)
         resting = length < STANDSTILL
         direction = step / np.where(resting, 1.0, length)[:, None]
         rotation = rotations_between(blocks.axis[:-1], blocks.axis[1:])
-        turn = np.sqrt((rotation**2).sum(axis=1))
-        return Legs(length, direction, rotation, turn, resting)
+        rate = rotation / np.where(resting, 1.0, length)[:, None]
+        return Legs(length, direction, rotation, norm(rotation), rate, resting)
 
 
 class LookAhead:
@@ -91,6 +115,8 @@ class LookAhead:
 
     def __init__(self, options: SmoothingOptions | None = None):
         self.options = options or SmoothingOptions()
+        self._style = self.options.style
+        self._none = no_segments(self._style)
         self._blocks: Blocks | None = None
         self._row = 0  # row in the program of the first block kept
         self._outer_before = 0.0  # L2 of the corner at the first kept vertex, unstretched
@@ -127,7 +153,7 @@ class LookAhead:
         """Emit every block whose both end vertices are final."""
         blocks = self._blocks
         if blocks is None or len(blocks) < 2:
-            return EMPTY
+            return self._none
         legs = Legs.of(blocks)
         self._refuse_reversals(blocks, legs)
         vertex = self._classify(blocks, legs)
@@ -136,7 +162,7 @@ class LookAhead:
         # A vertex is final when its own corner is sized and its neighbour's too (left-overs).
         last = len(blocks) - 1 if final else len(blocks) - 3
         if last < 1:
-            return EMPTY
+            return self._none
         own_share = float(outer[last, 1])
         self._share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
         segments = self._emit(blocks, legs, vertex, inner, outer, last)
@@ -147,7 +173,7 @@ class LookAhead:
 
     def _refuse_reversals(self, blocks: Blocks, legs: Legs) -> None:
         """Refuse blocks whose orientations are antiparallel: their great circle is undefined."""
-        cosine = (blocks.axis[:-1] * blocks.axis[1:]).sum(axis=1)
+        cosine = dot(blocks.axis[:-1], blocks.axis[1:])
         programmed = np.isfinite(blocks.rotary[1:]).all(axis=1) & legs.resting
         bad = np.flatnonzero((cosine < -1.0 + 1e-12) & ~programmed)
         if len(bad):
@@ -162,11 +188,10 @@ class LookAhead:
         kind = np.full(len(blocks), STOP)
         before, after = slice(None, -1), slice(1, None)
         resting = legs.resting[before] | legs.resting[after]
-        cosine = (legs.direction[before] * legs.direction[after]).sum(axis=1)
+        cosine = dot(legs.direction[before], legs.direction[after])
         sharp = cosine < np.cos(self.options.sharpest_turn)
-        rate = legs.rotation / np.where(legs.resting, 1.0, legs.length)[:, None]
-        bend = np.sqrt((np.diff(legs.direction, axis=0) ** 2).sum(axis=1))
-        twist = np.sqrt((np.diff(rate, axis=0) ** 2).sum(axis=1)) * self.options.flank_height
+        bend = norm(np.diff(legs.direction, axis=0))
+        twist = norm(np.diff(legs.rate, axis=0)) * self.options.flank_height
         straight = (bend < STRAIGHT) & (twist < STRAIGHT)
         kind[1:-1] = np.where(straight, PASS, ROUND)
         at_pole = np.zeros(len(kind) - 2, dtype=bool)
@@ -180,40 +205,29 @@ class LookAhead:
         kind[1:-1][stop] = STOP
         return kind
 
-    def _rates(self, legs: Legs) -> FloatArray:
-        """Return the rotation vector per metre of each block [rad/m]."""
-        return np.asarray(legs.rotation / np.where(legs.resting, 1.0, legs.length)[:, None])
-
-    def _corner_inputs(
-        self, blocks: Blocks, legs: Legs, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return legs (n, 2, 3), rates (n, 2, 3) and tolerances (n, 2) of the corners at rows."""
-        rate = self._rates(legs)
-        sides = np.stack([-legs.direction[rows - 1], legs.direction[rows]], axis=1)
-        rates = np.stack([rate[rows - 1], rate[rows]], axis=1)
-        tolerances = np.stack(
-            [
-                np.minimum(column[rows], column[rows + 1])
-                for column in (blocks.contour_tolerance, blocks.orientation_tolerance)
-            ],
-            axis=1,
+    def _corners_at(self, blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
+        """Collect what the program says about the corners at some vertices."""
+        tolerances = [
+            np.minimum(column[rows], column[rows + 1])
+            for column in (blocks.contour_tolerance, blocks.orientation_tolerance)
+        ]
+        return Corners(
+            tip=blocks.tip[rows],
+            axis=blocks.axis[rows],
+            legs=np.stack([-legs.direction[rows - 1], legs.direction[rows]], axis=1),
+            rates=np.stack([legs.rate[rows - 1], legs.rate[rows]], axis=1),
+            tolerances=np.stack(tolerances, axis=1),
         )
-        return sides, rates, tolerances
 
     def _size(self, blocks: Blocks, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return L1, shape (n,), and both L2, shape (n, 2), of every vertex; 0 without corner."""
         inner, outer = np.zeros(len(blocks)), np.zeros((len(blocks), 2))
         rows = np.flatnonzero(vertex == ROUND)
         if len(rows):
-            sides, rates, tolerances = self._corner_inputs(blocks, legs, rows)
+            corners = self._corners_at(blocks, legs, rows)
             half = 0.5 * np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
-            turns = 0.5 * np.stack([legs.turn[rows - 1], legs.turn[rows]], axis=1)
-            l1, l2 = np.empty(len(rows)), np.empty((len(rows), 2))
-            corner.size_corners(
-                blocks.tip[rows], blocks.axis[rows], self.options.flank_height, sides, rates,
-                half, turns, tolerances, self.options.ratio, l1, l2,
-            )  # fmt: skip
-            inner[rows], outer[rows] = l1, l2
+            start = corner.first_lengths(corners, half, self._style)
+            inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, True)
         return inner, outer
 
     def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
@@ -266,7 +280,8 @@ class LookAhead:
         share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
         rotation = legs.rotation[:last]
         part = np.where(resting, 1.0, (end - start) / np.where(resting, 1.0, legs.length[:last]))
-        bottom = np.zeros((last, 5, 3))
+        curves = self._style.room(last)
+        bottom = curves.bottom
         bottom[:, 0] = blocks.tip[:last] + start[:, None] * legs.direction[:last]
         bottom[:, 1] = blocks.tip[:last] + end[:, None] * legs.direction[:last]
         from_corner, to_corner = outer[:last, 1] > 0.0, outer[1 : last + 1, 0] > 0.0
@@ -274,15 +289,16 @@ class LookAhead:
             (to_corner | resting)[:, None], bottom[:, 1], blocks.tip[1 : last + 1]
         )
         bottom[:, 0] = np.where(from_corner[:, None], bottom[:, 0], blocks.tip[:last])
-        axis = turned_by_each(blocks.axis[:last], rotation, share)
+        axis = turned_by(blocks.axis[:last], rotation, share)
         n = len(kept)
         feed = self._feed(blocks, legs, np.arange(last), swept)
         row = self._row + kept + 1
         return PathSegments(
             kind=np.where(resting, ROTATION, LINE)[kept],
             bottom=bottom[kept],
-            top=np.zeros((n, 5, 3)),
-            connection=np.zeros((n, 6, 3)),
+            top=curves.top[kept],
+            connection=curves.connection[kept],
+            parametrization=curves.parametrization[kept],
             axis=axis[kept],
             rotation=(rotation * part[:, None])[kept],
             rotary=np.where(programmed[:, None, None], rotary, np.nan)[kept],
@@ -312,22 +328,19 @@ class LookAhead:
         self, blocks: Blocks, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
     ) -> PathSegments:
         """Return the corners at the given vertices."""
-        sides, rates, tolerances = self._corner_inputs(blocks, legs, rows)
         n = len(rows)
-        bottom, top, connection = np.empty((n, 5, 3)), np.empty((n, 5, 3)), np.empty((n, 6, 3))
-        deviation = np.empty((n, 2))
-        l1 = inner[rows]
-        corner.fit_corners(
-            blocks.tip[rows], blocks.axis[rows], self.options.flank_height, sides, rates,
-            tolerances, l1, outer[rows], bottom, top, connection, deviation,
-        )  # fmt: skip
+        corners = self._corners_at(blocks, legs, rows)
+        _, _, curves, deviation = corner.fit(
+            corners, inner[rows], outer[rows], self._style, free_ends=False
+        )
         zero = np.zeros(n)
         return PathSegments(
             kind=np.full(n, CORNER),
-            bottom=bottom,
-            top=top,
-            connection=connection,
-            axis=(top[:, 0] - bottom[:, 0]) / self.options.flank_height,
+            bottom=curves.bottom,
+            top=curves.top,
+            connection=curves.connection,
+            parametrization=curves.parametrization,
+            axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.options.flank_height,
             rotation=np.zeros((n, 3)),
             rotary=np.full((n, 2, 2), np.nan),
             length=np.full(n, np.nan),
@@ -342,18 +355,22 @@ class LookAhead:
         )
 
 
-EMPTY = PathSegments(
-    kind=np.zeros(0, dtype=np.int64),
-    bottom=np.zeros((0, 5, 3)),
-    top=np.zeros((0, 5, 3)),
-    connection=np.zeros((0, 6, 3)),
-    axis=np.zeros((0, 3)),
-    rotation=np.zeros((0, 3)),
-    rotary=np.zeros((0, 2, 2)),
-    length=np.zeros(0),
-    feed=np.zeros((0, 2)),
-    block=np.zeros((0, 2), dtype=np.int64),
-    line_number=np.zeros(0, dtype=np.int64),
-    stop=np.zeros(0, dtype=bool),
-    deviation=np.zeros((0, 2)),
-)
+def no_segments(style: Style) -> PathSegments:
+    """Return an empty batch for a style of corners."""
+    curves = style.room(0)
+    return PathSegments(
+        kind=np.zeros(0, dtype=np.int64),
+        bottom=curves.bottom,
+        top=curves.top,
+        connection=curves.connection,
+        parametrization=curves.parametrization,
+        axis=np.zeros((0, 3)),
+        rotation=np.zeros((0, 3)),
+        rotary=np.zeros((0, 2, 2)),
+        length=np.zeros(0),
+        feed=np.zeros((0, 2)),
+        block=np.zeros((0, 2), dtype=np.int64),
+        line_number=np.zeros(0, dtype=np.int64),
+        stop=np.zeros(0, dtype=bool),
+        deviation=np.zeros((0, 2)),
+    )

@@ -22,8 +22,9 @@ class PathSegments:
     A ``LINE`` goes straight from ``bottom[0]`` to ``bottom[1]`` while the tool axis turns on a
     great circle at constant rate [B2013, Eq. 4]. A ``CORNER`` is the pair of cubic B-splines of
     [B2013, section 2.3] with knots (0 0 0 0 .5 1 1 1 1): the tip runs on ``bottom``, the tool
-    axis is the direction of ``top(u) + connection(u) - bottom(u)`` (Eq. 5 with the connection of
-    ``orientation.py``). A ``ROTATION`` turns the tool about the resting tip ``bottom[0]``.
+    axis is the direction of ``top(f(u)) + connection(u) - bottom(u)`` (Eq. 5 with parametrization
+    f and connection of ``connection.py``). A ``ROTATION`` turns the tool about the resting tip
+    ``bottom[0]``.
 
     Parameters
     ----------
@@ -33,6 +34,9 @@ class PathSegments:
         Control points of bottom and top curve [m]; lines use the first two (start and end).
     connection : ndarray, shape (n, m, 3)
         Bezier points over [0, 1] added to the top curve of a corner [m].
+    parametrization : ndarray, shape (n, spans, 8)
+        u_top = f(u) of corners, span by span: start of the span, then the seven Bezier values of
+        a sextic on it; no spans where f(u) = u everywhere [-].
     axis : ndarray, shape (n, 3)
         Unit tool axis at the start of the segment [-].
     rotation : ndarray, shape (n, 3)
@@ -58,6 +62,7 @@ class PathSegments:
     bottom: FloatArray
     top: FloatArray
     connection: FloatArray
+    parametrization: FloatArray
     axis: FloatArray
     rotation: FloatArray
     rotary: FloatArray
@@ -140,45 +145,72 @@ def bezier_component(points, i, u):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def corner_jets(bottom, top, connection, u, second_half):  # type: ignore[no-untyped-def]
-    """Return the vector jets, in u, of tool tip and tool axis of a corner [B2013, Eq. 5]."""
-    px = spline_component(bottom, 0, u, second_half)
-    py = spline_component(bottom, 1, u, second_half)
-    pz = spline_component(bottom, 2, u, second_half)
-    tx = spline_component(top, 0, u, second_half)
-    ty = spline_component(top, 1, u, second_half)
-    tz = spline_component(top, 2, u, second_half)
-    d = (
-        jet.add(jet.subtract(tx, px), bezier_component(connection, 0, u)),
-        jet.add(jet.subtract(ty, py), bezier_component(connection, 1, u)),
-        jet.add(jet.subtract(tz, pz), bezier_component(connection, 2, u)),
-    )
-    return (px, py, pz), jet.normalised(d)
+def span_at(parametrization, u):  # type: ignore[no-untyped-def]
+    """Return number, start and length of the span of f in which u lies."""
+    k = parametrization.shape[0] - 1
+    while k > 0 and parametrization[k, 0] > u:
+        k -= 1
+    end = parametrization[k + 1, 0] if k + 1 < parametrization.shape[0] else 1.0
+    return k, parametrization[k, 0], end - parametrization[k, 0]
 
 
 @njit(cache=True)
-def corner_pose(bottom, top, connection, u):  # type: ignore[no-untyped-def]
-    """Return tool tip [m] and tool axis [-] of a corner, shape (3,) each [B2013, Eq. 5, A.2]."""
-    late = u > 0.5
-    x = 1.0 - u if late else u
-    basis = (
-        (1.0 - 2.0 * x) ** 3,
-        2.0 * x * (3.0 + x * (7.0 * x - 9.0)),
-        2.0 * x * x * (3.0 - 4.0 * x),
-        2.0 * x**3,
+def top_parameter(parametrization, u, inside):  # type: ignore[no-untyped-def]
+    """Return the jet of u_top = f(u), on the span in which ``inside`` lies."""
+    if parametrization.shape[0] == 0:
+        return (u, 1.0, 0.0, 0.0)
+    k, start, length = span_at(parametrization, inside)
+    f = bezier_component(parametrization[k, 1:].copy().reshape(7, 1), 0, (u - start) / length)
+    return (f[0], f[1] / length, f[2] / length**2, f[3] / length**3)
+
+
+@njit(cache=True)
+def corner_breaks(parametrization):  # type: ignore[no-untyped-def]
+    """Return the parameters, from 0 to 1, where a corner's third derivative may jump."""
+    spans = parametrization.shape[0]
+    if spans == 0:
+        return np.array([0.0, 0.5, 1.0])
+    low, high = 0.0, 1.0
+    for _ in range(60):  # f rises: where the top curve passes its own knot
+        middle = 0.5 * (low + high)
+        if top_parameter(parametrization, middle, middle)[0] < 0.5:
+            low = middle
+        else:
+            high = middle
+    if abs(low - 0.5) < 1e-9:
+        low = 0.5
+    return np.unique(np.concatenate((parametrization[:, 0], np.array([0.5, low, 1.0]))))
+
+
+@njit(cache=True)
+def corner_jets(bottom, top, connection, parametrization, u, inside):  # type: ignore[no-untyped-def]
+    """
+    Return the vector jets, in u, of tool tip and tool axis of a corner [B2013, Eq. 5].
+
+    Where u lies on a break, ``inside`` tells from which side: it lies in the same piece.
+    """
+    late = late_top = inside > 0.5
+    f = top_parameter(parametrization, u, inside)
+    if parametrization.shape[0] > 0:
+        late_top = top_parameter(parametrization, inside, inside)[0] > 0.5
+    tip, tool = np.empty((3, 4)), np.empty((3, 4))
+    for i in range(3):
+        p = spline_component(bottom, i, u, late)
+        t = jet.compose(spline_component(top, i, f[0], late_top), f)
+        d = jet.add(jet.subtract(t, p), bezier_component(connection, i, u))
+        tip[i, 0], tip[i, 1], tip[i, 2], tip[i, 3] = p
+        tool[i, 0], tool[i, 1], tool[i, 2], tool[i, 3] = d
+    return vector_jet(tip), jet.normalised(vector_jet(tool))
+
+
+@njit(cache=True)
+def vector_jet(rows):  # type: ignore[no-untyped-def]
+    """Return three jets, shape (3, 4), as a vector jet."""
+    return (
+        (rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3]),
+        (rows[1, 0], rows[1, 1], rows[1, 2], rows[1, 3]),
+        (rows[2, 0], rows[2, 1], rows[2, 2], rows[2, 3]),
     )
-    tip, tool = np.zeros(3), np.zeros(3)
-    for i in range(4):
-        k = 4 - i if late else i
-        tip += basis[i] * bottom[k]
-        tool += basis[i] * (top[k] - bottom[k])
-    degree = connection.shape[0] - 1
-    share, choose = (1.0 - u) ** degree, 1.0
-    for i in range(degree + 1):  # Bernstein polynomials, 0 < u < 1
-        tool += choose * share * connection[i]
-        choose *= (degree - i) / (i + 1.0)
-        share *= u / (1.0 - u)
-    return tip, tool / sqrt((tool**2).sum())
 
 
 @njit(cache=True)

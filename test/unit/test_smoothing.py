@@ -9,6 +9,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.errors import BlockError
+from cnc_interp.smoothing.curves import Curves, poses
 from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
 from cnc_interp.smoothing.segments import (
     CORNER,
@@ -16,7 +17,6 @@ from cnc_interp.smoothing.segments import (
     ROTATION,
     PathSegments,
     corner_jets,
-    corner_pose,
     line_jets,
 )
 from cnc_interp.units import DEG, MM
@@ -31,10 +31,16 @@ def smooth(blocks, **options):
     return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
 
 
+def curves(segments, i):
+    """The four curves of a corner."""
+    names = ('bottom', 'top', 'connection', 'parametrization')
+    return tuple(getattr(segments, name)[i] for name in names)
+
+
 def jets(segments, i, u, late):
     """Tip, axis and their u-derivatives of one segment, shape (2, 4, 3)."""
     if segments.kind[i] == CORNER:
-        pair = corner_jets(segments.bottom[i], segments.top[i], segments.connection[i], u, late)
+        pair = corner_jets(*curves(segments, i), u, 0.75 if late else 0.25)
     else:
         pair = line_jets(segments.bottom[i], segments.axis[i], segments.rotation[i], u)
     factorial = np.array([1, 1, 2, 6])
@@ -82,7 +88,7 @@ def test_corner_is_the_cubic_b_spline_of_eq_1():
         for order in range(4):
             assert np.allclose(pair[0, order], curve(u, order), rtol=1e-9, atol=1e-12)
     for u in (0.1, 0.5, 0.9):
-        tip, tool = corner_pose(segments.bottom[i], segments.top[i], segments.connection[i], u)
+        tip, tool = (rows[0] for rows in poses(Curves(*(c[None] for c in curves(segments, i))), u))
         pair = jets(segments, i, u, u > 0.5)
         assert np.allclose(tip, pair[0, 0]) and np.allclose(tool, pair[1, 0])
 

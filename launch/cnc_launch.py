@@ -1,50 +1,46 @@
-"""The four nodes of cnc_interp with their parameter file; `run_program` then takes programs."""
+"""Start the four nodes of the interpolator; they configure and activate themselves."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import LifecycleNode, Node
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+NODES = ('lookahead_node', 'feedrate_node', 'machine_node', 'program_node')
+
+PARAMETERS_FILE = PathJoinSubstitution([FindPackageShare('cnc_interp'), 'config', 'nodes.yaml'])
+
+ARGUMENTS = (
+    ('machine', 'xyzac', 'Name of a bundled machine, or path of a machine file.'),
+    ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
+    ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
+    ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
+    ('log_level', 'info', 'Least severe messages that are logged: debug, info, warn or error.'),
+)
+
+
+def node(name: str) -> Node:
+    """Describe one node; the values of this launch win over those of the parameters file."""
+    values = {
+        'machine': ParameterValue(LaunchConfiguration('machine'), value_type=str),
+        'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool),
+    }
+    return Node(
+        package='cnc_interp',
+        executable=name,
+        name=name,
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[LaunchConfiguration('parameters_file'), values],
+        ros_arguments=['--log-level', LaunchConfiguration('log_level')],
+        output='screen',
+    )
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the arguments and start the nodes; those that move axes start themselves."""
-    package = 'cnc_interp'
-    parameters = [
-        LaunchConfiguration('parameters'),
-        {'machine': LaunchConfiguration('machine')},
+    """Describe the arguments and the nodes."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, value, text in ARGUMENTS
     ]
-    namespace = LaunchConfiguration('namespace')
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                'machine', default_value='xyzac', description='Bundled machine, or a YAML file'
-            ),
-            DeclareLaunchArgument(
-                'parameters',
-                default_value=PathJoinSubstitution(
-                    [FindPackageShare(package), 'config', 'nodes.yaml']
-                ),
-                description='Parameter file of the nodes',
-            ),
-            DeclareLaunchArgument(
-                'namespace', default_value='', description='Namespace of the machine'
-            ),
-            *(
-                action(
-                    package=package,
-                    executable=name,
-                    name=name,
-                    namespace=namespace,
-                    parameters=parameters,
-                    output='screen',
-                )
-                for name, action in (
-                    ('program_node', Node),
-                    ('lookahead_node', Node),
-                    ('feedrate_node', LifecycleNode),
-                    ('machine_node', LifecycleNode),
-                )
-            ),
-        ]
-    )
+    return LaunchDescription([*arguments, *(node(name) for name in NODES)])

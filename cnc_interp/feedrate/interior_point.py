@@ -16,6 +16,9 @@ from cnc_interp.program.blocks import FloatArray
 
 SOLVED, STALLED, BROKEN = 0, 1, 2
 
+WARM_SLACK, WARM_GAP = 1e-2, 1e-4
+"""Least slack, and complementarity over the time, with which a warm start begins."""
+
 
 @numba.njit(cache=True)
 def factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
@@ -69,6 +72,7 @@ def gather(
     weight: FloatArray,
     slack: FloatArray,
     dual: FloatArray,
+    inverse: FloatArray,
     d0: FloatArray,
     d1: FloatArray,
     d2: FloatArray,
@@ -85,6 +89,7 @@ def gather(
     gap, centre, violation = 0.0, 0.0, 0.0
     count = 0
     for i in range(n):
+        share = 1.0 / weight[i]
         for r in range(n_rows):
             x0, x1, x2 = grad[i, r, 0], grad[i, r, 1], grad[i, r, 2]
             if x0 == 0.0 and x1 == 0.0 and x2 == 0.0:
@@ -95,12 +100,13 @@ def gather(
                 w, y = slack[i, r, side], dual[i, r, side]
                 miss = sign * g[i, r] + w - 1.0
                 violation = max(violation, sign * g[i, r] - 1.0)
-                ratio = y / w
+                inverse[i, r, side] = 1.0 / w
+                ratio = y * inverse[i, r, side]
                 scale += ratio
                 push += sign * ratio * miss
                 pull += sign * y
                 gap += y * w
-                centre += y * w / weight[i]
+                centre += y * w * share
                 count += 1
                 sign = -1.0
             for c in range(3):
@@ -126,6 +132,7 @@ def predict(
     weight: FloatArray,
     slack: FloatArray,
     dual: FloatArray,
+    inverse: FloatArray,
     dm: FloatArray,
     change: FloatArray,
 ) -> tuple[float, float]:
@@ -139,6 +146,7 @@ def predict(
     plain, linear, square = 0.0, 0.0, 0.0
     count = 0
     for i in range(n):
+        share = 1.0 / weight[i]
         before = dm[i - 1] if i > 0 else 0.0
         after = dm[i + 1] if i < n - 1 else 0.0
         for r in range(n_rows):
@@ -150,15 +158,15 @@ def predict(
             for side in range(2 if r < n_two_sided else 1):
                 w, y = slack[i, r, side], dual[i, r, side]
                 dw = 1.0 - w - sign * (g[i, r] + dg)
-                dy = -y - y * dw / w
+                dy = -y - y * dw * inverse[i, r, side]
                 if dw < -w * step:
                     step = -w / dw if -w / dw < step else step
                 if dy < -y * step:
                     step = -y / dy if -y / dy < step else step
                 change[i, r, side] = dw * dy
-                plain += y * w / weight[i]
-                linear += (y * dw + w * dy) / weight[i]
-                square += dw * dy / weight[i]
+                plain += y * w * share
+                linear += (y * dw + w * dy) * share
+                square += dw * dy * share
                 count += 1
                 sign = -1.0
     return step, (plain + step * linear + step * step * square) / max(count, 1)
@@ -171,7 +179,7 @@ def correct(
     second_order: float,
     grad: FloatArray,
     weight: FloatArray,
-    slack: FloatArray,
+    inverse: FloatArray,
     change: FloatArray,
     rhs: FloatArray,
 ) -> None:
@@ -182,9 +190,10 @@ def correct(
             x0, x1, x2 = grad[i, r, 0], grad[i, r, 1], grad[i, r, 2]
             if x0 == 0.0 and x1 == 0.0 and x2 == 0.0:
                 continue
-            push = (target * weight[i] - second_order * change[i, r, 0]) / slack[i, r, 0]
+            push = (target * weight[i] - second_order * change[i, r, 0]) * inverse[i, r, 0]
             if r < n_two_sided:
-                push -= (target * weight[i] - second_order * change[i, r, 1]) / slack[i, r, 1]
+                other = target * weight[i] - second_order * change[i, r, 1]
+                push -= other * inverse[i, r, 1]
             if x0 != 0.0:
                 rhs[i - 1] -= push * x0
             rhs[i] -= push * x1
@@ -204,6 +213,7 @@ def advance(
     m: FloatArray,
     slack: FloatArray,
     dual: FloatArray,
+    inverse: FloatArray,
     change: FloatArray,
     dm: FloatArray,
     next_dual: FloatArray,
@@ -226,7 +236,8 @@ def advance(
             for side in range(2 if r < n_two_sided else 1):
                 w, y = slack[i, r, side], dual[i, r, side]
                 dw = 1.0 - w - sign * (g[i, r] + dg)
-                dy = (target * weight[i] - second_order * change[i, r, side] - y * dw) / w - y
+                aim = target * weight[i] - second_order * change[i, r, side]
+                dy = (aim - y * dw) * inverse[i, r, side] - y
                 if dw * primal < -w:
                     primal = -w / dw
                 if dy * adjoint < -y:
@@ -245,6 +256,31 @@ def advance(
 
 
 @numba.njit(cache=True)
+def start_rows(
+    total: float,
+    width: FloatArray,
+    v: FloatArray,
+    g: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    warm: bool,
+) -> None:
+    """Weigh the cells by their time; start slacks and duals, cold or from the last solution."""
+    n, n_rows = g.shape
+    least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
+    for i in range(n):
+        share = 2 * width[i] / (v[i] + v[i + 1]) / total
+        weight[i] = max(n * share, 1e-3)
+        for r in range(n_rows):
+            slack[i, r, 0] = max(1.0 - g[i, r], least)
+            slack[i, r, 1] = max(1.0 + g[i, r], least)
+            for side in range(2):
+                balanced = level * total / n * weight[i] / slack[i, r, side]
+                dual[i, r, side] = max(dual[i, r, side], balanced) if warm else balanced
+
+
+@numba.njit(cache=True)
 def solve(
     h: FloatArray,
     jerk: FloatArray,
@@ -253,6 +289,9 @@ def solve(
     ends: FloatArray,
     m: FloatArray,
     width: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    warm: bool,
     tolerance: float,
     most_iterations: int,
     trace: FloatArray,
@@ -276,6 +315,10 @@ def solve(
         Starting point, positive; the solution afterwards.
     width : ndarray, shape (n,)
         Effective widths; those of the solution afterwards.
+    slack, dual : ndarray, shape (n, 3 n_axes + 2, 2)
+        Work arrays; those of the last solution when ``warm``.
+    warm : bool
+        The limits have changed a little since the last solution, from which to go on.
     tolerance : float
         Gap to the optimum, relative to the time.
     most_iterations : int
@@ -293,8 +336,8 @@ def solve(
     n_rows, n_two_sided = 3 * n_axes + 2, 3 * n_axes
     b, a, v = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
     g, grad = np.zeros((n, n_rows)), np.zeros((n, n_rows, 3))
-    slack, dual = np.ones((n, n_rows, 2)), np.zeros((n, n_rows, 2))
     change, next_dual = np.zeros((n, n_rows, 2)), np.zeros((n, n_rows, 2))
+    inverse = np.zeros((n, n_rows, 2))
     slope, residual, rhs, dm = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     d0, d1, d2, weight = np.zeros(n), np.zeros(n), np.zeros(n), np.ones(n)
     total = 0.0
@@ -307,19 +350,12 @@ def solve(
         if not np.isfinite(total):
             return BROKEN, iteration, total
         if iteration == 0:
-            for i in range(n):
-                share = 2 * width[i] / (v[i] + v[i + 1]) / total
-                weight[i] = max(n * share, 1e-3)
-                for r in range(n_rows):
-                    slack[i, r, 0] = max(1.0 - g[i, r], 0.1)
-                    slack[i, r, 1] = max(1.0 + g[i, r], 0.1)
-                    for side in range(2):
-                        dual[i, r, side] = 0.1 * total / n * weight[i] / slack[i, r, side]
+            start_rows(total, width, v, g, weight, slack, dual, warm)
         for i in range(n):
             rhs[i] = -slope[i]
             residual[i] = slope[i]
         gap, centre, violation = gather(
-            n_two_sided, g, grad, weight, slack, dual, d0, d1, d2, residual, rhs
+            n_two_sided, g, grad, weight, slack, dual, inverse, d0, d1, d2, residual, rhs
         )
         off = 0.0
         for i in range(n):
@@ -336,13 +372,13 @@ def solve(
             return BROKEN, iteration, total
         dm[:] = rhs
         substitute(d0, d1, d2, dm)
-        step, reached = predict(n_two_sided, g, grad, weight, slack, dual, dm, change)
+        step, reached = predict(n_two_sided, g, grad, weight, slack, dual, inverse, dm, change)
         sigma = (reached / centre) ** 3
         sigma = min(max(sigma, 1e-3), 0.9)
         # the gap need not fall further than asked; the jerk rows converge linearly meanwhile
         target = max(sigma * centre, min(centre, 0.2 * tolerance * total / (n * n_rows)))
         second = step * step
-        correct(n_two_sided, target, second, grad, weight, slack, change, rhs)
+        correct(n_two_sided, target, second, grad, weight, inverse, change, rhs)
         dm[:] = rhs
         substitute(d0, d1, d2, dm)
         primal, adjoint = advance(
@@ -356,6 +392,7 @@ def solve(
             m,
             slack,
             dual,
+            inverse,
             change,
             dm,
             next_dual,

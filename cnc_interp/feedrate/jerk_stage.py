@@ -100,6 +100,9 @@ AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
 """The same, and the relaxation of the limits, in cells where an older plan must stay possible."""
 
+OVERDONE = 1.3
+"""Factor on the excess that a correction takes away: its neighbours take over a part of it."""
+
 MOST_ITERATIONS = 80
 
 
@@ -134,7 +137,7 @@ def first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> Floa
     m = np.empty(len(h))
     for i in range(len(h)):
         middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
-        m[i] = 0.8 * middle * middle
+        m[i] = middle * middle
     return m
 
 
@@ -170,6 +173,8 @@ class Problem:
         self.jerk = np.empty((n, 2, n_axes, 3))
         self.acceleration = np.empty((n, n_axes, 2))
         self.use = np.empty((2, n, 4, n_axes))
+        self.slack = np.ones((n, 3 * n_axes + 2, 2))
+        self.dual = np.zeros((n, 3 * n_axes + 2, 2))
         share = np.diff(path.s) / np.repeat(self.h, np.diff(nodes))
         self.points = 2 + np.ceil((options.points - 2) * share).astype(np.int64)
 
@@ -181,7 +186,7 @@ class Problem:
         width[-1] *= 1.5
         return width
 
-    def solve(self, m: FloatArray) -> Stretch | None:
+    def solve(self, m: FloatArray, warm: bool) -> Stretch | None:
         """Solve once with the present limits, from m, which takes the solution."""
         build_rows(self.left, self.right, self.table, self.scale, self.jerk, self.acceleration)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
@@ -195,6 +200,9 @@ class Problem:
             self.ends,
             m,
             width,
+            self.slack,
+            self.dual,
+            warm,
             self.options.gap,
             MOST_ITERATIONS,
             np.empty((0, 6)),
@@ -243,8 +251,8 @@ class Problem:
         inside, ends = self.use
         over = inside > self.accepted[:, :, None]
         reached = np.clip(ends, 0.5 * self.scale, self.scale)
-        lowered = reached * self.aim[:, :, None] / np.where(over, inside, 1.0)
-        self.scale = np.where(over, lowered, self.scale)
+        less = self.aim[:, :, None] / np.where(over, 1 + OVERDONE * (inside - 1), 1.0)
+        self.scale = np.where(over, reached * less, self.scale)
 
     def slowed(self, stretch: Stretch) -> Stretch:
         """Stretch the time of a law that starts at rest until it keeps all limits."""
@@ -297,11 +305,12 @@ def plan(
     )
     problem = Problem(grid, table, start, options, kept)
     best: Stretch | None = None
-    m = problem.m.copy()
+    m, warm = problem.m.copy(), False
     for attempt in range(options.passes + 1):
-        stretch = problem.solve(m)
+        stretch = problem.solve(m, warm)
+        warm = stretch is not None
         if stretch is None:
-            m = problem.m * 0.5 ** (attempt + 1)
+            m = problem.m * (2.0 if attempt % 2 == 0 else 0.3)
             continue
         if stretch.use <= 1.0:
             return stretch

@@ -14,26 +14,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from cnc_interp.errors import PlanningError
+from cnc_interp.feedrate.horizon import WindowScan, commit_node
 from cnc_interp.feedrate.jerk_stage import Kept, PlanOptions, plan
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.speed_guess import reach, speed_bounds
+from cnc_interp.feedrate.speed_guess import speed_bounds
 from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
-from cnc_interp.program.blocks import FloatArray
 
 KEPT_PART = 0.5
 """Part of the horizon in which the next window keeps the cells of the older plan."""
-
-HORIZON = 3.0
-"""Stopping distances that must lie between a committed state and the end of its plan."""
-
-SETTLE = 0.1
-"""Time added to every stop when horizons are measured [s]."""
 
 
 @dataclass(frozen=True)
@@ -67,46 +60,6 @@ class PlannedPiece:
         return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws))
 
 
-@numba.njit(cache=True)
-def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
-    """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
-    # a part of slow motion too, so that slow windows are not all ramps
-    return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
-
-
-@numba.njit(cache=True)
-def window_end(
-    s: FloatArray, bounds: FloatArray, v_start: float, ratio: float, most_cells: int
-) -> int:
-    """
-    Find the node at which the window that starts at node 0 is full, or -1.
-
-    It is full at ``ratio`` horizons for the fastest speed that an optimistic guess reaches.
-    """
-    v, farthest = v_start, 0.0
-    for i in range(len(bounds)):
-        h = s[i + 1] - s[i]
-        # twice the guess's jerk and more acceleration: rather a window too long
-        v = min(bounds[i, 1], reach(v, h, 2 * bounds[i, 2], 4 * bounds[i, 3]))
-        farthest = max(farthest, stopping_distance(v, bounds[i, 2], bounds[i, 3]))
-        if s[i + 1] - s[0] >= ratio * HORIZON * farthest or i + 1 >= most_cells:
-            return i + 1
-    return -1
-
-
-@numba.njit(cache=True)
-def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
-    """Find the last node from which a whole horizon is left at the speeds planned."""
-    n = len(bounds)
-    farthest = 0.0
-    for i in range(n - 1, 0, -1):
-        speed = max(v[i], v[i + 1])
-        farthest = max(farthest, stopping_distance(speed, bounds[i, 2], bounds[i, 3]))
-        if s[n] - s[i] >= HORIZON * farthest:
-            return i
-    return 0
-
-
 def refuse_unsound(path: AxisPath) -> None:
     """Refuse a path that is not finite, does not advance, or has no feed; names the block."""
     sound = np.isfinite(path.cell_left).all(axis=(0, 2)) & (path.cell_feed > 0.0)
@@ -134,13 +87,13 @@ class FeedPlanner:
     def __init__(self, limits: AxisLimits, options: PlanOptions | None = None):
         self.options = options or PlanOptions()
         self._table = limit_table(limits)
-        self._path: AxisPath | None = None
+        self._parts: list[AxisPath] = []
         self._start = (0.0, 0.0)
         self._kept: Kept | None = None
         self._time = 0.0
         self._older: Stretch | None = None
-        self._ratio = self.options.window_ratio
         self._failed = False
+        self._scan = self._new_scan(self.options.window_ratio)
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
         """
@@ -163,84 +116,67 @@ class FeedPlanner:
 
         """
         refuse_unsound(path)
-        self._path = path if self._path is None else AxisPath.join([self._path, path])
+        self._parts.append(path)
+        self._scan.extend(path)
         return self._plan_windows(finished=False)
 
     def finish(self) -> list[PlannedPiece]:
         """Plan all that is left, down to rest at the end of the path; ready for another path."""
         pieces = self._plan_windows(finished=True)
-        self._path, self._start, self._kept, self._older = None, (0.0, 0.0), None, None
+        self._parts, self._start, self._kept, self._older = [], (0.0, 0.0), None, None
+        self._scan = self._new_scan(self.options.window_ratio)
         return pieces
+
+    def _new_scan(self, ratio: float) -> WindowScan:
+        return WindowScan(self._table, self._start[0], ratio, self.options.window_cells)
+
+    def _scan_again(self, path: AxisPath, ratio: float) -> None:
+        """Begin a window with what is known of the path."""
+        self._parts = [path] if len(path.s) > 1 else []
+        self._scan = self._new_scan(ratio)
+        if self._parts:
+            self._scan.extend(path)
 
     def _plan_windows(self, finished: bool) -> list[PlannedPiece]:
         pieces: list[PlannedPiece] = []
-        while self._path is not None and len(self._path.s) > 1:
-            last, at_stop = self._next_window(finished)
-            if last < 0:
+        while self._parts:
+            end = self._scan.end(finished)
+            if end is None:
                 break
-            pieces.extend(self._plan_window(last, at_stop))
+            pieces.extend(self._plan_window(AxisPath.join(self._parts), *end))
         return pieces
 
-    def _next_window(self, finished: bool) -> tuple[int, bool]:
-        """Find the last node of the next window, -1 while it is not full; True at a stop."""
-        path = self._path
-        assert path is not None
-        n = len(path.s) - 1
-        stops = np.flatnonzero(path.stop[1:])
-        stop = int(stops[0]) + 1 if len(stops) else n
-        known = len(stops) > 0 or finished
-        part = slice(0, stop)
-        bounds = speed_bounds(
-            np.diff(path.s[: stop + 1]),
-            path.cell_left[:, part],
-            path.cell_right[:, part],
-            path.cell_feed[part],
-            self._table,
-        )
-        full = window_end(
-            path.s[: stop + 1], bounds, self._start[0], self._ratio, self.options.window_cells
-        )
-        if 0 < full < stop:
-            return full, False
-        return (stop, True) if known else (-1, False)
-
-    def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
-        """Plan the window up to a node, commit what is due."""
-        assert self._path is not None
-        known = cut(self._path, 0, last)
+    def _plan_window(self, path: AxisPath, last: int, at_stop: bool) -> list[PlannedPiece]:
+        """Plan the window up to a grid point, commit what is due."""
+        known = cut(path, 0, last)
         stretch = plan(known, self._table, self._start, self.options, self._kept)
         if stretch is None:
             finer = self.options.finer()
             stretch = plan(known, self._table, self._start, finer, self._kept)
         if stretch is None:
-            return [self._drive_on()]
+            return [self._drive_on(path)]
         cells = len(stretch.nodes) - 1
         if not at_stop:
-            s = stretch.path.s
+            fine, s = stretch.path, stretch.path.s
             bounds = speed_bounds(
-                np.diff(s),
-                stretch.path.cell_left,
-                stretch.path.cell_right,
-                stretch.path.cell_feed,
-                self._table,
+                np.diff(s), fine.cell_left, fine.cell_right, fine.cell_feed, self._table
             )
             node = commit_node(s, stretch.v, bounds)
             due = int(np.searchsorted(stretch.nodes, node, side='right')) - 1
             least = int(np.searchsorted(s[stretch.nodes], 0.75 * s[0] + 0.25 * s[-1]))
             if due < least and last < self.options.window_cells:
                 # faster than the window was made for: wait for a longer one
-                self._ratio *= 1.5
+                self._scan_again(path, 1.5 * self._scan.ratio)
                 return []
             cells = max(due, least, 1)
-        self._ratio, self._failed = self.options.window_ratio, False
-        return [self._commit(stretch, cells)]
+        self._failed = False
+        return [self._commit(path, stretch, cells)]
 
-    def _drive_on(self) -> PlannedPiece:
+    def _drive_on(self, path: AxisPath) -> PlannedPiece:
         """Commit a part of the older plan instead of a window that failed; next time all of it."""
         older = self._older
         if older is None:
-            assert self._path is not None
-            block = int(self._path.cell_block[0])
+            block = int(path.cell_block[0])
             raise PlanningError(
                 f'no motion within the axis limits along block {block}: '
                 'check the path for jumps and the limits of the machine file',
@@ -248,11 +184,10 @@ class FeedPlanner:
         cells = len(older.nodes) - 1
         part = cells if self._failed else (cells + 1) // 2
         self._failed = part < cells
-        return self._commit(older, part)
+        return self._commit(path, older, part)
 
-    def _commit(self, stretch: Stretch, cells: int) -> PlannedPiece:
+    def _commit(self, path: AxisPath, stretch: Stretch, cells: int) -> PlannedPiece:
         """Hand out the first cells of a plan and keep the rest for the next window."""
-        assert self._path is not None
         last = int(stretch.nodes[cells])
         piece = PlannedPiece(cut(stretch.path, 0, last), stretch.law(self._time, last))
         self._time = piece.law.end_time
@@ -267,8 +202,9 @@ class FeedPlanner:
             ends = ends[ends <= half]
             self._kept = Kept(ends, self._older.scale[: len(ends)])
             position = np.concatenate([position, ends])
-        rest = refine(self._path, position)
-        self._path = cut(rest, int(np.searchsorted(rest.s, position[0])), len(rest.s) - 1)
+        rest = refine(path, position)
+        rest = cut(rest, int(np.searchsorted(rest.s, position[0])), len(rest.s) - 1)
+        self._scan_again(rest, self.options.window_ratio)
         return piece
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from cnc_interp_msgs.msg import MachineState, PathSegment, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.errors import InterpError, StreamError
+from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import ERROR, Diagnostics
+from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.endpoints import Inlet, Outlet
 from cnc_interp.nodes.messages import chunk_message, segments_from
 from cnc_interp.nodes.planning import RunPlanner, part_of
@@ -26,8 +28,8 @@ from cnc_interp.nodes.soundness import check_segment
 from cnc_interp.nodes.streams import WindowedReceiver
 from cnc_interp.nodes.warming import warm_all
 
-#: Segments planned between two looks at the line: planning must not hold up sending.
-BATCH = 32
+#: Segments planned together, and setpoints that wait for sending.
+BATCH, QUEUE = 64, 500
 AT_REST = (MachineState.IDLE, MachineState.STARVED)
 
 
@@ -41,8 +43,13 @@ class FeedrateNode(LifecycleNode):
         self._segments: deque[PathSegment] = deque()
         self._planner: RunPlanner | None = None
         self._state: MachineState | None = None
-        self._ended = False
+        self._pieces: deque[PlannedPiece] = deque()
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix='plan')
+        self._job: Future[list[PlannedPiece]] | None = None
+        self._batch = 0
+        self._end_wanted = self._ended = self._all_planned = False
         self._heard = 0.0
+        self._period: float = self._values['interpolation_period']
         if self._values['autostart']:
             start_lifecycle(self)
 
@@ -53,7 +60,7 @@ class FeedrateNode(LifecycleNode):
     def _configure(self) -> None:
         values = self._values
         self._transform = Transform.of(Machine.load(values['machine']))
-        warm_all(self._transform, values['interpolation_period'])
+        warm_all(self._transform, self._period)
         self._diagnostics = Diagnostics(self)
         self._outlet = Outlet(
             self, 'setpoints', SetpointChunk, values['resend_after'], self._encode
@@ -88,91 +95,116 @@ class FeedrateNode(LifecycleNode):
     def _take(self, segment: PathSegment) -> None:
         """Queue a sound segment; the first one begins a run."""
         if segment.sequence == 0:
-            self._planner, self._state, self._ended = None, None, False
+            self._planner, self._state, self._job = None, None, None
+            self._end_wanted = self._ended = False
             self._segments.clear()
+            self._pieces.clear()
             self._outlet.sender.begin(segment.program_id)
         self._segments.append(segment)
+        self._end_wanted = self._end_wanted or segment.end_of_program
         self._heard = time.monotonic()
+
+    def _end(self) -> None:
+        """Bring the motion to rest at the end of the path known so far."""
+        self._end_wanted = True
 
     def _work(self) -> None:
         """Send what may be sent, and plan on when the plan gets short."""
+        self._fill()
         self._outlet.pump()
         receiver = self._inlet.receiver
-        if self._outlet.refusal and not receiver.refusal:
-            self._inlet.refuse(receiver.program_id, self._outlet.refusal)
-        ahead = self._outlet.sender.unsent * self._values['interpolation_period']
-        if not self._segments:
+        if self._outlet.refusal:
+            self._segments.clear()
+            if not receiver.refusal:
+                self._inlet.refuse(receiver.program_id, self._outlet.refusal)
+        elif self._job is not None:
+            self._collect()
+        elif self._segments:
+            self._plan_on()
+        elif self._end_wanted and not self._ended and self._planner is not None:
+            self._ended = True
+            self._job = self._worker.submit(self._planner.finish)
+        elif receiver.active:
             self._watch_sender()
-        elif ahead < self._values['plan_ahead'] and self._ready():
-            self._plan([self._segments.popleft() for _ in range(min(BATCH, len(self._segments)))])
+
+    def _plan_on(self) -> None:
+        """Begin the run once the machine has said where it stands at rest; then plan ahead."""
+        if self._planner is None:
+            state = self._state
+            if state is None or state.state not in AT_REST:
+                return
+            self._planner = RunPlanner(
+                self._transform,
+                self._segments[0].flank_height,
+                self._period,
+                np.array(state.commanded_positions),
+            )
+        if self._planned_ahead() < self._values['plan_ahead']:
+            batch = [self._segments.popleft() for _ in range(min(BATCH, len(self._segments)))]
+            self._batch = len(batch)
+            self._job = self._worker.submit(self._planner.push, segments_from(batch))
+
+    def _planned_ahead(self) -> float:
+        """Return the motion time that is planned but not sent [s]."""
+        waiting = self._outlet.sender.unsent * self._period
+        if self._pieces:
+            waiting += self._pieces[-1].law.end_time - float(self._pieces[0].law.time[0])
+        return waiting
+
+    def _collect(self) -> None:
+        """Take over what the planning thread has finished, or refuse what cannot be run."""
+        job = self._job
+        if job is None or not job.done():
+            return
+        self._job = None
+        try:
+            self._pieces.extend(job.result())
+            self._inlet.receiver.consume(self._batch)
+        except InterpError as problem:
+            self._inlet.refuse(self._inlet.receiver.program_id, str(problem))
+        self._batch = 0
+        self._all_planned = self._ended
+        self._fill()
 
     def _watch_sender(self) -> None:
         """Give a program up whose segments stopped coming although the window is open."""
         silence = time.monotonic() - self._heard
-        if self._inlet.receiver.active and silence > self._values['peer_timeout']:
+        if silence > self._values['peer_timeout']:
             reason = f'no segments for {silence:.1f} s; lookahead_node is lost, start it again'
             self._inlet.refuse(self._inlet.receiver.program_id, reason)
 
-    def _ready(self) -> bool:
-        """Begin the run once the machine has said where it stands, at rest."""
-        if self._planner is None and self._state is not None and self._state.state in AT_REST:
-            self._planner = RunPlanner(
-                self._transform,
-                self._segments[0].flank_height,
-                self._values['interpolation_period'],
-                np.array(self._state.commanded_positions),
-            )
-        return self._planner is not None
+    def _fill(self) -> None:
+        """Interpolate the next stretches and cut them into chunks for sending."""
+        sender = self._outlet.sender
+        while self._planner is not None and self._pieces and sender.unsent < QUEUE:
+            self._queue(self._planner.samples_of(self._pieces.popleft()), end=False)
+        if self._planner is not None and self._all_planned and not self._pieces:
+            self._all_planned = False
+            last = self._planner.last_sample()
+            if last is not None:
+                self._queue(last, end=True)
 
-    def _plan(self, batch: list[PathSegment]) -> None:
-        """Plan along some segments; a path that cannot be run is refused."""
-        assert self._planner is not None
-        try:
-            self._queue(self._planner.push(segments_from(batch)), end=False)
-        except InterpError as problem:
-            self._inlet.refuse(batch[0].program_id, str(problem))
-            return
-        self._inlet.receiver.consume(len(batch))
-        if batch[-1].end_of_program:
-            self._end()
-
-    def _end(self) -> None:
-        """Bring the motion to rest at the end of the path known so far."""
-        if self._planner is None or self._ended or self._outlet.refusal:
-            return
-        self._ended = True
-        try:
-            if self._segments:  # sound ones, before the one that was refused
-                rest = segments_from(list(self._segments))
-                self._segments.clear()
-                self._queue(self._planner.push(rest), end=False)
-            self._queue(self._planner.finish(), end=True)
-        except InterpError as problem:
-            self._diagnostics.say('plan', ERROR, str(problem))
-
-    def _queue(self, parts: list[Setpoints], end: bool) -> None:
-        """Cut setpoints into chunks for sending."""
+    def _queue(self, samples: Setpoints, end: bool) -> None:
+        """Cut setpoints into chunks."""
         size = self._values['chunk_size']
-        for number, part in enumerate(parts, start=1):
-            for first in range(0, len(part), size):
-                count = min(size, len(part) - first)
-                last = end and number == len(parts) and first + count == len(part)
-                self._outlet.sender.put((part, first, last), count)
+        for first in range(0, len(samples), size):
+            part = part_of(samples, first, min(first + size, len(samples)))
+            self._outlet.sender.put((part, end), len(part))
         self._outlet.pump()
 
-    def _encode(self, item: tuple[Setpoints, int, bool], first: int) -> SetpointChunk:
+    def _encode(self, item: tuple[Setpoints, bool], first: int) -> SetpointChunk:
         """Make the message of one chunk."""
-        part, row, end = item
+        samples, end = item
         assert self._planner is not None
-        samples = part_of(part, row, row + self._values['chunk_size'])
         return chunk_message(
             samples, self._planner.lines_of(samples), self._outlet.sender.program_id, first,
-            self._values['interpolation_period'], end,
+            self._period, end,
         )  # fmt: skip
 
     def close(self) -> None:
         """End: what was sent is complete, nothing more follows."""
         self._active = False
+        self._worker.shutdown(wait=False, cancel_futures=True)
 
 
 def main(arguments: list[str] | None = None) -> int:

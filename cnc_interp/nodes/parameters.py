@@ -48,7 +48,7 @@ FEEDRATE = (
     AUTOSTART,
     PERIOD,
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
-    Declared('plan_ahead', 1.0, 'Motion planned beyond what the machine holds [s]', 0.05, 60.0),
+    Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
     Declared('chunk_size', 10, 'Setpoints in a message', 1, 100),
     RESEND,
     PEER_TIMEOUT,

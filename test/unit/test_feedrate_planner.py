@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from feedrate_paths import (
@@ -198,7 +200,7 @@ def test_the_same_bits_however_the_path_arrives():
         borders = [0, *at.tolist(), len(path.s) - 1]
         planner = FeedPlanner(XYZAC)
         pieces = []
-        for first, last in zip(borders[:-1], borders[1:], strict=True):
+        for first, last in itertools.pairwise(borders):
             pieces += planner.push(cut(path, first, last))
         pieces += planner.finish()
         assert len(pieces) > 2

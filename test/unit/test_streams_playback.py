@@ -6,11 +6,14 @@ import pytest
 pytest.importorskip('ruckig', reason='needs ruckig; run the tests with ./cnc test')
 
 from cnc_interp.errors import StreamError, TravelError
-from cnc_interp.interpolator import Setpoints
+from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.interpolator import Interpolator, Setpoints
+from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine import Event, SimulatedMachine, State
 from cnc_interp.nodes.approach import approach
-from cnc_interp.nodes.planning import part_of
+from cnc_interp.nodes.planning import SLICE, part_of, sliced
 from cnc_interp.nodes.playback import Playback
 
 T = 0.001
@@ -155,3 +158,42 @@ def test_soft_limit_stops_the_machine_with_the_reason():
     assert 'X' in play.machine.message and feedback.setpoint[0] == 0.4999
     with pytest.raises(StreamError):
         play.machine.step(outside[0], still[0])
+
+
+def slow_line():
+    """A stroke of 20 mm at 0.5 mm/s: one row of the law lasts most of 40 s."""
+    path = AxisPath(
+        s=np.array([0.0, 0.02]),
+        cell_left=np.array([[[0.0]], [[1.0]], [[0.0]], [[0.0]]]),
+        cell_right=np.array([[[0.02]], [[1.0]], [[0.0]], [[0.0]]]),
+        tip=np.array([[0.0, 0, 0], [0.02, 0, 0]]),
+        axis=np.tile([0.0, 0, 1], (2, 1)),
+        cell_feed=np.array([0.0005]),
+        cell_block=np.array([1]),
+        stop=np.array([True, True]),
+    )
+    v, j = 0.0005, 5.0
+    ramp = np.sqrt(v / j)
+    duration = np.array([ramp, ramp, 0.02 / v - 2 * ramp, ramp, ramp])
+    jerk = np.array([j, -j, 0.0, -j, j])
+    time = np.concatenate([[0.0], np.cumsum(duration)[:-1]])
+    s, speed, pull = np.zeros(5), np.zeros(5), np.zeros(5)
+    for k in range(4):
+        dt = duration[k]
+        s[k + 1] = s[k] + speed[k] * dt + pull[k] * dt**2 / 2 + jerk[k] * dt**3 / 6
+        speed[k + 1] = speed[k] + pull[k] * dt + jerk[k] * dt**2 / 2
+        pull[k + 1] = pull[k] + jerk[k] * dt
+    law = MotionLaw(time, duration, s, speed, pull, jerk, np.zeros(5, dtype=np.int64))
+    return PlannedPiece(path, law)
+
+
+def test_stretches_are_short_and_give_the_same_setpoints():
+    piece = slow_line()
+    whole = Interpolator(T).push(piece)
+    stretches, interpolator = sliced(piece), Interpolator(T)
+    parts = [interpolator.push(stretch) for stretch in stretches]
+    assert max(len(part) for part in parts) <= 2 * SLICE / T + 1
+    joined = Setpoints.concatenate(parts)
+    assert np.array_equal(joined.time, whole.time)
+    assert np.abs(joined.position - whole.position).max() < 1e-15
+    assert np.abs(joined.velocity - whole.velocity).max() < 1e-15

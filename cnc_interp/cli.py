@@ -125,6 +125,17 @@ def program_options(added: argparse.ArgumentParser) -> None:
         '--ratio', type=positive, default=2.0, metavar='L2/L1', help='shape of the corners (2)'
     )
     added.add_argument(
+        '--parametrization', choices=('exact', 'linear', 'paper'), default='exact',
+        help='how the orientation of a corner joins its lines (exact)',
+    )  # fmt: skip
+    added.add_argument(
+        '--top', choices=('in_step', 'tolerance'), default='in_step',
+        help='how the top curve of a corner is placed (in_step)',
+    )  # fmt: skip
+    added.add_argument(
+        '--septic', action='store_true', help='continue the third derivative of the tool axis too'
+    )
+    added.add_argument(
         '--period', type=positive, default=1.0, metavar='MS', help='interpolation period (1 ms)'
     )
     added.add_argument('--json', action='store_true', help='print the summary as JSON')
@@ -156,7 +167,14 @@ def plan_command(options: argparse.Namespace) -> int:
     from cnc_interp.program import read_program
 
     machine = Machine.load(options.machine)
-    chain = ChainOptions(options.flank_height * MM, options.ratio, options.period * MS)
+    chain = ChainOptions(
+        flank_height=options.flank_height * MM,
+        ratio=options.ratio,
+        parametrization=options.parametrization,
+        top=options.top,
+        septic=options.septic,
+        period=options.period * MS,
+    )
     geometry = Transform.of(machine)
     program = read_program(options.program, geometry, read_options(options))
     tell(program.notices)

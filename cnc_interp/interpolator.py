@@ -97,7 +97,7 @@ class Interpolator:
             time=time,
             position=q,
             velocity=q_s * v,  # Eq. 6
-            acceleration=q_ss * v**2 + q_s * a,  # Eq. 7
+            acceleration=q_ss * (v * v) + q_s * a,  # Eq. 7
             jerk=q_sss * v**3 + 3.0 * q_ss * v * a + q_s * j,  # Eq. 8
             block=path.cell_block[law.cell[k]],
             s=s,

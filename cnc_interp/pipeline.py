@@ -47,6 +47,8 @@ class ChainOptions:
         Height at which the orientation tolerance is measured [m].
     ratio : float
         L2/L1 of the corners [-].
+    parametrization, top, septic
+        How corners are made; see SmoothingOptions.
     period : float
         Interpolation period [s].
 
@@ -54,6 +56,9 @@ class ChainOptions:
 
     flank_height: float = 30.0 * MM
     ratio: float = 2.0
+    parametrization: str = 'exact'
+    top: str = 'in_step'
+    septic: bool = False
     period: float = 1.0 * MS
 
 
@@ -134,6 +139,9 @@ def smoothing_options(transform: Transform, options: ChainOptions) -> SmoothingO
     return SmoothingOptions(
         flank_height=options.flank_height,
         ratio=options.ratio,
+        parametrization=options.parametrization,
+        top=options.top,
+        septic=options.septic,
         pole=pole,  # type: ignore[arg-type]
         pole_cone=machine.singular_cone,
     )

@@ -84,7 +84,7 @@ class Transform:
     @property
     def pole(self) -> FloatArray:
         """Direction in W at which the outer rotary axis is undefined, shape (3,)."""
-        return self.machine.rotary_direction[self.outer]
+        return np.asarray(self.machine.rotary_direction[self.outer])
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """
@@ -102,7 +102,7 @@ class Transform:
 
         """
         q = np.concatenate([np.zeros((len(rotary), 3)), np.asarray(rotary, float)], axis=1)
-        return forward(self.packed, q)[1]
+        return np.asarray(forward(self.packed, q)[1])
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """

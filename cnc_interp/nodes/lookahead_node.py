@@ -35,7 +35,9 @@ class LookaheadNode(Node):
         super().__init__('lookahead_node')
         values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
-        self._ratio = values['corner_ratio']
+        self._corners = {name: values[name] for name in ('parametrization', 'top', 'septic')}
+        self._corners['ratio'] = values['corner_ratio']
+        smoothing_options(self._transform, ChainOptions(**self._corners))
         self._peer_timeout = values['peer_timeout']
         self._heard = 0.0
         warm_lookahead(self._transform)
@@ -64,7 +66,7 @@ class LookaheadNode(Node):
 
     def _begin(self, block: G1Block) -> None:
         """Forget the program before."""
-        options = ChainOptions(flank_height=block.flank_height, ratio=self._ratio)
+        options = ChainOptions(flank_height=block.flank_height, **self._corners)
         self._lookahead = LookAhead(smoothing_options(self._transform, options))
         self._flank_height = block.flank_height
         self._blocks.clear()

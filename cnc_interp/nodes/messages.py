@@ -14,7 +14,9 @@ from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
-CONNECTION_POINTS = 6
+#: Bezier points of a connection, quintic or septic, and degree of the parametrization's spans.
+CONNECTION_POINTS = (6, 8)
+SPAN_DEGREE = 6
 
 
 def block_messages(
@@ -119,6 +121,7 @@ def _segment_message(
     if corner:
         message.top = _spline(segments.top[i])
         message.connection = _packed(segments.connection[i])
+        message.parametrization = _parametrization(segments.parametrization[i])
     return message
 
 
@@ -133,6 +136,27 @@ def _spline(points: FloatArray) -> BSpline:
     )
 
 
+def _parametrization(spans: FloatArray) -> BSpline:
+    """Describe the spans of u_top = f(u), shape (k, 8), as a B-spline; without spans empty."""
+    if not len(spans):
+        return BSpline()
+    inner = np.repeat(spans[1:, 0], SPAN_DEGREE)
+    knots = np.concatenate([np.zeros(SPAN_DEGREE + 1), inner, np.ones(SPAN_DEGREE + 1)])
+    points = np.concatenate([spans[:, 1:-1].ravel(), spans[-1:, -1]])
+    return BSpline(
+        degree=SPAN_DEGREE, dimension=1, knots=_packed(knots), control_points=_packed(points)
+    )
+
+
+def _spans_of(spline: BSpline) -> FloatArray:
+    """Take a parametrization apart into its spans, shape (k, 8)."""
+    points = np.frombuffer(spline.control_points)
+    first = np.arange(0, len(points) - 1, SPAN_DEGREE)
+    starts = np.frombuffer(spline.knots)[first + SPAN_DEGREE]
+    values = points[first[:, None] + np.arange(SPAN_DEGREE + 1)]
+    return np.concatenate([starts[:, None], values], axis=1)
+
+
 def _packed(values: FloatArray) -> array[float]:
     """Flatten to the message's array type without touching a bit."""
     return array('d', np.ascontiguousarray(values, dtype=np.float64).tobytes())
@@ -142,7 +166,10 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
     """Collect messages, checked before, into segments."""
     n = len(messages)
     bottom, top = np.zeros((n, 5, 3)), np.zeros((n, 5, 3))
-    connection = np.zeros((n, CONNECTION_POINTS, 3))
+    points_of_e = max([len(m.connection) // 3 for m in messages], default=0)
+    spans = max([len(m.parametrization.control_points) for m in messages], default=0)
+    connection = np.zeros((n, max(points_of_e, CONNECTION_POINTS[0]), 3))
+    parametrization = np.zeros((n, spans // SPAN_DEGREE, SPAN_DEGREE + 2))
     for i, message in enumerate(messages):
         points = np.frombuffer(message.bottom.control_points).reshape(-1, 3)
         bottom[i, : len(points)] = points
@@ -150,11 +177,14 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
             top[i] = np.frombuffer(message.top.control_points).reshape(-1, 3)
             if len(message.connection):
                 connection[i] = np.frombuffer(message.connection).reshape(-1, 3)
+            if len(message.parametrization.knots):
+                parametrization[i] = _spans_of(message.parametrization)
     return PathSegments(
         kind=np.array([m.kind for m in messages], dtype=np.int64),
         bottom=bottom,
         top=top,
         connection=connection,
+        parametrization=parametrization,
         axis=np.array([m.axis for m in messages]),
         rotation=np.array([m.rotation for m in messages]),
         rotary=np.array([(m.rotary_start, m.rotary_end) for m in messages]),

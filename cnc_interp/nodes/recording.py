@@ -61,7 +61,13 @@ def write_received(
         feedrate=request.feedrate,
     )
     program = read_program(request.program, Transform.of(machine), options)
-    plan = plan_program(
-        program, machine, ChainOptions(request.flank_height, request.ratio, request.period)
+    chain = ChainOptions(
+        flank_height=request.flank_height,
+        ratio=request.ratio,
+        parametrization=request.parametrization,
+        top=request.top,
+        septic=request.septic,
+        period=request.period,
     )
+    plan = plan_program(program, machine, chain)
     write_plan(replace(plan, setpoints=received_setpoints(chunks)), directory)

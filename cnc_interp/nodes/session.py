@@ -38,6 +38,8 @@ class RunRequest:
         Where the program gives none [m/s].
     ratio : float
         L2/L1 of the corners [-].
+    parametrization, top, septic
+        How corners are made; see SmoothingOptions.
     period : float
         Interpolation period [s].
     out : Path, optional
@@ -55,6 +57,9 @@ class RunRequest:
     force_tolerances: bool = False
     feedrate: float | None = None
     ratio: float = 2.0
+    parametrization: str = 'exact'
+    top: str = 'in_step'
+    septic: bool = False
     period: float = 1.0 * MS
     out: Path | None = None
     quiet: bool = False
@@ -71,6 +76,9 @@ class RunRequest:
             force_tolerances=options.force_tolerances,
             feedrate=None if options.feed is None else options.feed * MM_PER_MIN,
             ratio=options.ratio,
+            parametrization=options.parametrization,
+            top=options.top,
+            septic=options.septic,
             period=options.period * MS,
             out=options.out,
             quiet=options.json,
@@ -82,7 +90,13 @@ class RunRequest:
         moving = machine | {'interpolation_period': self.period}
         return {
             'program_node': machine,
-            'lookahead_node': machine | {'corner_ratio': self.ratio},
+            'lookahead_node': machine
+            | {
+                'corner_ratio': self.ratio,
+                'parametrization': self.parametrization,
+                'top': self.top,
+                'septic': self.septic,
+            },
             'feedrate_node': moving,
             'machine_node': moving,
         }

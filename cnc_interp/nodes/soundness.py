@@ -8,7 +8,12 @@ import numpy as np
 from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.errors import StreamError
-from cnc_interp.nodes.messages import CONNECTION_POINTS, CUBIC_KNOTS, LINEAR_KNOTS
+from cnc_interp.nodes.messages import (
+    CONNECTION_POINTS,
+    CUBIC_KNOTS,
+    LINEAR_KNOTS,
+    SPAN_DEGREE,
+)
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION
 
@@ -53,10 +58,9 @@ def check_segment(message: PathSegment) -> None:
     _check_spline(f'{name}: bottom', message.bottom, CUBIC_KNOTS if corner else LINEAR_KNOTS)
     if corner:
         _check_spline(f'{name}: top', message.top, CUBIC_KNOTS)
-        if len(message.connection) not in (0, 3 * CONNECTION_POINTS):
-            raise StreamError(f'{name}: connection must hold {3 * CONNECTION_POINTS} values')
-    if len(message.parametrization.knots):
-        raise StreamError(f'{name}: a parametrization of its own is not supported; leave it empty')
+        if len(message.connection) not in [3 * points for points in CONNECTION_POINTS]:
+            raise StreamError(f'{name}: connection must hold 6 or 8 points of 3 values')
+        _check_parametrization(f'{name}: parametrization', message.parametrization)
     for rotary in (message.rotary_start, message.rotary_end):
         _check_pose(name, np.zeros(3), message.axis, rotary)
     values = [*message.rotation, message.contour_deviation, message.orientation_deviation]
@@ -81,6 +85,28 @@ def _check_spline(name: str, spline: BSpline, knots: array[float]) -> None:
         raise StreamError(f'{name} needs {count} values, not {len(spline.control_points)}')
     if not np.isfinite(np.frombuffer(spline.control_points)).all():
         raise StreamError(f'{name} has a control point that is not finite')
+
+
+def _check_parametrization(name: str, spline: BSpline) -> None:
+    """Refuse a u_top = f(u) that is not made of sextic spans or does not rise from 0 to 1."""
+    knots, values = np.array(spline.knots), np.array(spline.control_points)
+    if not len(knots) and not len(values):
+        return
+    spans, left_over = divmod(len(values) - 1, SPAN_DEGREE)
+    if spline.degree != SPAN_DEGREE or spline.dimension != 1 or left_over or spans < 1:
+        raise StreamError(f'{name} must be scalar, of degree {SPAN_DEGREE}, in whole spans')
+    inner = np.array(knots[SPAN_DEGREE + 1 : -SPAN_DEGREE - 1]).reshape(-1, SPAN_DEGREE)
+    ends = np.concatenate([[0.0], inner[:, 0], [1.0]])
+    expected = np.repeat(ends, [SPAN_DEGREE + 1, *[SPAN_DEGREE] * len(inner), SPAN_DEGREE + 1])
+    if (
+        len(inner) != spans - 1
+        or not np.array_equal(knots, expected)
+        or (np.diff(ends) <= 0).any()
+    ):
+        raise StreamError(f'{name} needs rising knots from 0 to 1, {SPAN_DEGREE} at each break')
+    rises = values[0] == 0.0 and values[-1] == 1.0 and (np.diff(values[::SPAN_DEGREE]) > 0).all()
+    if not np.isfinite(values).all() or not rises:
+        raise StreamError(f'{name} must rise from 0 to 1')
 
 
 def check_chunk(message: SetpointChunk, axis_count: int, period: float) -> None:

@@ -9,11 +9,10 @@ sized, because the line between them may be so short that both take what is left
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from cnc_interp.errors import BlockError
+from cnc_interp.errors import BlockError, InterpError
 from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray, IntArray
 from cnc_interp.smoothing import corner
 from cnc_interp.smoothing.corner import Corners, Style
@@ -32,6 +31,8 @@ STANDSTILL = 1e-9
 #: Directions (relative to 1) and rates at flank height that differ less go straight on.
 STRAIGHT = 1e-9
 PASS, ROUND, STOP = 0, 1, 2
+#: Ways to make a corner; the first of each is the default.
+CHOICES = {'parametrization': ('exact', 'linear', 'paper'), 'top': ('in_step', 'tolerance')}
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,20 @@ class SmoothingOptions:
 
     flank_height: float = 30.0 * MM
     ratio: float = 2.0
-    parametrization: Literal['exact', 'linear', 'paper'] = 'exact'
-    top: Literal['in_step', 'tolerance'] = 'in_step'
+    parametrization: str = 'exact'
+    top: str = 'in_step'
     septic: bool = False
     left_over: float = 0.05
     sharpest_turn: float = 165.0 * DEG
     pole: tuple[float, float, float] | None = None
     pole_cone: float = 0.02 * DEG
+
+    def __post_init__(self) -> None:
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise InterpError(
+                    f'{name} {getattr(self, name)!r} is unknown; choose {" or ".join(choices)}'
+                )
 
     @property
     def style(self) -> Style:

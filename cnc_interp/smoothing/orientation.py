@@ -48,7 +48,7 @@ def rotations_between(a: FloatArray, b: FloatArray) -> FloatArray:
     sine = norm(normal)
     angle = np.arctan2(sine, dot(a, b))
     ratio = np.where(sine < 1e-15, 0.0, angle / np.where(sine < 1e-15, 1.0, sine))
-    return normal * ratio[..., None]
+    return np.asarray(normal * ratio[..., None])
 
 
 def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float) -> FloatArray:
@@ -72,7 +72,8 @@ def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float)
     k = rotation / np.where(rate > 0.0, rate, 1.0)[..., None]
     angle = (share * rate)[..., None]
     sine, cosine = np.sin(angle), np.cos(angle)
-    return axis * cosine + cross(k, axis) * sine + k * dot(k, axis)[..., None] * (1.0 - cosine)
+    along = k * dot(k, axis)[..., None]
+    return np.asarray(axis * cosine + cross(k, axis) * sine + along * (1.0 - cosine))
 
 
 def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:

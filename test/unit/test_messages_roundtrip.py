@@ -19,7 +19,7 @@ from cnc_interp.nodes import messages, soundness
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import ReadOptions, read_program, read_text
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / 'shared' / 'programs'
@@ -49,8 +49,8 @@ def blocks_of(path):
     return read_program(path, TRANSFORM, ReadOptions(feedrate=0.05)).blocks[:MOST]
 
 
-def segments_of(blocks):
-    lookahead = LookAhead(smoothing_options(TRANSFORM, ChainOptions()))
+def segments_of(blocks, **options):
+    lookahead = LookAhead(smoothing_options(TRANSFORM, ChainOptions(**options)))
     return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
 
 
@@ -111,6 +111,33 @@ def test_every_kind_of_segment_keeps_every_bit():
     same_bits(
         messages.segments_from(checked(over_the_wire(sent), soundness.check_segment)), segments
     )
+
+
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'parametrization': 'paper', 'top': 'tolerance'},
+        {'parametrization': 'exact', 'top': 'tolerance', 'septic': True},
+        {'parametrization': 'linear'},
+    ],
+)
+def test_every_way_to_make_a_corner_keeps_every_bit(options):
+    blocks = blocks_of(next(path for path in examples() if path.name == 'pyramid.apt'))
+    segments = segments_of(blocks, **options)
+    received = over_the_wire(messages.segment_messages(segments, 'p', 0, H, end=True))
+    back = messages.segments_from(checked(received, soundness.check_segment))
+    corner = segments.kind == CORNER
+    same_bits(back[np.flatnonzero(corner)], segments[np.flatnonzero(corner)])
+
+
+def test_a_parametrization_that_does_not_rise_from_0_to_1_is_refused():
+    blocks = blocks_of(next(path for path in examples() if path.name == 'pyramid.apt'))
+    segments = segments_of(blocks, parametrization='paper')
+    sent = messages.segment_messages(segments, 'p', 0, H, end=True)
+    corner = next(m for m in sent if m.kind == CORNER)
+    corner.parametrization.control_points[-1] = 0.9
+    with pytest.raises(StreamError, match='parametrization must rise from 0 to 1'):
+        soundness.check_segment(corner)
 
 
 def setpoints(n=10, axes=5):

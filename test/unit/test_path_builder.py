@@ -18,10 +18,10 @@ from cnc_interp.units import DEG, MM
 AC = Transform.of(Machine.load('xyzac'))
 
 
-def path_of(blocks, transform=AC, batch=1000):
+def path_of(blocks, transform=AC, batch=1000, **options):
     """Blocks to AxisPath on a machine, batch by batch."""
     pole = tuple(transform.pole) if transform.machine.has_rotary else None
-    lookahead = LookAhead(SmoothingOptions(pole=pole))
+    lookahead = LookAhead(SmoothingOptions(pole=pole, **options))
     builder = AxisPathBuilder(transform)
     builder.start(blocks.axis[0], blocks.rotary[0])
     parts = [lookahead.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
@@ -62,6 +62,23 @@ def test_joins_are_continuous_to_the_second_derivative(blocks):
         left, right = path.cell_right[order, :-1][going], path.cell_left[order, 1:][going]
         size = np.abs(path.cell_left[order]).max(axis=0)
         assert (np.abs(left - right) <= 1e-9 * size).all()
+
+
+@pytest.mark.parametrize('way', ['linear', 'paper'])
+def test_tool_rests_where_an_inexact_connection_has_a_kink(way):
+    """A finite jump of q_s is an endless jerk: the path must stop there, and only there."""
+    path = path_of(zigzag(3, tolerance=1 * MM), parametrization=way, top='tolerance')
+    gap = np.abs(path.cell_right[1, :-1] - path.cell_left[1, 1:]).max(axis=1)
+    assert path.stop[1:-1][gap > 1e-3].all() and (gap > 1e-3).any()
+    assert not path_of(zigzag(3, tolerance=1 * MM)).stop[1:-1].any()
+
+
+@pytest.mark.parametrize('batch', [2, 3, 1000])
+def test_kinks_are_seen_across_batches(batch):
+    options = {'parametrization': 'linear', 'top': 'tolerance'}
+    whole = path_of(zigzag(3, tolerance=1 * MM), **options)
+    pieces = path_of(zigzag(3, tolerance=1 * MM), batch=batch, **options)
+    assert np.array_equal(whole.stop, pieces.stop)
 
 
 def test_arc_length_is_that_of_the_tip():

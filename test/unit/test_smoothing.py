@@ -8,7 +8,7 @@ from programs import blocks_of, pyramid, zigzag
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.errors import BlockError
+from cnc_interp.errors import BlockError, InterpError
 from cnc_interp.smoothing.curves import Curves, poses
 from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
 from cnc_interp.smoothing.segments import (
@@ -109,6 +109,68 @@ def test_eq_3_contour_error_of_a_plane_corner():
 @pytest.mark.parametrize('blocks', [pyramid(), pyramid(-1.0), zigzag(3), zigzag(4, step=0.5 * MM)])
 def test_tip_and_axis_are_continuous_to_the_second_derivative(blocks):
     assert jumps(smooth(blocks)).max() < 1e-9
+
+
+@pytest.mark.parametrize('blocks', [pyramid(), zigzag(3), zigzag(4, step=0.5 * MM)])
+@pytest.mark.parametrize('top', ['in_step', 'tolerance'])
+@pytest.mark.parametrize('septic', [False, True])
+def test_exact_connection_is_smooth_for_both_top_curves(blocks, top, septic):
+    segments = smooth(blocks, top=top, septic=septic)
+    assert jumps(segments).max() < 1e-9
+    assert (segments.deviation <= 0.02 * MM * (1 + 1e-6)).all()
+    i = int(np.flatnonzero(segments.kind == CORNER)[0])
+    if top == 'tolerance':  # knots coincide: f(0.5) = 0.5
+        middle = jets(segments, i, 0.5, False), jets(segments, i, 0.5, True)
+        assert np.allclose(middle[0][1, :3], middle[1][1, :3], rtol=1e-6, atol=1e-6)
+
+
+def third_by_length(pair):
+    """Third derivative by tip arc length of tip and axis, shape (2, 3)."""
+    p1, p2, p3 = pair[0, 1:]
+    v = np.linalg.norm(p1)
+    v1 = p1 @ p2 / v
+    v2 = (p2 @ p2 + p1 @ p3 - v1 * v1) / v
+    first = pair[:, 1] / v
+    second = (pair[:, 2] - first * v1) / v**2
+    return (pair[:, 3] - 3 * second * v * v1 - first * v2) / v**3
+
+
+def test_septic_continues_the_third_derivative_of_the_axis():
+    """Of the axis, whose third derivative by arc length the bottom curve alone would break."""
+    for septic, most in ((True, 1e-8), (False, np.inf)):
+        segments = smooth(pyramid(), septic=septic)
+        worst = 0.0
+        for i in np.flatnonzero(segments.kind == CORNER):
+            before = third_by_length(jets(segments, i - 1, 1.0, True))[1]
+            after = third_by_length(jets(segments, i, 0.0, False))[1]
+            size = np.linalg.norm(segments.bottom[i][2] - segments.bottom[i][0])
+            rate = np.linalg.norm(segments.rotation[i - 1]) / segments.length[i - 1]
+            worst = max(worst, np.linalg.norm(after - before) * size**2 / rate)
+        assert worst < most
+        if not septic:
+            assert worst > 1e-6
+
+
+def test_paper_parametrization_removes_most_of_the_kink_that_linear_leaves():
+    """Jump of o_s where the corners begin, with the paper's top curve [Fig. 6]."""
+    kink = {}
+    for name in ('linear', 'paper', 'exact'):
+        segments = smooth(
+            pyramid(tolerance=1 * MM), top='tolerance', parametrization=name, ratio=1.4
+        )
+        gaps = []
+        for i in np.flatnonzero(segments.kind == CORNER):
+            if segments.kind[i - 1] != LINE:
+                continue
+            before = by_length(jets(segments, i - 1, 1.0, True))[1, 1]
+            gaps.append(np.linalg.norm(before - by_length(jets(segments, i, 0.0, False))[1, 1]))
+        kink[name] = max(gaps)
+    assert kink['exact'] < 1e-9 < kink['paper'] < 0.2 * kink['linear']
+
+
+def test_unknown_way_to_make_a_corner_is_refused():
+    with pytest.raises(InterpError, match="'cubic' is unknown; choose exact or linear or paper"):
+        SmoothingOptions(parametrization='cubic')
 
 
 def programmed_poses(blocks, row, count=2000):

@@ -53,9 +53,9 @@ class PlanOptions:
     """
 
     passes: int = 6
-    cell_time: tuple[float, float] = (2e-4, 8e-3)
+    cell_time: tuple[float, float] = (2e-4, 6e-3)
     share: float = 1 / 64
-    bend: float = 0.03
+    bend: float = 0.005
     gap: float = 5e-5
     points: int = 7
     window_ratio: float = 2.5

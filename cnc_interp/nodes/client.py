@@ -160,6 +160,11 @@ class Client:
             if self._interrupted and not cancelling:
                 cancelling = True
                 handle.cancel_goal_async()
+                print(
+                    '\ncancelled: the blocks on their way are executed, then the machine rests; '
+                    'once more ends at once',
+                    file=sys.stderr,
+                )
             self._see_motion()
             if self._feedback is not None:
                 progress.show(self._feedback)

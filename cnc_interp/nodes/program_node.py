@@ -12,7 +12,6 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1Block
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
-from rclpy.task import Future
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
@@ -41,41 +40,50 @@ class ProgramNode(Node):
         self._transform = Transform.of(Machine.load(self._values['machine']))
         warm_kinematics(self._transform)
         self._run: ProgramRun | None = None
-        self._done = Future()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self)
         self._outlet = Outlet(self, 'blocks', G1Block, self._values['resend_after'], self._encode)
         self._feedback_at = 0.0
         self._server = ActionServer(
-            self, RunProgram, 'run_program', self._execute,
+            self, RunProgram, 'run_program', lambda _: Result(),
+            handle_accepted_callback=self._accept,
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )  # fmt: skip
         self.create_timer(0.02, self._work)
         self._diagnostics.say('program', OK, 'no program')
 
-    async def _execute(self, handle: Any) -> RunProgram.Result:
-        """Run one goal; the timer does the work, this waits for its result."""
+    def _accept(self, handle: Any) -> None:
+        """
+        Begin the run of a goal; the timer brings it forward.
+
+        rclpy polls an awaiting execute callback without pause, at most of a core. So the goal is
+        only handed to ``execute`` when its result is there.
+        """
         if self._run is not None:
-            handle.abort()
-            return Result(
-                code=Result.BUSY, message=f'{self._run.name} is running; wait for its end'
-            )
+            busy = f'{self._run.name} is running; wait for its end'
+            self._answer(handle, Result(code=Result.BUSY, message=busy))
+            return
         run = ProgramRun(handle.request)
-        self._handle, self._done = handle, Future()
         run.preparing = self._worker.submit(
             prepare, handle.request, self._transform, self._values, lambda: run.cancelled
         )
-        self._run = run
-        result: RunProgram.Result = await self._done
-        if result.code == Result.SUCCEEDED:
-            handle.succeed()
-        elif result.code == Result.CANCELED and handle.is_cancel_requested:
-            handle.canceled()
-        else:
-            handle.abort()
-        return result
+        self._run, self._goal = run, handle
+
+    def _answer(self, handle: Any, result: RunProgram.Result) -> None:
+        """End a goal with its result."""
+
+        def execute(goal: Any) -> RunProgram.Result:
+            if result.code == Result.SUCCEEDED:
+                goal.succeed()
+            elif result.code == Result.CANCELED and goal.is_cancel_requested:
+                goal.canceled()
+            else:
+                goal.abort()
+            return result
+
+        handle.execute(execute)
 
     def _work(self) -> None:
         """Bring the run forward by one step."""
@@ -83,7 +91,7 @@ class ProgramNode(Node):
         if run is None:
             return
         now = time.monotonic()
-        if self._handle.is_cancel_requested and not run.cancelled:
+        if self._goal.is_cancel_requested and not run.cancelled:
             run.cancel(self._outlet.sender)
         if run.prepared is None:
             outcome = run.see_prepared()
@@ -123,7 +131,7 @@ class ProgramNode(Node):
         share = min(1.0, state.path_position / run.prepared.path_length)
         elapsed = state.samples * self._peers.period
         driven = (state.samples - state.approach_samples) * self._peers.period
-        self._handle.publish_feedback(
+        self._goal.publish_feedback(
             RunProgram.Feedback(
                 sequence=state.sequence,
                 line_number=state.line_number,
@@ -140,7 +148,7 @@ class ProgramNode(Node):
         self._diagnostics.say('program', level, message)
         self._outlet.sender.begin('')
         self._run = None
-        self._done.set_result(result)
+        self._answer(self._goal, result)
 
     def close(self) -> None:
         """End: blocks that were sent are executed, the look-ahead ends the path after them."""

@@ -41,6 +41,7 @@ class ProgramRun:
         self.started = self.cancelled = False
         self.last_sequence = -1
         self._queued = 0
+        self._blocks_sent: int | None = None  # known before the end when the run is cancelled
         self._known_by: set[str] = set()
         self._asked_at = time.monotonic()
 
@@ -94,7 +95,9 @@ class ProgramRun:
         sender.drop_unsent()
         last = sender.next_number - 1
         if last < 0:
+            self._queued, self.last_sequence = 1, -1
             return
+        self._blocks_sent = last
         # The last pose once more: no motion of its own, it only carries the end.
         sender.put(last)
         self.last_sequence = last + 1
@@ -102,6 +105,8 @@ class ProgramRun:
 
     def watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         """Tell when the run is over, and how."""
+        if self.cancelled and self.last_sequence < 0:
+            return Result.CANCELED, 'cancelled before anything moved'
         state = peers.state
         refusal = peers.refusal(self.program_id)
         mine = state is not None and state.program_id == self.program_id
@@ -129,7 +134,7 @@ class ProgramRun:
         result = Result(code=code, message=message, program_id=self.program_id)
         if self.prepared is not None:
             result.notices = list(self.prepared.notices)
-        result.blocks_sent = max(0, min(sent - 1, self._last_row)) if self.prepared else 0
+        result.blocks_sent = max(0, sent - 1) if self._blocks_sent is None else self._blocks_sent
         state = peers.state
         if state is None or state.program_id != self.program_id:
             return result

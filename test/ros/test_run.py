@@ -123,6 +123,7 @@ def test_cancelling_ends_at_rest_on_the_path(nodes):
     handle.cancel_goal_async()
     result = nodes.result_of(handle)
     assert result.code in (Result.CANCELED, Result.SUCCEEDED)  # all blocks may be on their way
+    assert result.blocks_executed == result.blocks_sent
     assert nodes.next_state().state == MachineState.IDLE
 
 

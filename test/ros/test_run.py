@@ -1,4 +1,4 @@
-"""Real processes: programs run to their end, bad input moves nothing, faults are named."""
+"""Real processes: programs run to their end, bad input moves nothing, what is unsound is named."""
 
 import math
 

@@ -1,3 +1,10 @@
 """cnc_interp: a 5-axis CNC interpolator whose every emitted setpoint is proven."""
 
+import os
+from pathlib import Path
+
+from cnc_interp import kernel_cache
+
 __version__ = '0.1.0'
+
+kernel_cache.choose(Path(__file__).resolve().parent, os.environ)

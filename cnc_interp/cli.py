@@ -33,12 +33,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InterpError as problem:
         print(f'cnc-interp: {problem}', file=sys.stderr)
         return BAD_INPUT
+    except OSError as problem:
+        if isinstance(problem, BrokenPipeError):
+            sys.stderr.close()
+            return FINE
+        print(f'cnc-interp: {problem.filename}: {problem.strerror}', file=sys.stderr)
+        return BAD_INPUT
     except KeyboardInterrupt:
         print('cnc-interp: interrupted', file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()
-        return FINE
 
 
 def parser() -> argparse.ArgumentParser:
@@ -86,6 +89,7 @@ def parser() -> argparse.ArgumentParser:
         'cnc-interp report out/pyramid --html out/pyramid.html',
     )  # fmt: skip
     report.add_argument('directory', type=Path, metavar='DIR', help='folder with plan files')
+    report.add_argument('--machine', metavar='M', help='another machine than the plan names')
     report.add_argument(
         '--html', type=Path, metavar='FILE', help='page to write (default: DIR/report.html)'
     )
@@ -215,10 +219,12 @@ def check_command(options: argparse.Namespace) -> int:
 
 def report_command(options: argparse.Namespace) -> int:
     """Write the HTML page of a plan."""
+    from cnc_interp.kinematics.machine import Machine
     from cnc_interp.report import write_report
 
     page = options.html or options.directory / 'report.html'
-    write_report(options.directory, page)
+    machine = Machine.load(options.machine) if options.machine else None
+    write_report(options.directory, page, machine)
     print(f'report         {page}')
     return FINE
 

@@ -43,6 +43,8 @@ class BlockError(InterpError):
     """
     A block whose motion is refused before anything moves.
 
+    The rooms know the line of a block; who knows the file as well sets ``source``.
+
     Parameters
     ----------
     message : str
@@ -59,8 +61,15 @@ class BlockError(InterpError):
     def __init__(
         self, message: str, line_number: int = 0, axis: str = '', value: float = float('nan')
     ):
+        self.message, self.source = message, ''
         self.line_number, self.axis, self.value = line_number, axis, value
-        super().__init__(f'line {line_number}: {message}' if line_number else message)
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        """Name the file, where it is known, and the line."""
+        if self.source:
+            return f'{self.source}:{self.line_number}: {self.message}'
+        return f'line {self.line_number}: {self.message}' if self.line_number else self.message
 
 
 class TravelError(BlockError):

@@ -19,31 +19,31 @@ Jet = tuple[float, float, float, float]
 VectorJet = tuple[Jet, Jet, Jet]
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def constant(a):  # type: ignore[no-untyped-def]
     """Return the jet of a constant."""
     return (a, 0.0, 0.0, 0.0)
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def add(a, b):  # type: ignore[no-untyped-def]
     """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def subtract(a, b):  # type: ignore[no-untyped-def]
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3])
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def scale(a, x):  # type: ignore[no-untyped-def]
     """Return x a for a number x."""
     return (x * a[0], x * a[1], x * a[2], x * a[3])
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def multiply(a, b):  # type: ignore[no-untyped-def]
     """Return a b by the Cauchy product."""
     return (
@@ -54,7 +54,7 @@ def multiply(a, b):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def divide(a, b):  # type: ignore[no-untyped-def]
     """Return a / b, b[0] not zero."""
     q0 = a[0] / b[0]
@@ -64,7 +64,7 @@ def divide(a, b):  # type: ignore[no-untyped-def]
     return (q0, q1, q2, q3)
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def square_root(a):  # type: ignore[no-untyped-def]
     """Return the square root of a, a[0] > 0."""
     r0 = sqrt(a[0])
@@ -74,7 +74,7 @@ def square_root(a):  # type: ignore[no-untyped-def]
     return (r0, r1, r2, r3)
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def sine_cosine(a):  # type: ignore[no-untyped-def]
     """Return the jets of sin a and cos a."""
     s0, c0 = sin(a[0]), cos(a[0])
@@ -86,7 +86,7 @@ def sine_cosine(a):  # type: ignore[no-untyped-def]
     return (s0, s1, s2, s3), (c0, c1, c2, c3)
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def arctangent(y, x):  # type: ignore[no-untyped-def]
     """
     Return atan2(y, x) of two jets, not both zero.
@@ -105,20 +105,20 @@ def arctangent(y, x):  # type: ignore[no-untyped-def]
     return (atan2(y[0], x[0]), g0, 0.5 * g1, g2 / 3.0)
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the scalar product of two vector jets."""
     return add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]))
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def normalised(a):  # type: ignore[no-untyped-def]
     """Return a / |a| of a vector jet."""
     length = square_root(dot(a, a))
     return (divide(a[0], length), divide(a[1], length), divide(a[2], length))
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def rotated(axis, sine, cosine, v):  # type: ignore[no-untyped-def]
     """
     Rotate the vector jet v about a constant unit axis [B2013, Eq. 4 (Rodrigues)].
@@ -139,7 +139,7 @@ def rotated(axis, sine, cosine, v):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def compose(a, f):  # type: ignore[no-untyped-def]
     """Return a(f), with ``a`` the jet at f[0] in its own parameter."""
     return (
@@ -150,7 +150,7 @@ def compose(a, f):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def by_arc_length(a, speed):  # type: ignore[no-untyped-def]
     """
     Turn a jet in u into (value, d/ds, d2/ds2, d3/ds3), with ``speed`` the jet of ds/du.

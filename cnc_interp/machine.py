@@ -360,7 +360,7 @@ class SimulatedMachine:
         return ''
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _drive(transition: Any, held: Any, rising: Any, axes: Any, setpoint: Any, velocity: Any,
            setpoints: Any, velocities: Any) -> Any:  # fmt: skip
     """Advance the drives from (x, v) ``axes`` over rows of setpoints; all axes are alike."""
@@ -383,7 +383,7 @@ def _drive(transition: Any, held: Any, rising: Any, axes: Any, setpoint: Any, ve
     return x, v
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _path_errors(trail: Any, tips: Any, memory: int) -> Any:
     """Measure each tip against the chords of the ``memory`` commanded tips up to its own."""
     errors = np.empty(len(tips))

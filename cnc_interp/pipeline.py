@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp import __version__
-from cnc_interp.errors import ProgramError
+from cnc_interp.errors import BlockError, ProgramError
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.interpolator import Interpolator, Setpoints
@@ -181,11 +181,15 @@ def plan_program(
     options = options or ChainOptions()
     chain = Chain(machine, options)
     blocks = program.blocks
-    for first in range(0, len(blocks), BATCH):
-        chain.push(blocks[first : first + BATCH])
-        if progress:
-            progress(min(1.0, (first + BATCH) / len(blocks)))
-    chain.finish()
+    try:
+        for first in range(0, len(blocks), BATCH):
+            chain.push(blocks[first : first + BATCH])
+            if progress:
+                progress(min(1.0, (first + BATCH) / len(blocks)))
+        chain.finish()
+    except BlockError as problem:
+        problem.source = program.source
+        raise
     if not chain.pieces:
         raise ProgramError('holds no motion; add blocks after the start pose', program.source)
     return Plan(
@@ -218,7 +222,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
         use[name] = dict(zip(machine.axis_names, ratio.tolist(), strict=True))
     return {
         'program': plan.program.source,
-        'machine': machine.name,
+        'machine': machine.file or machine.name,
         'cycle_time': plan.pieces[-1].law.end_time,
         'interpolation_period': period,
         'flank_height': plan.options.flank_height,

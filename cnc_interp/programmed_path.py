@@ -166,7 +166,7 @@ def approach(
     return nearest
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _foot(x: Any, a: Any, d: Any) -> Any:
     """Find where on the line from a along d the point x has its foot, within 0 to 1."""
     length_sq = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
@@ -176,7 +176,7 @@ def _foot(x: Any, a: Any, d: Any) -> Any:
     return min(1.0, max(0.0, along / length_sq))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _line_distance(x: Any, a: Any, d: Any, part: float) -> Any:
     total = 0.0
     for i in range(3):
@@ -184,7 +184,7 @@ def _line_distance(x: Any, a: Any, d: Any, part: float) -> Any:
     return np.sqrt(total)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _slope(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: float, part: float) -> Any:
     """Return ``|T - x|^2`` and half its first two derivatives by the part of the row."""
     c, s = np.cos(turn * part), np.sin(turn * part)
@@ -199,7 +199,7 @@ def _slope(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: float, part: 
     return value, first, second
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _locus_distance(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: float) -> Any:
     """Find the distance of x from T of one row: starts on a grid, then Newton in a bracket."""
     starts = 1 if turn < 1e-6 else max(4, int(np.ceil(turn / TURN_PER_START)))
@@ -230,7 +230,7 @@ def _locus_distance(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: floa
     return np.sqrt(best)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _twist(tip: Any, axis: Any, k: int, start: Any, chord: Any, first: Any, sideways: Any,
            turn: Any, h: float) -> Any:  # fmt: skip
     """Compare the tool axis with the programmed one at the tip's foot on row k, as length."""
@@ -245,7 +245,7 @@ def _twist(tip: Any, axis: Any, k: int, start: Any, chord: Any, first: Any, side
     return 2.0 * h * np.arcsin(min(1.0, 0.5 * np.sqrt(gap)))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _deviation(tip: Any, axis: Any, low: Any, high: Any, start: Any, chord: Any, first: Any,
                sideways: Any, turn: Any, by_axes: Any, h: float) -> Any:  # fmt: skip
     """Measure each pose against rows low to high; see `Deviation`."""
@@ -275,7 +275,7 @@ def _deviation(tip: Any, axis: Any, low: Any, high: Any, start: Any, chord: Any,
     return contour, row, part, orientation, twist
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _approach(points: Any, bulge: Any, vertices: Any, low: Any, high: Any) -> Any:
     count = len(vertices)
     nearest = np.full(count, np.inf)

@@ -61,7 +61,7 @@ class PlanGrid:
     guess: FloatArray
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def cell_nodes(
     h: float,
     v0: float,
@@ -114,7 +114,7 @@ def cell_nodes(
     return cells - 1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
     """
     Measure how far one cell is from rows that are linear along it, relative to the limits.
@@ -138,7 +138,7 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
     return worst
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def grid_nodes(
     s: FloatArray,
     left: FloatArray,
@@ -178,7 +178,7 @@ def grid_nodes(
     return found[:total].copy()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def lies_on_line(
     first: int,
     last: int,
@@ -203,7 +203,7 @@ def lies_on_line(
     return True
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def group_cells(
     first: int,
     s: FloatArray,

@@ -22,13 +22,13 @@ SETTLE = 0.1
 """Time added to every stop when horizons are measured, else slow windows are all ramps [s]."""
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
     """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
     return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def window_end(
     s: FloatArray, bounds: FloatArray, ratio: float, cells_left: int, state: FloatArray
 ) -> int:
@@ -49,7 +49,7 @@ def window_end(
     return -1
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
     """Find the last grid point from which a whole horizon is left at the speeds planned."""
     n = len(bounds)

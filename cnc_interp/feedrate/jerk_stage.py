@@ -106,7 +106,7 @@ OVERDONE = 1.3
 MOST_ITERATIONS = 80
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def build_rows(
     left: FloatArray,
     right: FloatArray,
@@ -131,7 +131,7 @@ def build_rows(
             acceleration[i, k, 1] = left[2, i, k] / (table[1, k] * smaller)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
     """Start the interior point from the guessed speeds, a little below."""
     m = np.empty(len(h))

@@ -64,7 +64,7 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def limit_use(
     h: FloatArray,
     left: FloatArray,

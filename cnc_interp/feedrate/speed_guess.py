@@ -18,7 +18,7 @@ FASTEST = 100.0
 """Speed cap where nothing else limits [m/s]."""
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def speed_bounds(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
@@ -56,14 +56,14 @@ def speed_bounds(
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
     """Speed after a distance at half the jerk's and most of the acceleration's growth."""
     by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
     return float(min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance)))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float) -> FloatArray:
     """Guess the speed at the nodes: 0.9 of Eq. 10, and reachable from both sides."""
     n = len(h)
@@ -79,7 +79,7 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float)
     return v
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
@@ -89,7 +89,7 @@ def speed_inside(
     return min(ramp, cap), ramp > cap
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
     """Guess the duration of the motion [s]."""
     total = 0.0

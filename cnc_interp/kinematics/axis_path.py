@@ -79,7 +79,7 @@ class AxisPath:
         )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: FloatArray) -> None:
     """
     Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
@@ -109,7 +109,7 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
     out[7] = -20 * d0 + 10 * d1 - 2 * d2 + d3 / 6
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
     """Write value and three derivatives by s of a septic in u = (s - s_left)/h (Horner)."""
     value, first, second, third = c[7], 0.0, 0.0, 0.0
@@ -122,7 +122,7 @@ def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
     out[0], out[1], out[2], out[3] = value, first / h, 2 * second / h2, 6 * third / (h2 * h)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def evaluate_cells(
     s_grid: FloatArray,
     cell_left: FloatArray,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,8 @@ class Machine:
         On heads: from the tip to the secondary pivot, and from there to the primary pivot [m].
     singular_cone : float
         Smallest allowed angle between a turning tool axis and the pole [rad].
+    file : str
+        Where it was read from; empty for bundled machines, which their name finds.
 
     """
 
@@ -78,6 +80,7 @@ class Machine:
     offsets: FloatArray
     tool_offset: FloatArray
     singular_cone: float
+    file: str = ''
 
     @property
     def has_rotary(self) -> bool:
@@ -104,9 +107,11 @@ class Machine:
         if not isinstance(content, dict):
             raise MachineError(f'{path}: not a machine file; see config/machines/xyzac.yaml')
         try:
-            return from_mapping(content)
+            machine = from_mapping(content)
         except MachineError as problem:
             raise MachineError(f'{path}: {problem}', '') from None
+        bundled = path.parent == machines_directory()
+        return machine if bundled else replace(machine, file=str(path.resolve()))
 
 
 def one_line(problem: Exception) -> str:

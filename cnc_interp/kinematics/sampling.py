@@ -59,7 +59,7 @@ def shapes_of(segments: PathSegments) -> FloatArray:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
     """
     Return the axes at one point of a segment.
@@ -123,7 +123,7 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
     return q, tip, tool, sine_squared
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
     """Return the path length of a segment between parameters a and b of one half [m]."""
     if kind != CORNER:
@@ -139,7 +139,7 @@ def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
     return 0.5 * (b - a) * total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def septic_fits(left, right, h, x, exact, n_axes):  # type: ignore[no-untyped-def]
     """Tell whether the cell's septic at x has the exact axes and third derivatives."""
     coefficients, value = np.empty(8), np.empty(4)
@@ -154,7 +154,7 @@ def septic_fits(left, right, h, x, exact, n_axes):  # type: ignore[no-untyped-de
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def sample_segment(packed, cone_sine, n_axes, kind, shape, f, length, rotary, grid):  # type: ignore[no-untyped-def]
     """
     Cut one segment into cells.

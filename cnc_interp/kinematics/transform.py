@@ -156,19 +156,19 @@ class Transform:
         return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def vector_at(packed, place):  # type: ignore[no-untyped-def]
     """Read a constant vector as a tuple."""
     return (packed[place], packed[place + 1], packed[place + 2])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def near(angle, reference):  # type: ignore[no-untyped-def]
     """Return the angle plus the whole turns that bring it nearest to the reference."""
     return angle + 2.0 * pi * floor((reference - angle) / (2.0 * pi) + 0.5)
 
 
-@njit(cache=True, error_model='numpy')  # at the pole the jets are not finite
+@njit(cache=True, nogil=True, error_model='numpy')  # at the pole the jets are not finite
 def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-untyped-def]
     """
     Solve the rotary axes for a tool axis.
@@ -227,7 +227,7 @@ def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-unt
     return tilt, turn, sine_squared
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def moved(v, packed, place):  # type: ignore[no-untyped-def]
     """Add a constant vector to a vector jet."""
     x, y, z = v
@@ -238,7 +238,7 @@ def moved(v, packed, place):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linear_jets(packed, p, first, second):  # type: ignore[no-untyped-def]
     """Return the jets of X Y Z for a tool tip and both rotary axes."""
     s1, c1 = jet.sine_cosine(first)
@@ -267,7 +267,7 @@ def linear_jets(packed, p, first, second):  # type: ignore[no-untyped-def]
     return v
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linear_position(packed, tip, first, second):  # type: ignore[no-untyped-def]
     """Return X Y Z of one tool tip at given rotary positions."""
     p = (jet.constant(tip[0]), jet.constant(tip[1]), jet.constant(tip[2]))
@@ -275,7 +275,7 @@ def linear_position(packed, tip, first, second):  # type: ignore[no-untyped-def]
     return np.array([v[0][0], v[1][0], v[2][0]])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def turned(u, angle, x, y, z):  # type: ignore[no-untyped-def]
     """Rotate a vector about a unit axis by an angle."""
     s, c = sin(angle), cos(angle)
@@ -287,7 +287,7 @@ def turned(u, angle, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def forward(packed, q):  # type: ignore[no-untyped-def]
     """Return tool tips and tool axes, shape (n, 3), of axis positions, shape (n, 5)."""
     n = len(q)

@@ -92,7 +92,7 @@ class PathSegments:
         return PathSegments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def spline_component(points, i, u, second_half):  # type: ignore[no-untyped-def]
     """
     Return the jet of one coordinate of the corner's cubic B-spline [B2013, Eq. 1 and A.2].
@@ -117,7 +117,7 @@ def spline_component(points, i, u, second_half):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def bezier_component(points, i, u):  # type: ignore[no-untyped-def]
     """Return the jet of one coordinate of a Bezier curve by blossoming de Casteljau's scheme."""
     n = points.shape[0]
@@ -144,7 +144,7 @@ def bezier_component(points, i, u):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def span_at(parametrization, u):  # type: ignore[no-untyped-def]
     """Return number, start and length of the span of f in which u lies."""
     k = parametrization.shape[0] - 1
@@ -154,7 +154,7 @@ def span_at(parametrization, u):  # type: ignore[no-untyped-def]
     return k, parametrization[k, 0], end - parametrization[k, 0]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def top_parameter(parametrization, u, inside):  # type: ignore[no-untyped-def]
     """Return the jet of u_top = f(u), on the span in which ``inside`` lies."""
     if parametrization.shape[0] == 0:
@@ -164,7 +164,7 @@ def top_parameter(parametrization, u, inside):  # type: ignore[no-untyped-def]
     return (f[0], f[1] / length, f[2] / length**2, f[3] / length**3)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def corner_breaks(parametrization):  # type: ignore[no-untyped-def]
     """Return the parameters, from 0 to 1, where a corner's third derivative may jump."""
     spans = parametrization.shape[0]
@@ -182,7 +182,7 @@ def corner_breaks(parametrization):  # type: ignore[no-untyped-def]
     return np.unique(np.concatenate((parametrization[:, 0], np.array([0.5, low, 1.0]))))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def corner_jets(bottom, top, connection, parametrization, u, inside):  # type: ignore[no-untyped-def]
     """
     Return the vector jets, in u, of tool tip and tool axis of a corner [B2013, Eq. 5].
@@ -203,7 +203,7 @@ def corner_jets(bottom, top, connection, parametrization, u, inside):  # type: i
     return vector_jet(tip), jet.normalised(vector_jet(tool))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def vector_jet(rows):  # type: ignore[no-untyped-def]
     """Return three jets, shape (3, 4), as a vector jet."""
     return (
@@ -213,7 +213,7 @@ def vector_jet(rows):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def great_circle_jets(axis, rotation, u):  # type: ignore[no-untyped-def]
     """Return the jet in u of the axis turned by u times the rotation vector [B2013, Eq. 4]."""
     o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
@@ -225,7 +225,7 @@ def great_circle_jets(axis, rotation, u):  # type: ignore[no-untyped-def]
     return jet.rotated(k, sine, cosine, o)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def line_jets(bottom, axis, rotation, u):  # type: ignore[no-untyped-def]
     """Return the vector jets, in u, of tool tip and tool axis of a line."""
     dx, dy, dz = (

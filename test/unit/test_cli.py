@@ -1,0 +1,105 @@
+"""The command line as its users meet it: words, exit codes, files, and one line per mistake."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cnc_interp.cli import BAD_INPUT, FAILED, FINE, main
+from cnc_interp.kinematics.machine import find_machine_file
+
+EXAMPLES = Path(__file__).parents[2] / 'examples'
+TCP = 'TRAORI\nG90 G94\nG1 X0 Y0 Z0 A10 C0 F1000\n'
+
+
+def test_plan_check_and_report_of_the_pyramid(tmp_path, capsys):
+    plan = tmp_path / 'plan'
+    assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(plan)]) == FINE
+    assert 'cycle time' in capsys.readouterr().out
+    assert main(['check', str(plan)]) == FINE
+    assert capsys.readouterr().out.rstrip().endswith('proven')
+    assert main(['report', str(plan)]) == FINE
+    assert (plan / 'report.html').stat().st_size > 1e6
+    summary = json.loads((plan / 'summary.json').read_text())
+    setpoints, path = np.load(plan / 'setpoints.npz'), np.load(plan / 'path.npz')
+    assert summary['blocks'] == 4 and summary['samples'] == len(setpoints['time'])
+    assert path['cell_left'].shape == (4, len(path['s']) - 1, 5)
+    for name in ('velocity', 'acceleration', 'jerk'):
+        assert max(summary['largest_use'][name].values()) <= 1.0
+        assert setpoints[name].shape == setpoints['position'].shape
+
+
+def test_check_of_a_spoilt_plan_fails(tmp_path, capsys):
+    assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(tmp_path)]) == FINE
+    setpoints = dict(np.load(tmp_path / 'setpoints.npz'))
+    setpoints['position'][500, 1] += 1e-6
+    np.savez(tmp_path / 'setpoints.npz', **setpoints)
+    assert main(['check', str(tmp_path)]) == FAILED
+    assert 'NOT proven' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    'way', [['--parametrization', 'paper'], ['--top', 'tolerance', '--septic']]
+)
+def test_other_ways_to_make_corners_are_proven_too(way, tmp_path):
+    program = str(EXAMPLES / 'pyramid.apt')
+    assert main(['plan', program, '--out', str(tmp_path), *way]) == FINE
+    assert main(['check', str(tmp_path)]) == FINE
+
+
+def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
+    file = tmp_path / 'mine.yaml'
+    text = find_machine_file('xyzac').read_text().replace('name: xyzac', 'name: mine')
+    file.write_text(text.replace('jerk_m_per_s3: 5.0', 'jerk_m_per_s3: 2.0'))
+    out = tmp_path / 'plan'
+    program = str(EXAMPLES / 'pyramid.apt')
+    assert main(['plan', program, '--machine', str(file), '--out', str(out)]) == FINE
+    assert main(['check', str(out)]) == FINE
+    assert 'machine mine' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('name', 'text', 'says'),
+    [
+        ('no_feed.ngc', 'G90\nG1 X0\nG1 X10\n', ':3: no feedrate (F)'),
+        ('arc.ngc', 'F1000\nG1 X0 Y0\nG2 X10 I5\n', ':3: G2: clockwise arcs'),
+        ('letter.ngc', 'F1000\nG1 X0\nG1 X1O\n', ':3: O: a letter without a number'),
+        ('word.ngc', 'F1000\nG1 X0\nG1 X10 Q2\n', ':3: Q2: this word has no meaning'),
+        ('tcp.ngc', 'F1000\nG1 X0 A0\nG1 X10 A20\n', ':3: A20: motion with turned rotary axes'),
+        ('axis.apt', 'GOTO/0,0,0,0,0,1\nGOTO/9,0,0,0,0,0\n', ':2: GOTO: the tool axis is not'),
+        ('travel.ngc', TCP + 'G1 X900\n', ':4: axis X would have to go to 940.000 mm'),
+        (
+            'pole.apt',
+            'FEDRAT/3000,MMPM\nGOTO/0,0,0,.0001,.2,.9798\nGOTO/30,0,0,.0001,-.2,.9798\n',
+            ':3: the turning tool axis comes closer than 0.02 deg',
+        ),
+        ('feed.ngc', 'F-100\nG1 X0\nG1 X10\n', ':1: F-100: the feedrate must be greater'),
+        ('tolerance.ngc', 'F1000\nG64 P0\nG1 X0\nG1 X1\n', ':2: P0: the tolerance must be'),
+        ('empty.ngc', '', ': no motion found'),
+        ('still.ngc', 'F1000\nG1 X0\n', ': holds no motion'),
+    ],
+)
+def test_wrong_program_gets_one_line_with_file_and_line(name, text, says, tmp_path, capsys):
+    file = tmp_path / name
+    file.write_text(text)
+    assert main(['plan', str(file), '--out', str(tmp_path / 'out')]) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert error.count('\n') == 1 and error.startswith(f'cnc-interp: {file}{says}')
+    assert not (tmp_path / 'out').exists()
+
+
+def test_missing_things_get_one_line(tmp_path, capsys):
+    program = str(EXAMPLES / 'pyramid.apt')
+    blocked = tmp_path / 'file'
+    blocked.write_text('')
+    for arguments, says in (
+        (['plan', 'nowhere.ngc', '--out', str(tmp_path)], 'nowhere.ngc: cannot be opened'),
+        (['plan', program, '--machine', 'hermle', '--out', str(tmp_path)], "no machine 'hermle'"),
+        (['plan', program, '--out', str(blocked / 'plan')], 'Not a directory'),
+        (['check', str(tmp_path)], 'summary.json: cannot be read'),
+        (['report', str(tmp_path)], 'summary.json: cannot be read'),
+    ):
+        assert main(arguments) == BAD_INPUT
+        error = capsys.readouterr().err
+        assert says in error and error.count('\n') == 1

@@ -10,7 +10,7 @@ import json
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -270,6 +270,8 @@ def write_plan(plan: Plan, directory: Path) -> None:
         acceleration=samples.acceleration, jerk=samples.jerk, block=samples.block, s=samples.s,
     )  # fmt: skip
     np.savez(directory / 'path.npz', **path_columns(plan))
+    columns = {field.name: getattr(plan.segments, field.name) for field in fields(plan.segments)}
+    np.savez(directory / 'segments.npz', **columns)
     blocks = plan.program.blocks
     np.savez(
         directory / 'blocks.npz',

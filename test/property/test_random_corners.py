@@ -1,0 +1,120 @@
+"""Thousands of random corners at once: tolerance and continuity recomputed from the curves."""
+
+import numpy as np
+import pytest
+
+from cnc_interp.smoothing.corner import Corners, Style, first_lengths, fit
+from cnc_interp.smoothing.curves import poses
+from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
+from cnc_interp.units import DEG, MM, UM
+
+HEIGHT = 30 * MM
+COUNT = 20000
+
+
+def random_corners(seed, count):
+    """Angles 1-164 deg, lines 1 um - 1 m, rotations 0-60 deg a line, tolerances 1 um - 5 mm."""
+    rng = np.random.default_rng(seed)
+
+    def spread(low, high, *shape):
+        return np.exp(rng.uniform(np.log(low), np.log(high), (count, *shape)))
+
+    def directions():
+        v = rng.normal(size=(count, 3))
+        return v / norm(v)[:, None]
+
+    axis, first = directions(), directions()
+    turn = rng.uniform(1 * DEG, 164 * DEG, count)
+    normal = cross(first, directions())
+    second = turned_by(first, normal / norm(normal)[:, None], turn)
+    lengths = spread(1 * UM, 1.0, 2)
+    rates = []
+    for side in (0, 1):
+        normal = cross(axis, directions())
+        swing = rng.uniform(0.0, 60 * DEG, count) * (rng.random(count) < 0.8)
+        rates.append(normal / norm(normal)[:, None] * (swing / lengths[:, side])[:, None])
+    return lengths, Corners(
+        tip=rng.uniform(-0.2, 0.2, (count, 3)),
+        axis=axis,
+        legs=np.stack([-first, second], axis=1),
+        rates=np.stack(rates, axis=1),
+        tolerances=spread(1 * UM, 5 * MM, 2),
+    )
+
+
+def axis_derivatives(curves, side):
+    """o, o_s and o_ss where a corner begins (side 0) or ends (1), from its control points."""
+    forward = slice(None) if side == 0 else slice(None, None, -1)
+    p, t = curves.bottom[:, forward], curves.top[:, forward]
+    e, n = curves.connection[:, forward], curves.connection.shape[1] - 1
+    d0 = t[:, 0] - p[:, 0]
+    first = [6 * (x[:, 1] - x[:, 0]) for x in (p, t)]
+    second = [24 * x[:, 0] - 36 * x[:, 1] + 12 * x[:, 2] for x in (p, t)]
+    d1 = first[1] - first[0] + n * e[:, 1]
+    d2 = second[1] - second[0] + n * (n - 1) * (e[:, 2] - 2 * e[:, 1])
+    size = norm(d0)[:, None]
+    o = d0 / size
+    along = dot(d1, o)[:, None]
+    o1 = (d1 - along * o) / size
+    grow = (dot(d1, d1)[:, None] + dot(d0, d2)[:, None]) / size - along**2 / size
+    o2 = (d2 - 2 * along * o1 - grow * o) / size
+    v = norm(first[0])[:, None]
+    v1 = dot(first[0], second[0])[:, None] / v
+    return o, o1 / v, (o2 - o1 / v * v1) / v**2
+
+
+@pytest.mark.parametrize('septic', [False, True])
+def test_tool_axis_continues_to_the_second_derivative(septic):
+    lengths, corners = random_corners(1, COUNT)
+    style = Style(HEIGHT, 2.0, True, 'exact', septic)
+    _, outer, curves, _ = fit(corners, *first_lengths(corners, 0.5 * lengths, style), style, True)
+    for side, sense in ((0, 1.0), (1, -1.0)):  # seen inward from each end
+        rate = corners.rates[:, side] * sense
+        o, o_s, o_ss = axis_derivatives(curves, side)
+        expected = corners.axis_at(side, outer[:, side])
+        turn = cross(rate, expected)
+        bend = -dot(rate, rate)[:, None] * expected
+        size = outer[:, side, None]
+        swing = norm(rate)[:, None] * size
+        # Relative to the corner's own swing; unit vectors carry rounding of their own.
+        assert (np.abs(o - expected) < 1e-13).all()
+        assert (np.abs(o_s - turn) * size < 1e-9 * swing + 3e-14).all()
+        assert (np.abs(o_ss - bend) * size**2 < 1e-9 * swing + 3e-13).all()
+
+
+def test_deviations_are_bounds_and_within_tolerance():
+    lengths, corners = random_corners(2, COUNT)
+    style = Style(HEIGHT, 2.0, True, 'exact', False)
+    _, outer, curves, deviation = fit(
+        corners, *first_lengths(corners, 0.5 * lengths, style), style, True
+    )
+    assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
+    allowed = deviation + 1e-12 + 1e-9 * outer.max(axis=1)[:, None]
+    for u in np.linspace(0.01, 0.99, 49):
+        tip, tool = poses(curves, u)
+        tip_gap, top_gap = np.full(COUNT, np.inf), np.full(COUNT, np.inf)
+        for side in (0, 1):
+            leg = corners.legs[:, side]
+            x = dot(tip - corners.tip, leg).clip(0.0, outer[:, side])
+            tip_gap = np.minimum(tip_gap, norm(tip - corners.tip - x[:, None] * leg))
+            top = tip + HEIGHT * tool
+            chord = curves.top[:, 4 * side] - curves.top[:, 2]
+            share = dot(top - curves.top[:, 2], chord) / np.maximum(dot(chord, chord), 1e-300)
+            x = share.clip(0.0, 1.0) * outer[:, side]
+            for _ in range(2):  # two Newton steps toward the nearest point of the top locus
+                axis = corners.axis_at(side, x)
+                sense = 1.0 if side else -1.0
+                slope = leg + sense * HEIGHT * cross(corners.rates[:, side], axis)
+                gap = top - corners.tip - x[:, None] * leg - HEIGHT * axis
+                x = (x + dot(gap, slope) / dot(slope, slope)).clip(0.0, outer[:, side])
+            locus = corners.tip + x[:, None] * leg + HEIGHT * corners.axis_at(side, x)
+            top_gap = np.minimum(top_gap, norm(top - locus))
+        assert (tip_gap <= allowed[:, 0]).all()
+        assert (top_gap <= allowed[:, 1]).all()
+
+
+def test_great_circles_between_axes_end_where_they_should():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 1000, 3))
+    a, b = a / norm(a)[:, None], b / norm(b)[:, None]
+    assert np.abs(turned_by(a, rotations_between(a, b), 1.0) - b).max() < 1e-14

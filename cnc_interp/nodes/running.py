@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
@@ -20,6 +21,8 @@ from cnc_interp.nodes.children import PARENT
 
 #: The events executor needs a finite timeout; this is also how soon a signal is seen [s].
 SPIN_TIMEOUT = 0.1
+#: Niceness of the nodes where it is permitted: setpoints must not wait for other programs.
+NICENESS = -10
 
 
 def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int:
@@ -48,6 +51,7 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
         node = make()
         executor = EventsExecutor()
         executor.add_node(node)
+        come_first()
         gc.collect()
         gc.freeze()  # what exists now lives as long as the node: no collection walks over it
         parent = int(os.environ.get(PARENT, '0'))
@@ -65,6 +69,12 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def come_first() -> None:
+    """Ask the system to serve this process before others; only some users may."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:

@@ -192,7 +192,7 @@ def fit(
     reach = corners.tolerances[:, 1].copy()
     curves, deviation = style.room(len(inner)), np.zeros((len(inner), 2))
     rows = np.arange(len(inner))
-    for _ in range(30):
+    for turn in range(30):
         some = corners[rows]
         built = build(some, inner[rows], outer[rows], reach[rows], style)
         curves.put(rows, built)
@@ -202,7 +202,8 @@ def fit(
         rows = rows[too_large]
         if not len(rows):
             break
-        shrink = np.clip(0.998 / excess[too_large], 0.05, 0.995)
+        # Where only the swing of the axis is too large, L1 must fall far before L2 follows.
+        shrink = np.clip(0.998 / excess[too_large], 0.05, 0.995 if turn < 6 else 0.9)
         inner[rows] *= shrink
         reach[rows] *= shrink
         if free_ends:

@@ -341,6 +341,12 @@ class LookAhead:
         _, _, curves, deviation = corner.fit(
             corners, inner[rows], outer[rows], self._style, free_ends=False
         )
+        beyond = np.flatnonzero((deviation > corners.tolerances * (1.0 + 1e-6)).any(axis=1))
+        if len(beyond):
+            raise BlockError(
+                'this corner cannot be rounded within the tolerances; give it an exact stop (G61)',
+                int(blocks.line_number[rows[beyond[0]]]),
+            )
         zero = np.zeros(n)
         return PathSegments(
             kind=np.full(n, CORNER),

@@ -19,7 +19,6 @@ from cnc_interp.feedrate.interior_point import BROKEN, solve
 from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle, spread
-from cnc_interp.feedrate.toppra_stage import ceiling
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.program.blocks import FloatArray
 
@@ -166,6 +165,9 @@ class Problem:
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         guess = grid.guess
         if options.toppra:
+            # toppra brings half a second of imports with it, and is seldom needed
+            from cnc_interp.feedrate.toppra_stage import ceiling
+
             squared = ceiling(path, table, start[0])
             if squared is not None:
                 guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))

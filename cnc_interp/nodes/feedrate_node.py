@@ -6,6 +6,7 @@ import sys
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,8 @@ class FeedrateNode(LifecycleNode):
         values = self._values
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(self._transform, self._period)
+        # Its imports take half a second; nobody needs it before a window is tried again.
+        self._worker.submit(import_module, 'cnc_interp.feedrate.toppra_stage')
         self._diagnostics = Diagnostics(self)
         self._outlet = Outlet(
             self, 'setpoints', SetpointChunk, values['resend_after'], self._encode

@@ -1,0 +1,33 @@
+"""How much of the time at least one limit is active: the mark of a time-optimal law."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import evaluate
+
+PERIOD = 1e-3
+
+
+def share_active(planned: PlannedPiece, limits: AxisLimits, level: float = 0.99) -> float:
+    """Share of the samples at which the largest use of all limits and of F reaches ``level``."""
+    law, path, table = planned.law, planned.path, limit_table(limits)
+    time = np.arange(law.time[0], law.end_time, PERIOD)
+    piece = law.piece_at(time)
+    s, v, a, j = law.evaluate(time, piece)
+    cell = law.cell[piece]
+    _, q1, q2, q3 = evaluate(path, s, cell)
+    use = np.maximum.reduce(
+        [
+            (np.abs(q1 * v[:, None]) / table[0]).max(axis=1),
+            (np.abs(q2 * v[:, None] ** 2 + q1 * a[:, None]) / table[1]).max(axis=1),
+            (
+                np.abs(q3 * v[:, None] ** 3 + 3 * q2 * (v * a)[:, None] + q1 * j[:, None])
+                / table[2]
+            ).max(axis=1),
+            v / path.cell_feed[cell],
+        ]
+    )
+    return float((use >= level).mean())

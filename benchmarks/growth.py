@@ -1,0 +1,65 @@
+"""How computing time grows with the length of the program: blocks -> setpoints, and copp-py's."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from paths import blocks_of, smoothed
+from rivals import topp3
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.pipeline import BATCH, Chain, ChainOptions
+from cnc_interp.program import Blocks
+from cnc_interp.units import DEG, MM, MM_PER_MIN
+
+ROW = 100
+
+
+def raster(count: int, first: int = 0) -> Blocks:
+    """Make 1 mm blocks, zigzag in rows of ROW over a dome, the tool normal to it and tilted."""
+    n = first + np.arange(count)
+    row, along = np.divmod(n, ROW)
+    along = np.where(row % 2 == 0, along, ROW - 1 - along)
+    # rows go up and down between y = 0 and 40 mm
+    side = np.abs((row + 40) % 80 - 40)
+    x, y = (along - ROW / 2) * 1.0 * MM, side * 1.0 * MM
+    z = -(x**2 + y**2) / (2 * 200 * MM)
+    tilt = np.column_stack([x / (200 * MM), y / (200 * MM) - np.tan(20 * DEG), np.ones(count)])
+    axis = tilt / np.linalg.norm(tilt, axis=1, keepdims=True)
+    return blocks_of(np.column_stack([x, y, z]), axis, 3000 * MM_PER_MIN)
+
+
+def chain_time(count: int) -> dict[str, float]:
+    """Send a raster through the chain, dropping what comes out; seconds by room, and of motion."""
+    chain = Chain(Machine.load('xyzac'), ChainOptions())
+    motion = 0.0
+    for first in range(0, count, BATCH):
+        chain.push(raster(min(BATCH, count - first), first))
+        motion = chain.pieces[-1].law.end_time if chain.pieces else motion
+        for held in (chain.segments, chain.pieces, chain.setpoints):
+            held.clear()
+    # the end needs one piece to tell that there was motion
+    chain.finish()
+    motion = chain.pieces[-1].law.end_time if chain.pieces else motion
+    return {**chain.seconds, 'motion': motion}
+
+
+def chain_growth(counts: tuple[int, ...]) -> Iterator[tuple[int, dict[str, float]]]:
+    """Measure the chain at several lengths, after a warm-up."""
+    chain_time(300)
+    for count in counts:
+        yield count, chain_time(count)
+
+
+def topp3_growth(counts: tuple[int, ...], most: float) -> Iterator[tuple[int, float, float]]:
+    """Measure copp-py on the same raster until one solve takes ``most`` seconds."""
+    machine = Machine.load('xyzac')
+    for count in counts:
+        path = smoothed(raster(count), machine)
+        start = time.perf_counter()
+        answer = topp3(path, machine, 0, rounds=1)
+        yield count, answer.computing, answer.time
+        if time.perf_counter() - start > most:
+            return

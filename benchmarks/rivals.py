@@ -1,0 +1,138 @@
+"""What else could drive the same path: a stop at every corner, toppra slowed, copp-py's TOPP3."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from optimum import time_grid
+from paths import Case, smoothed, stretches
+
+from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.toppra_stage import ceiling
+from cnc_interp.feedrate.window import plan_path
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.program.blocks import FloatArray
+
+PERIOD = 1e-3
+#: Jerk by third differences of setpoints that counts as kept: the limit and its rounding.
+KEPT = 1.001
+
+
+def stop_at_corners(case: Case) -> float:
+    """Cycle time of the same blocks with an exact stop at the end of each [s]; nan without."""
+    if case.blocks is None or not isinstance(case.limits, Machine):
+        return math.nan
+    stopping = np.ones(len(case.blocks), dtype=bool)
+    path = smoothed(replace(case.blocks, exact_stop=stopping), case.limits)
+    return plan_path(path, case.limits).law.end_time
+
+
+def largest_jerk(path: AxisPath, speed: FloatArray, max_jerk: FloatArray) -> tuple[float, float]:
+    """Duration of a law of constant s_ddot per cell [s], and its setpoints' jerk over the limit."""
+    h = np.diff(path.s)
+    duration = 2 * h / np.maximum(speed[:-1] + speed[1:], 1e-12)
+    at = np.concatenate([[0.0], np.cumsum(duration)])
+    t = np.arange(-3, math.ceil(at[-1] / PERIOD) + 4) * PERIOD
+    cell = np.clip(np.searchsorted(at, t, side='right') - 1, 0, len(h) - 1)
+    dt = np.clip(t - at[cell], 0.0, duration[cell])
+    slope = np.diff(speed) / duration
+    s = path.s[cell] + dt * (speed[cell] + dt * slope[cell] / 2)
+    q = evaluate(path, np.clip(s, path.s[0], path.s[-1]))[0]
+    jerk = np.abs(np.diff(q, 3, axis=0)).max(axis=0) / PERIOD**3
+    return float(at[-1]), float((jerk / max_jerk).max())
+
+
+def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float:
+    """
+    Cycle time of toppra alone, its accelerations scaled down until jerk holds [s].
+
+    Jerk is what the setpoints show at 1 ms; one factor for all axes and the whole stretch, found
+    by bisection of its logarithm to 2 %.
+    """
+    total = 0.0
+    for stretch in stretches(path):
+        motion = plan_path(stretch, limits).law
+        s = np.append(motion.s, stretch.s[-1])
+        grid = time_grid(stretch, np.append(motion.time, motion.end_time), s, count)
+        good, bad, best = 1e-6, 1.0, math.nan
+        while bad / good > 1.02:
+            middle = math.sqrt(good * bad)
+            table = limit_table(limits)
+            table[1] *= middle
+            squared = ceiling(grid, table)
+            kept = False
+            if squared is not None:
+                lasts, jerk = largest_jerk(grid, np.sqrt(squared), table[2])
+                kept = jerk <= KEPT
+            good, bad = (middle, bad) if kept else (good, middle)
+            if kept:
+                best = lasts
+        total += best
+    return total
+
+
+@dataclass(frozen=True)
+class SecondOpinion:
+    """copp-py's answer: cycle time, computing time [s], excess of a limit at its own stations."""
+
+    time: float
+    computing: float
+    excess: float
+
+
+def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4) -> SecondOpinion:
+    """
+    Plan with copp-py: TOPP2, then TOPP3-SOCP linearised ``rounds`` times about the round before.
+
+    The stations are a fine grid of the same path (``count`` 0: the path's own), with the jerk rows
+    of both sides at each; the programmed feed bounds s_dot^2. Path length is counted in units in
+    which the largest speed is 1 and every row is divided by its limit, else its solver gives up.
+    ``computing`` counts the solves only.
+    """
+    import copp_py as copp
+
+    total, computing, worst = 0.0, 0.0, -math.inf
+    table = limit_table(limits)
+    options = copp.clarabel.ClarabelOptions(allow_insufficient_progress=True)
+    for stretch in stretches(path):
+        motion = plan_path(stretch, limits).law
+        unit = float(motion.s_dot.max())
+        s = np.append(motion.s, stretch.s[-1])
+        times = np.append(motion.time, motion.end_time)
+        grid = time_grid(stretch, times, s, count) if count else stretch
+        n = len(grid.s)
+        powers = unit ** np.arange(4)[:, None, None]
+        left = np.concatenate([grid.cell_left, grid.cell_right[:, -1:]], axis=1) * powers
+        right = np.concatenate([grid.cell_left[:, :1], grid.cell_right], axis=1) * powers
+        one, none = np.ones_like(left[0]), np.zeros_like(left[0])
+        station = (grid.s - grid.s[0]) / unit
+        rows = copp.Constraints(left.shape[2])
+        rows.append_s(station)
+        feed = np.minimum(np.r_[grid.cell_feed, np.inf], np.r_[np.inf, grid.cell_feed])
+        speed = np.minimum(feed / unit, 1e3)
+        axes = (table[0] / np.maximum(np.abs(left[1]), 1e-9)).min(axis=1)
+        rows.add_constraint_1st(np.minimum(speed, axes)[:, None] ** 2, 0)
+        for side in (left, right):
+            for sign in (1.0, -1.0):
+                q1, q2, q3 = sign * side[1:]
+                rows.add_constraint_2nd(q2 / table[1], q1 / table[1], one, 0)
+                j = table[2]
+                rows.add_constraint_3rd(q3 / j, 3 * q2 / j, q1 / j, none, one, 0)
+        start = time.perf_counter()
+        second = copp.solver.topp2_ra.Problem(rows, (0, n - 1), (0.0, 0.0))
+        a, b = np.asarray(copp.solver.topp2_ra.solve(second)), None
+        for _ in range(rounds):
+            problem = copp.solver.topp3_socp.Problem(
+                rows, a, num_stationary_max=1, b_linearization=b
+            )
+            profile = copp.solver.topp3_socp.solve(problem, options)
+            a, b = profile.a, profile.b
+        computing += time.perf_counter() - start
+        worst = max(worst, *rows.exceed_topp3(profile))
+        profile.force_positive_a(station)
+        total += float(copp.interpolation.s_to_t_topp3(station, profile)[0])
+    return SecondOpinion(total, computing, worst)

@@ -284,7 +284,8 @@ def draw_connection(
     largest = np.log10(np.abs(panels[0, 0].get_ylim()).max())
     decades = 10.0 ** np.arange(np.ceil(np.log10(1.5 * linear_to)), largest)
     panels[0, 0].set_yticks([*-decades[::-1], 0.0, *decades])
-    panels[0, 0].tick_params(which='minor', left=False)
+    for panel in panels[0]:
+        panel.tick_params(which='minor', left=False)
     panels[0, 0].set(ylabel='$o_{sss}$ (1/mm³)')
     panels[1, 0].set(ylabel='feed (mm/min)', ylim=(0, highest))
     panels[0, 1].legend(loc='upper right', fontsize=8, ncols=3)

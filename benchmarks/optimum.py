@@ -36,7 +36,7 @@ from cnc_interp.kinematics.axis_path import (
 from cnc_interp.program.blocks import FloatArray
 
 #: Instants of a cell, as shares of its duration, at which the limits are rows of the program.
-POINTS = (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0)
+POINTS = (0.0, 1 / 2, 1.0)
 #: Instants of a cell at which the result is checked.
 CHECKED = 33
 
@@ -119,7 +119,7 @@ def solve(
     path: AxisPath,
     limits: AxisLimits,
     law: PlannedPiece | None = None,
-    count: int = 300,
+    count: int = 500,
     slowed: float = 1.0,
 ) -> Optimum:
     """
@@ -185,7 +185,9 @@ def solve(
         'f': casadi.dot(inside[0, :].T, casadi.DM(duration)) / duration.sum(),
         'g': casadi.vertcat(casadi.vec(equations), casadi.vec(rows)),
     }
-    bounds_low = np.concatenate([np.tile([0.0, -np.inf], n + 1), np.tile([1e-3, -np.inf, -np.inf], n)])
+    bounds_low = np.concatenate(
+        [np.tile([0.0, -np.inf], n + 1), np.tile([1e-3, -np.inf, -np.inf], n)]
+    )
     bounds_high = np.concatenate([np.full(2 * (n + 1), np.inf), np.full(3 * n, np.inf)])
     for rest in (0, 1, 2 * n, 2 * n + 1):
         bounds_low[rest] = bounds_high[rest] = 0.0
@@ -197,6 +199,7 @@ def solve(
             'tol': 1e-7,
             'max_iter': 300,
             'mu_strategy': 'adaptive',
+            'acceptable_iter': 0,
             'mu_init': 1e-3,
             'bound_relax_factor': 0.0,
         },

@@ -32,7 +32,7 @@ def stop_at_corners(case: Case) -> float:
 
 
 def largest_jerk(path: AxisPath, speed: FloatArray, max_jerk: FloatArray) -> tuple[float, float]:
-    """Duration of a law of constant s_ddot per cell [s], and its setpoints' jerk over the limit."""
+    """Duration [s] of a law of constant s_ddot per cell, and its setpoints' jerk / limit."""
     h = np.diff(path.s)
     duration = 2 * h / np.maximum(speed[:-1] + speed[1:], 1e-12)
     at = np.concatenate([[0.0], np.cumsum(duration)])

@@ -93,6 +93,9 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument(
         '--html', type=Path, metavar='FILE', help='page to write (default: DIR/report.html)'
     )
+    report.add_argument(
+        '--compare', type=Path, metavar='DIR2', help='another plan to set beside the first'
+    )
     return top
 
 
@@ -224,7 +227,7 @@ def report_command(options: argparse.Namespace) -> int:
 
     page = options.html or options.directory / 'report.html'
     machine = Machine.load(options.machine) if options.machine else None
-    write_report(options.directory, page, machine)
+    write_report(options.directory, page, machine, options.compare)
     print(f'report         {page}')
     return FINE
 

@@ -27,21 +27,21 @@ def path_figure(series: Series) -> Any:
     tip, feed = series.tip[kept], series.feed[kept]
     figure = go.Figure()
     figure.add_trace(go.Scatter3d(
-        **_xyz(series.vertices[_every(len(series.vertices), 8000)]), mode='lines',
+        **xyz(series.vertices[_every(len(series.vertices), 8000)]), mode='lines',
         line={'color': '#c3cad1', 'width': 1}, name='program', hoverinfo='skip',
     ))  # fmt: skip
     figure.add_trace(go.Scatter3d(
-        **_xyz(_tool_lines(series)), mode='lines', line={'color': '#9aa5b1', 'width': 2},
+        **xyz(_tool_lines(series)), mode='lines', line={'color': '#9aa5b1', 'width': 2},
         name='tool axis', hoverinfo='skip',
     ))  # fmt: skip
     figure.add_trace(go.Scatter3d(
-        **_xyz(tip), mode='lines', name='tool path', showlegend=False,
+        **xyz(tip), mode='lines', name='tool path', showlegend=False,
         line={
             'color': feed, 'width': 5, 'colorscale': 'Viridis', 'cmin': 0.0,
             'cmax': feed_span(series)[0],
             'colorbar': {'title': {'text': feed_span(series)[1]}, 'thickness': 12, 'len': 0.7},
         },
-        customdata=_short(np.column_stack([feed, series.time[kept], series.line[kept]])),
+        customdata=rounded(np.column_stack([feed, series.time[kept], series.line[kept]])),
         hovertemplate='x %{x:.3f}  y %{y:.3f}  z %{z:.3f} mm<br>%{customdata[0]:.0f} mm/min at '
         '%{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
     ))  # fmt: skip
@@ -51,7 +51,7 @@ def path_figure(series: Series) -> Any:
     span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
     shape = np.maximum(span / (float(span.max()) or 1.0), 0.08)
     figure.update_layout(
-        _layout(600),
+        base_layout(600),
         scene={
             'aspectmode': 'manual',
             'aspectratio': dict(zip('xyz', shape.tolist(), strict=True)),
@@ -86,8 +86,8 @@ def feed_figure(series: Series) -> Any:
     limit = np.minimum(series.feed_limit, ceiling)
     asked = np.minimum(series.programmed_feed, ceiling)
     rows = extremes(np.column_stack([series.feed, limit, asked]), BUCKETS)
-    hover = _short(np.column_stack([series.time, series.way, series.line])[rows])
-    for row, x in ((1, _short(series.way[rows])), (2, _short(series.time[rows]))):
+    hover = rounded(np.column_stack([series.time, series.way, series.line])[rows])
+    for row, x in ((1, rounded(series.way[rows])), (2, rounded(series.time[rows]))):
         first = row == 1
         for name, y, line in (
             ('limit of the axes (Eq. 10)', limit, {'color': ORANGE, 'width': 1.2}),
@@ -96,7 +96,7 @@ def feed_figure(series: Series) -> Any:
         ):
             figure.add_trace(
                 go.Scatter(
-                    x=x, y=_short(y[rows]), name=name, line=line, legendgroup=name,
+                    x=x, y=rounded(y[rows]), name=name, line=line, legendgroup=name,
                     showlegend=first, customdata=hover,
                     hovertemplate='%{y:.0f} mm/min at %{customdata[0]:.3f} s, '
                     '%{customdata[1]:.2f} mm, line %{customdata[2]:.0f}',
@@ -106,8 +106,8 @@ def feed_figure(series: Series) -> Any:
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
     figure.update_xaxes(title_text='time (s)', row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02])
-    figure.update_layout(_layout(560))
-    return _with_axes(figure)
+    figure.update_layout(base_layout(560))
+    return with_axes(figure)
 
 
 def feed_ceiling(series: Series) -> float:
@@ -133,9 +133,9 @@ def axes_figure(series: Series) -> Any:
             unit = f'{series.axis_units[j]}/s{"" if k == 0 else k + 1}'
             figure.add_trace(
                 go.Scatter(
-                    x=_short(series.time[rows]), y=_short(100.0 * use[rows]),
+                    x=rounded(series.time[rows]), y=rounded(100.0 * use[rows]),
                     name=f'{name} {kind}', line={'color': BLUE, 'width': 1.0}, showlegend=False,
-                    customdata=_short(np.column_stack([use[rows] * limit, series.line[rows]])),
+                    customdata=rounded(np.column_stack([use[rows] * limit, series.line[rows]])),
                     hovertemplate=f'{name}: %{{customdata[0]:.4g}} of {limit:.4g} {unit} '
                     '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
                 ),
@@ -154,11 +154,11 @@ def axes_figure(series: Series) -> Any:
         figure.update_yaxes(title_text=f'<b>{name}</b>  %', row=j + 1, col=1)
     span = 112.0 * max(1.0, min(3.0, float(np.abs(series.axis_use).max(initial=0.0))))
     figure.update_yaxes(range=[-span, span], tickvals=[-100, 0, 100])
-    figure.update_layout(_layout(150 * len(names) + 90), hovermode='closest')
+    figure.update_layout(base_layout(150 * len(names) + 90), hovermode='closest')
     figure.update_layout(margin={'t': 64})
     for k in range(3):
         figure.update_xaxes(title_text='time (s)', row=len(names), col=k + 1)
-    return _with_axes(figure)
+    return with_axes(figure)
 
 
 def error_figure(series: Series) -> Any:
@@ -169,14 +169,14 @@ def error_figure(series: Series) -> Any:
         (2, 'orientation', series.orientation_error, series.orientation_tolerance),
     ):
         rows = extremes(np.column_stack([error, tolerance]), BUCKETS)
-        hover = _short(np.column_stack([series.time, series.line])[rows])
+        hover = rounded(np.column_stack([series.time, series.line])[rows])
         for label, y, line in (
             ('error', error, {'color': BLUE, 'width': 1.2}),
             ('tolerance', tolerance, {'color': RED, 'width': 1.2, 'dash': 'dash'}),
         ):
             figure.add_trace(
                 go.Scatter(
-                    x=_short(series.way[rows]), y=_short(y[rows]), name=label, line=line,
+                    x=rounded(series.way[rows]), y=rounded(y[rows]), name=label, line=line,
                     legendgroup=label, showlegend=row == 1, customdata=hover,
                     hovertemplate='%{y:.3f} um at %{customdata[0]:.3f} s, '
                     'line %{customdata[1]:.0f}',
@@ -186,11 +186,12 @@ def error_figure(series: Series) -> Any:
         top = 1.15 * float(max(error.max(initial=0.0), tolerance.max(initial=0.0)))
         figure.update_yaxes(title_text=f'{name} (&#181;m)', range=[0.0, top], row=row, col=1)
     figure.update_xaxes(title_text='path length (mm)', row=2, col=1)
-    figure.update_layout(_layout(420))
-    return _with_axes(figure)
+    figure.update_layout(base_layout(420))
+    return with_axes(figure)
 
 
-def _layout(height: int) -> dict[str, Any]:
+def base_layout(height: int) -> dict[str, Any]:
+    """Return the layout that all figures share."""
     return {
         'height': height,
         'template': 'none',
@@ -204,18 +205,20 @@ def _layout(height: int) -> dict[str, Any]:
     }
 
 
-def _with_axes(figure: Any) -> Any:
+def with_axes(figure: Any) -> Any:
+    """Give a flat figure the axes that all figures share."""
     quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
     figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
     figure.update_yaxes(**quiet, title_standoff=8)
     return figure
 
 
-def _xyz(points: FloatArray) -> dict[str, FloatArray]:
-    return dict(zip('xyz', _short(points).T, strict=True))
+def xyz(points: FloatArray) -> dict[str, FloatArray]:
+    """Return points as the coordinates of a trace in space."""
+    return dict(zip('xyz', rounded(points).T, strict=True))
 
 
-def _short(values: FloatArray) -> Any:
+def rounded(values: FloatArray) -> Any:
     """Halve the page: seven digits are more than a screen shows."""
     return np.asarray(values, dtype=np.float32)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,9 @@ from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.plan_files import PlanFiles, read_plan
 from cnc_interp.proof import DIFFERENCES, Proof
+from cnc_interp.report.corners import CornerView, read_segments, views_of
 from cnc_interp.report.series import Series, series_of
+from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, UM
 from cnc_interp.verify import verify
 
@@ -35,6 +39,16 @@ section > p { margin: 0 0 6px; color: #5c6b78; }
 .tile span { color: #5c6b78; font-size: 12.5px; }
 .faults { border-color: #c0392b; }
 .faults li { margin-bottom: 4px; }
+select { font: inherit; color: inherit; max-width: 100%; padding: 4px 8px; margin: 2px 0 8px;
+  border: 1px solid #c3cad1; border-radius: 4px; background: white; }
+.pair { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1fr); gap: 12px; }
+@media (max-width: 860px) { .pair { grid-template-columns: minmax(0, 1fr); } }
+.wide { overflow-x: auto; margin-bottom: 10px; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; width: 100%; }
+.uses td:nth-child(odd) { font-weight: 600; padding-right: 18px; }
+th, td { padding: 3px 14px 3px 0; border-bottom: 1px solid #e6eaee; text-align: right; }
+th { font-weight: 600; } tbody th { font-weight: 400; }
+th:first-child { text-align: left; color: #5c6b78; }
 footer { color: #7b8794; font-size: 12.5px; margin-top: 18px; }
 """
 
@@ -46,8 +60,26 @@ CONTROLS = {
     'modeBarButtonsToRemove': ['sendChartToCloud', 'sendDataToCloud'],
 }
 
+# One scene for all corners: browsers allow a page only few of them.
+CHOOSER = """
+(function () {
+  var corners = JSON.parse(document.getElementById('corner-data').textContent);
+  var choice = document.getElementById('corner-choice');
+  function show() {
+    var corner = corners.figures[Number(choice.value)];
+    ['space', 'profile'].forEach(function (part) {
+      Plotly.react('corner-' + part, corner[part].data, corner[part].layout, corners.config);
+    });
+  }
+  choice.addEventListener('change', show);
+  show();
+})();
+"""
 
-def write_report(directory: Path, out: Path, machine: Machine | None = None) -> None:
+
+def write_report(
+    directory: Path, out: Path, machine: Machine | None = None, compare: Path | None = None
+) -> None:
     """
     Write the report of a plan directory.
 
@@ -59,6 +91,8 @@ def write_report(directory: Path, out: Path, machine: Machine | None = None) -> 
         HTML file to write.
     machine : Machine, optional
         Needed where the summary does not name a machine that can be found.
+    compare : Path, optional
+        Another plan directory to set beside the first.
 
     Raises
     ------
@@ -67,8 +101,11 @@ def write_report(directory: Path, out: Path, machine: Machine | None = None) -> 
 
     """
     plan = read_plan(directory)
-    used = machine or Machine.load(str(plan.summary.get('machine', '')))
-    page = render(plan, used)
+    segments = read_segments(directory)
+    other = None
+    if compare is not None:
+        other = Other(read_plan(compare), machine, _names(directory, compare))
+    page = render(plan, machine or _machine_of(plan), segments, other)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(page, encoding='utf-8')
@@ -76,7 +113,21 @@ def write_report(directory: Path, out: Path, machine: Machine | None = None) -> 
         raise InterpError(f'{out}: cannot be written ({fault.strerror})') from fault
 
 
-def render(plan: PlanFiles, machine: Machine) -> str:
+@dataclass(frozen=True)
+class Other:
+    """A second plan to compare with, its machine if given, and the names of both."""
+
+    plan: PlanFiles
+    machine: Machine | None
+    names: tuple[str, str]
+
+
+def render(
+    plan: PlanFiles,
+    machine: Machine,
+    segments: PathSegments | None = None,
+    other: Other | None = None,
+) -> str:
     """Make the page."""
     try:
         from plotly.offline import get_plotlyjs
@@ -84,10 +135,7 @@ def render(plan: PlanFiles, machine: Machine) -> str:
         from cnc_interp.report import figures
     except ImportError as fault:
         raise InterpError('the report needs plotly: pip install plotly') from fault
-    if plan.position.shape[1] != len(machine.axis_names):
-        raise InterpError(f'the plan was not made for machine {machine.name}: give the right one')
-    proof = verify(plan, machine)
-    series = series_of(plan, machine)
+    proof, series = _examined(plan, machine)
     sections = (
         ('Tool path', 'Coloured by feedrate; short lines are tool axes. Drag to turn, scroll to '
          'zoom.', figures.path_figure(series)),
@@ -109,11 +157,12 @@ def render(plan: PlanFiles, machine: Machine) -> str:
         _faults(proof),
     ]
     for heading, text, figure in sections:
-        drawing = figure.to_html(
-            full_html=False, include_plotlyjs=False, default_width='100%',
-            config=CONTROLS,
-        )  # fmt: skip
-        body.append(f'<section><h2>{heading}</h2><p>{text}</p>{drawing}</section>')
+        body.append(_section(heading, text, _drawing(figure)))
+    if other is not None:
+        # What was asked for stands first.
+        body.insert(4, _comparison(plan, proof, series, other))
+    if segments is not None and (views := views_of(plan, segments)):
+        body.append(_corners(views))
     body.append(f'<footer>{escape(_versions(plan))}</footer>')
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -123,6 +172,78 @@ def render(plan: PlanFiles, machine: Machine) -> str:
         + '\n'.join(body)
         + '</main></body></html>\n'
     )
+
+
+def _machine_of(plan: PlanFiles) -> Machine:
+    return Machine.load(str(plan.summary.get('machine', '')))
+
+
+def _examined(plan: PlanFiles, machine: Machine) -> tuple[Proof, Series]:
+    """Prove a plan and work out what is drawn of it."""
+    if plan.position.shape[1] != len(machine.axis_names):
+        raise InterpError(f'the plan was not made for machine {machine.name}: give the right one')
+    return verify(plan, machine), series_of(plan, machine)
+
+
+def _names(first: Path, second: Path) -> tuple[str, str]:
+    """Name two plans by their directories, as shortly as they differ."""
+    short = (first.resolve().name, second.resolve().name)
+    return short if short[0] != short[1] else (str(first), str(second))
+
+
+def _section(heading: str, text: str, content: str) -> str:
+    return f'<section><h2>{heading}</h2><p>{text}</p>{content}</section>'
+
+
+def _drawing(figure: Any) -> str:
+    drawing: str = figure.to_html(
+        full_html=False, include_plotlyjs=False, default_width='100%', config=CONTROLS
+    )
+    return drawing
+
+
+def _comparison(plan: PlanFiles, proof: Proof, series: Series, other: Other) -> str:
+    """Write the section that sets two runs side by side."""
+    from cnc_interp.report.comparison import Run, comparison_figure, comparison_table, use_table
+
+    first = Run(other.names[0], plan, proof, series)
+    machine = other.machine or _machine_of(other.plan)
+    second = Run(other.names[1], other.plan, *_examined(other.plan, machine))
+    text = (
+        f'{escape(first.name)} and {escape(second.name)}; the rest of the page is about the '
+        'first. Of each limit the left figure is the first run, the right one the second.'
+    )
+    tables = comparison_table(first, second) + use_table(first, second)
+    content = f'<div class="pair">{tables}</div>' + _drawing(comparison_figure(first, second))
+    return _section('Two runs', text, content)
+
+
+def _corners(views: list[CornerView]) -> str:
+    """Write the section of the corners, drawn when they are chosen."""
+    from cnc_interp.report.corner_figures import profile_figure, space_figure
+
+    shown = [{'space': space_figure(v), 'profile': profile_figure(v)} for v in views]
+    figures = [{part: json.loads(f.to_json()) for part, f in both.items()} for both in shown]
+    # Nothing inside may look like the end of the script element.
+    data = json.dumps({'config': CONTROLS, 'figures': figures}).replace('<', '\\u003c')
+    slowest = min(range(len(views)), key=lambda i: views[i].slowest)
+    options = ''.join(
+        f'<option value="{i}"{" selected" if i == slowest else ""}>{escape(view.title)}</option>'
+        for i, view in enumerate(views)
+    )
+    text = (
+        'The corners that use most of their tolerance and those that are passed slowest. '
+        'Coordinates from the programmed corner; the top curve of a small corner is drawn '
+        'nearer, both curves to one scale. Deviations are those of the curve; setpoints may step '
+        'over its peak. Shaded: the corner.'
+    )
+    return _section(
+        'A corner, close up', text,
+        f'<label>Corner <select id="corner-choice">{options}</select></label>'
+        '<div class="pair"><div id="corner-space"></div><div id="corner-profile"></div></div>'
+        f'<script type="application/json" id="corner-data">{data}</script>'
+        f'<script>{CHOOSER}</script>',
+    )  # fmt: skip
 
 
 def _badge(proof: Proof) -> str:

@@ -1,0 +1,150 @@
+"""Two runs side by side: a table of figures, and both feeds over path length and time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from cnc_interp.plan_files import PlanFiles
+from cnc_interp.proof import DIFFERENCES, Proof
+from cnc_interp.report.figures import (
+    BLUE,
+    BUCKETS,
+    ORANGE,
+    base_layout,
+    feed_ceiling,
+    rounded,
+    with_axes,
+)
+from cnc_interp.report.series import Series, extremes
+from cnc_interp.units import UM
+
+
+@dataclass(frozen=True)
+class Run:
+    """A plan with its proof and what is drawn of it, under a name."""
+
+    name: str
+    plan: PlanFiles
+    proof: Proof
+    series: Series
+
+
+Figure = Callable[[Run], float]
+
+
+def comparison_table(first: Run, second: Run) -> str:
+    """Write cycle times, use of the limits and deviations of both runs as an HTML table."""
+    proven = ['yes' if run.proof.ok else 'no' for run in (first, second)]
+    lines = [_row('proven', proven[0], proven[1], '')]
+    for label, unit, pattern, figure in rows_of():
+        one, two = figure(first), figure(second)
+        change = f'{(two / one - 1.0) * 100.0:+.1f} %' if one > 0.0 and two > 0.0 else ''
+        change = '=' if change in ('+0.0 %', '-0.0 %') else change
+        one_text, two_text = (
+            f'{x:{pattern}}{unit}' if np.isfinite(x) else '&#8211;' for x in (one, two)
+        )
+        lines.append(_row(label, one_text, two_text, change))
+    head = ''.join(
+        f'<th>{text}</th>' for text in ('', escape(first.name), escape(second.name), 'change')
+    )
+    return (
+        f'<div class="wide"><table><thead><tr>{head}</tr></thead>'
+        f'<tbody>{"".join(lines)}</tbody></table></div>'
+    )
+
+
+def rows_of() -> list[tuple[str, str, str, Figure]]:
+    """List what is compared: label, unit, number format and how to get it from a run."""
+    rows: list[tuple[str, str, str, Figure]] = [
+        ('cycle time', ' s', '.3f', lambda run: run.proof.cycle_time),
+        ('planning time', ' s', '.3g', _planning_time),
+        ('path length', ' mm', ',.2f', lambda run: float(np.ptp(run.series.way))),
+        ('blocks', '', ',', lambda run: run.proof.blocks),
+        ('highest feed', ' mm/min', ',.0f', lambda run: float(run.series.feed.max())),
+        ('mean feed', ' mm/min', ',.0f', _mean_feed),
+    ]
+    for error in ('contour error', 'orientation error'):
+        rows.append((f'largest {error}', ' &#181;m', '.3g', _error(error)))
+    return rows
+
+
+def use_table(first: Run, second: Run) -> str:
+    """Write the largest use of every axis limit in both runs, one beside the other."""
+    kinds = [kind for kind, _ in DIFFERENCES]
+    names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
+    head = ''.join(f'<th colspan="2">{kind}</th>' for kind in kinds)
+    lines = []
+    for axis in names:
+        uses = [use_of(run, kind, axis) for kind in kinds for run in (first, second)]
+        cells = (f'{x:.1%}' if np.isfinite(x) else '&#8211;' for x in uses)
+        lines.append(f'<tr><th>{escape(axis)}</th>' + ''.join(f'<td>{c}</td>' for c in cells))
+    return (
+        f'<div class="wide"><table class="uses"><thead><tr><th>largest use</th>{head}</tr></thead>'
+        f'<tbody>{"</tr>".join(lines)}</tr></tbody></table></div>'
+    )
+
+
+def use_of(run: Run, kind: str, axis: str) -> float:
+    """Return the largest use of a limit, NaN where the machine has no such axis."""
+    if axis not in run.series.axis_names:
+        return float(np.nan)
+    return float(run.proof.largest(kind, axis).ratio)
+
+
+def comparison_figure(first: Run, second: Run) -> Any:
+    """Draw both feeds over path length and over time."""
+    figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
+    runs = ((first, {'color': BLUE, 'width': 1.6}), (second, {'color': ORANGE, 'width': 1.6}))
+    for run, line in runs:
+        series = run.series
+        kept = extremes(series.feed, BUCKETS)
+        hover = rounded(np.column_stack([series.time, series.way, series.line])[kept])
+        for row, x in ((1, series.way), (2, series.time)):
+            figure.add_trace(
+                go.Scatter(
+                    x=rounded(x[kept]), y=rounded(series.feed[kept]), name=escape(run.name),
+                    line=line, legendgroup=line['color'], showlegend=row == 1, customdata=hover,
+                    hovertemplate='%{y:.0f} mm/min at %{customdata[0]:.3f} s, '
+                    '%{customdata[1]:.2f} mm, line %{customdata[2]:.0f}',
+                ),
+                row=row, col=1,
+            )  # fmt: skip
+    for run, line in runs:
+        figure.add_vline(
+            run.proof.cycle_time, line={**line, 'width': 1.0, 'dash': 'dot'}, row=2, col=1
+        )
+    figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
+    figure.update_xaxes(title_text='time (s)', row=2, col=1)
+    ceiling = max(feed_ceiling(run.series) for run, _ in runs)
+    fastest = max(float(run.series.feed.max(initial=0.0)) for run, _ in runs)
+    figure.update_yaxes(title_text='mm/min', range=[0.0, min(ceiling, 1.08 * fastest) or 1.0])
+    figure.update_layout(base_layout(520))
+    return with_axes(figure)
+
+
+def _row(label: str, first: str, second: str, change: str) -> str:
+    cells = ''.join(f'<td>{text}</td>' for text in (first, second, change))
+    return f'<tr><th>{escape(label)}</th>{cells}</tr>'
+
+
+def _planning_time(run: Run) -> float:
+    found = run.plan.summary.get('planning_time')
+    return float(found) if isinstance(found, int | float) else np.nan
+
+
+def _mean_feed(run: Run) -> float:
+    return float(np.ptp(run.series.way)) / run.proof.cycle_time * 60.0
+
+
+def _error(what: str) -> Figure:
+    def found(run: Run) -> float:
+        return float(run.proof.largest(what).value) / UM
+
+    return found

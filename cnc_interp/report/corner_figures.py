@@ -1,0 +1,173 @@
+"""The close-up of a corner: both curves in space, and what runs along it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.report.corners import CornerView
+from cnc_interp.report.figures import (
+    BLUE,
+    GRID,
+    HEADROOM,
+    INK,
+    ORANGE,
+    RED,
+    base_layout,
+    rounded,
+    with_axes,
+    xyz,
+)
+
+HEIGHT = 640
+TOP_COLOUR = '#2e7d4f'
+#: Tool axes drawn in one corner.
+TOOLS = 13
+#: Distance between the drawn curves, in corner sizes.
+GAP = 1.1
+# Feed pictures of short corners hold few points; marks then show where they are.
+FEW = 60
+
+
+def space_figure(view: CornerView) -> Any:
+    """Draw bottom and top curve with their control polygons, the programmed corner, tool axes."""
+    lowering = shift(view)
+    moved = f', moved down {np.linalg.norm(lowering):.3g} mm' if lowering.any() else ''
+    size = float(np.ptp(view.bottom_polygon, axis=0).max())
+    rows = np.linspace(0, len(view.u) - 1, TOOLS).astype(int)
+    ends = view.bottom[rows] + min(GAP * size, _height(view)) * view.axis[rows]
+    gap = np.full((len(rows), 3), np.nan)
+    tools = np.stack([view.bottom[rows], ends, gap], axis=1).reshape(-1, 3)
+    corner = np.stack([view.bottom_polygon[0], view.vertex, view.bottom_polygon[-1]])
+    figure = go.Figure()
+    for points, name, style in (
+        (corner, 'programmed', {'mode': 'lines', 'line': {'color': '#8d99a5', 'width': 3}}),
+        (tools, 'tool axis', {'mode': 'lines', 'line': {'color': '#b9c2cb', 'width': 2}}),
+        (view.bottom_polygon, 'control points, bottom', _dots(BLUE)),
+        (view.bottom, 'bottom curve', {'mode': 'lines', 'line': {'color': BLUE, 'width': 6}}),
+        (view.top_polygon - lowering, 'control points, top', _dots(TOP_COLOUR)),
+        (view.top - lowering, f'top curve{moved}',
+         {'mode': 'lines', 'line': {'color': TOP_COLOUR, 'width': 6}}),
+        (view.vertex[None], 'programmed corner',
+         {'mode': 'markers', 'marker': {'color': RED, 'size': 5, 'symbol': 'x'}}),
+    ):  # fmt: skip
+        hover = {} if name != 'tool axis' else {'hoverinfo': 'skip'}
+        figure.add_trace(go.Scatter3d(**xyz(points - view.vertex), name=name, **style, **hover))
+    plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID, 'nticks': 5}
+    figure.update_layout(
+        base_layout(HEIGHT),
+        hovermode='closest',
+        scene={
+            'aspectmode': 'data',
+            **{f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}} for c in 'xyz'},
+            'camera': {
+                'eye': {'x': 1.35, 'y': -1.7, 'z': 0.8},
+                'center': {'x': 0.0, 'y': 0.0, 'z': -0.16},
+            },
+        },
+        legend={'orientation': 'h', 'y': 0.0, 'x': 0.0, 'yanchor': 'bottom'},
+        margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
+    )
+    return figure
+
+
+def shift(view: CornerView) -> FloatArray:
+    """
+    Return how far the top curve is moved towards the bottom curve for the picture, shape (3,).
+
+    At its true height a small corner would show as two dots. Shifted along the tool axis, both
+    curves keep their shapes and one scale.
+    """
+    size = float(np.ptp(view.bottom_polygon, axis=0).max())
+    middle = view.axis[len(view.axis) // 2]
+    away = max(0.0, _height(view) - GAP * size)
+    return np.asarray(away * middle)
+
+
+def profile_figure(view: CornerView) -> Any:
+    """Draw parametrization, third derivative of the tool axis and feed along the corner."""
+    figure = make_subplots(
+        rows=3, cols=1, vertical_spacing=0.13, row_heights=[0.26, 0.3, 0.44],
+        subplot_titles=(
+            'u<sub>top</sub> = u<sub>bottom</sub>; connection added to the top curve'
+            if view.in_step else 'parametrization u<sub>top</sub> = f(u)',
+            'third derivative of the tool axis (Eq. 11)',
+            f'feed against Eq. 10, programmed {view.programmed:,.0f} mm/min',
+        ),
+    )  # fmt: skip
+    shape, unit = (
+        (1e3 * view.connection, '|E|, nm')
+        if view.in_step
+        else (view.top_u - view.u, 'f(u) &#8722; u')
+    )
+    _draw(figure, 1, view.u, shape, 'parametrization', {'color': TOP_COLOUR, 'width': 1.8})
+    _draw(figure, 2, view.way, view.turn, 'third derivative', {'color': BLUE, 'width': 1.8})
+    ceiling = feed_ceiling(view)
+    for name, values, line in (
+        ('limit of the axes (Eq. 10)', view.feed_limit, {'color': ORANGE, 'width': 1.4}),
+        ('programmed', view.programmed_feed, {'color': INK, 'width': 1.2, 'dash': 'dot'}),
+        ('planned', view.feed, {'color': BLUE, 'width': 1.8}),
+    ):
+        _draw(figure, 3, view.feed_way, np.minimum(values, 20.0 * ceiling), name, line, shown=True)
+    figure.update_layout(
+        base_layout(HEIGHT),
+        legend={'orientation': 'h', 'x': 0.0, 'y': -0.1, 'yanchor': 'top'},
+        margin={'l': 74, 'r': 14, 't': 56, 'b': 70},
+    )
+    figure.update_annotations(font={'size': 12.5}, x=0.0, xanchor='left')
+    window = [float(view.feed_way[0]), float(view.feed_way[-1])]
+    # From the last kept way onwards: the grid may reach past the window by a long straight cell.
+    span = view.ends[1] - view.ends[0]
+    window = [max(window[0], view.ends[0] - 1.5 * span), min(window[1], view.ends[1] + 1.5 * span)]
+    figure.update_xaxes(title_text='u', range=[0.0, 1.0], row=1, col=1)
+    for row in (2, 3):
+        figure.add_vrect(
+            *view.ends, fillcolor='#eef3f8', line_width=0, layer='below', row=row, col=1
+        )
+        figure.update_xaxes(range=window, row=row, col=1)
+    figure.update_xaxes(title_text='path length from the middle of the corner (mm)', row=3, col=1)
+    if np.ptp(shape) < 1e-12:
+        figure.update_yaxes(range=[-1.0, 1.0], row=1, col=1)
+    figure.update_yaxes(title_text=unit, row=1, col=1)
+    figure.update_yaxes(title_text='1/mm<sup>3</sup>', rangemode='tozero', row=2, col=1)
+    figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02], row=3, col=1)
+    return with_axes(figure)
+
+
+def feed_ceiling(view: CornerView) -> float:
+    """Choose where the feed picture of a corner ends [mm/min]."""
+    asked = view.programmed_feed[np.isfinite(view.programmed_feed)]
+    fastest = float(view.feed.max(initial=0.0))
+    return HEADROOM * max(fastest, min(float(asked.max(initial=0.0)), 2.0 * fastest)) or 1.0
+
+
+def _draw(
+    figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = False
+) -> None:
+    """Add one curve of the profiles; marks where its points are few."""
+    few = len(x) < FEW and shown
+    figure.add_trace(
+        go.Scatter(
+            x=rounded(x), y=rounded(y), name=name, line=line, showlegend=shown,
+            mode='lines+markers' if few else 'lines', marker={'size': 4},
+            hovertemplate='%{y:.4g}',
+        ),
+        row=row, col=1,
+    )  # fmt: skip
+
+
+def _dots(colour: str) -> dict[str, Any]:
+    return {
+        'mode': 'lines+markers',
+        'line': {'color': colour, 'width': 1.5, 'dash': 'dash'},
+        'marker': {'color': 'white', 'size': 4, 'line': {'color': colour, 'width': 1.5}},
+    }
+
+
+def _height(view: CornerView) -> float:
+    """Return the distance of both curves at the corner's entry [mm]."""
+    return float(np.linalg.norm(view.top_polygon[0] - view.bottom_polygon[0]))

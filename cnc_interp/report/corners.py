@@ -1,0 +1,322 @@
+"""The corners worth a closer look: their curves, parametrization, derivatives and feed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from cnc_interp import jet
+from cnc_interp.errors import InterpError
+from cnc_interp.plan_files import PlanFiles
+from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.smoothing.curves import (
+    Curves,
+    end_derivatives,
+    poses,
+    spline_points,
+    top_parameters,
+)
+from cnc_interp.smoothing.orientation import norm
+from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments, corner_breaks, corner_jets
+from cnc_interp.units import MM, MM_PER_MIN, UM
+from cnc_interp.verify import vertex_tolerances
+
+FILE = 'segments.npz'
+MOST = 8
+#: Samples of each half of a corner for its pictures.
+SAMPLES = 60
+#: How far the feed picture looks to either side, in corner lengths.
+MARGIN = 1.5
+
+
+@dataclass(frozen=True)
+class CornerView:
+    """
+    One corner as it is drawn.
+
+    Parameters
+    ----------
+    line : int
+        Line of the block that leaves the corner.
+    deviation, tolerance : ndarray, shape (2,)
+        Contour and orientation, reached and allowed [um].
+    slowest, programmed : float
+        Least planned and least programmed feed in the corner [mm/min].
+    bottom, top : ndarray, shape (K, 3)
+        Points of both curves, the top one with its connection [mm].
+    bottom_polygon, top_polygon : ndarray, shape (5, 3)
+        Control points [mm].
+    vertex : ndarray, shape (3,)
+        Programmed corner [mm].
+    axis : ndarray, shape (K, 3)
+        Unit tool axis on the curve [-].
+    u, top_u : ndarray, shape (K,)
+        Parameter of the bottom curve and of the top curve [-].
+    connection : ndarray, shape (K,)
+        Length of what is added to the top curve [um].
+    way, turn : ndarray, shape (M,)
+        Path length from the middle of the corner [mm] and norm of the third derivative of the
+        tool axis by it, lines at both sides included [1/mm3].
+    ends : tuple of float
+        Where the corner begins and ends on that scale [mm].
+    feed_way, feed, feed_limit, programmed_feed : ndarray, shape (N,)
+        Planner's grid near the corner [mm] and the speeds there [mm/min].
+
+    """
+
+    line: int
+    deviation: FloatArray
+    tolerance: FloatArray
+    slowest: float
+    programmed: float
+    bottom: FloatArray
+    top: FloatArray
+    bottom_polygon: FloatArray
+    top_polygon: FloatArray
+    vertex: FloatArray
+    axis: FloatArray
+    u: FloatArray
+    top_u: FloatArray
+    connection: FloatArray
+    way: FloatArray
+    turn: FloatArray
+    ends: tuple[float, float]
+    feed_way: FloatArray
+    feed: FloatArray
+    feed_limit: FloatArray
+    programmed_feed: FloatArray
+
+    @property
+    def in_step(self) -> bool:
+        """True where u_top = u_bottom all along."""
+        return bool(np.abs(self.top_u - self.u).max() < 1e-9)
+
+    @property
+    def title(self) -> str:
+        """Describe the corner in one line."""
+        (contour, turn), (most, most_turn) = self.deviation, self.tolerance
+        return (
+            f'line {self.line}: contour {contour:.3g} of {most:.4g} µm, '
+            f'orientation {turn:.3g} of {most_turn:.4g} µm, slowest {self.slowest:,.0f} mm/min'
+        )
+
+
+def read_segments(directory: Path) -> PathSegments | None:
+    """
+    Read the smooth path of a plan directory, None where it was not written.
+
+    Raises
+    ------
+    InterpError
+        If the file is there but cannot be read, or its columns do not belong together.
+
+    """
+    file = directory / FILE
+    if not file.is_file():
+        return None
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            segments = PathSegments(**{f.name: archive[f.name] for f in fields(PathSegments)})
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
+        raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
+    count = len(segments)
+    tails = {
+        'bottom': (5, 3), 'top': (5, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
+        'deviation': (2,), 'length': (), 'line_number': (),
+    }  # fmt: skip
+    for name, tail in tails.items():
+        if getattr(segments, name).shape != (count, *tail):
+            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
+    for name, dimensions, last in (('connection', 3, 3), ('parametrization', 3, 8)):
+        column = getattr(segments, name)
+        if column.ndim != dimensions or len(column) != count or column.shape[2] != last:
+            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
+    return segments
+
+
+def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
+    """
+    Prepare the corners to be looked at, those that use most of their tolerance or slow down most.
+
+    Raises
+    ------
+    InterpError
+        If the segments are not those of the plan.
+
+    """
+    ends = np.cumsum(lengths(segments))
+    total = float(plan.path['s'][-1] - plan.path['s'][0])
+    rows = segments.block
+    if not len(segments) or abs(ends[-1] - total) > 1e-5 * total + 1e-9:
+        raise InterpError(f'{FILE} is not of the same plan as path.npz; plan again')
+    if rows.min() < 0 or rows.max() >= len(plan.blocks['tip']):
+        raise InterpError(f'{FILE} names blocks that blocks.npz does not hold; plan again')
+    starts = np.r_[0.0, ends[:-1]] + plan.path['s'][0]
+    chosen = worst_corners(plan, segments, starts, starts + np.diff(np.r_[0.0, ends]))
+    return [_view(plan, segments, int(i), starts[i], starts[0] + ends[i]) for i in chosen]
+
+
+def lengths(segments: PathSegments) -> FloatArray:
+    """Return path lengths of segments; corners by Gauss's rule on each half [m], shape (n,)."""
+    length = np.array(segments.length, dtype=float)
+    corner = np.flatnonzero(segments.kind == CORNER)
+    points = segments.bottom[corner]
+    node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
+    total = np.zeros(len(corner))
+    for half in (points, points[:, ::-1]):
+        first, second, third = end_derivatives(half)
+        for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
+            total += w * norm(first + x * (second + 0.5 * x * third))
+    length[corner] = total
+    return length
+
+
+def worst_corners(
+    plan: PlanFiles, segments: PathSegments, starts: FloatArray, ends: FloatArray
+) -> IntArray:
+    """Choose corners, by turns the largest use of the tolerance and the slowest; path order."""
+    corners = np.flatnonzero(segments.kind == CORNER)
+    use = (segments.deviation[corners] / _tolerances(plan, segments, corners)).max(axis=1)
+    slow = np.array([_speeds(plan, starts[i], ends[i])[0] for i in corners])
+    # Corners mostly exhaust their tolerance: among equals the slower one is of interest.
+    by_use = corners[np.lexsort((slow, -np.round(use, 2)))]
+    by_feed = corners[np.argsort(slow, kind='stable')]
+    order = np.stack([by_feed, by_use], axis=1).ravel().tolist()
+    return np.sort(np.array(list(dict.fromkeys(order))[:MOST], dtype=np.int64))
+
+
+def _tolerances(plan: PlanFiles, segments: PathSegments, rows: IntArray) -> FloatArray:
+    """Return contour and orientation tolerance of corners, shape (n, 2) [m]."""
+    both = np.stack(vertex_tolerances(plan), axis=1)
+    found: FloatArray = np.maximum(both[segments.block[rows, 0]], 1e-12)
+    return found
+
+
+def _speeds(plan: PlanFiles, start: float, end: float) -> tuple[float, float]:
+    """Return the least planned and programmed speed between two path lengths [m/s]."""
+    first, last = _grid_rows(plan, start, end)
+    at = slice(first, last + 1)
+    return float(plan.path['feed'][at].min()), float(plan.path['programmed_feed'][at].min())
+
+
+def _grid_rows(plan: PlanFiles, start: float, end: float) -> tuple[int, int]:
+    """Return the first and last row of the planner's grid between two path lengths."""
+    s = plan.path['s']
+    slack = 1e-9 * float(s[-1])
+    first = min(int(np.searchsorted(s, start - slack)), len(s) - 1)
+    return first, max(first, int(np.searchsorted(s, end + slack, 'right')) - 1)
+
+
+def _view(
+    plan: PlanFiles, segments: PathSegments, row: int, start: float, end: float
+) -> CornerView:
+    """Work out the pictures of one corner that runs from start to end of the path [m]."""
+    one = segments[row : row + 1]
+    curves = Curves(one.bottom, one.top, one.connection, one.parametrization)
+    u, late = _parameters(one.parametrization[0])
+    tip, axis = (np.concatenate(x) for x in zip(*(poses(curves, v) for v in u), strict=True))
+    top_u = np.array([top_parameters(one.parametrization, v)[0] for v in u])
+    top = spline_points(one.top[0], top_u)
+    bend = _connection(one.connection[0], u)
+    corner_way, corner_turn = _third_derivatives(one, u, late)
+    middle, reach = 0.5 * (start + end), MARGIN * (end - start)
+    way, turn = _with_lines(segments, row, (corner_way, corner_turn), reach)
+    first, last = _grid_rows(plan, start - reach, end + reach)
+    near = slice(max(first - 1, 0), last + 2)
+    slowest, programmed = _speeds(plan, start, end)
+    return CornerView(
+        line=int(one.line_number[0]),
+        deviation=one.deviation[0] / UM,
+        tolerance=_tolerances(plan, segments, np.array([row]))[0] / UM,
+        slowest=slowest / MM_PER_MIN,
+        programmed=programmed / MM_PER_MIN,
+        bottom=tip / MM,
+        top=(top + bend) / MM,
+        bottom_polygon=one.bottom[0] / MM,
+        top_polygon=one.top[0] / MM,
+        vertex=one.bottom[0, 2] / MM,
+        axis=axis,
+        u=u,
+        top_u=top_u,
+        connection=norm(bend) / UM,
+        way=(way + start - middle) / MM,
+        turn=turn * MM**3,
+        ends=((start - middle) / MM, (end - middle) / MM),
+        feed_way=(plan.path['s'][near] - middle) / MM,
+        feed=plan.path['feed'][near] / MM_PER_MIN,
+        feed_limit=plan.path['feed_limit'][near] / MM_PER_MIN,
+        programmed_feed=plan.path['programmed_feed'][near] / MM_PER_MIN,
+    )
+
+
+def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return parameters of a corner, each break twice, and a parameter inside the same piece."""
+    breaks = corner_breaks(parametrization)
+    u, inside = [], []
+    for low, high in pairwise(breaks):
+        count = max(3, int(2 * SAMPLES * (high - low)))
+        u.append(np.linspace(low, high, count))
+        inside.append(np.full(count, 0.5 * (low + high)))
+    return np.concatenate(u), np.concatenate(inside)
+
+
+def _connection(points: FloatArray, u: FloatArray) -> FloatArray:
+    """Return what a corner adds to its top curve, by de Casteljau's scheme, shape (K, 3) [m]."""
+    rows = np.broadcast_to(points, (len(u), *points.shape))
+    while rows.shape[1] > 1:
+        rows = rows[:, :-1] + u[:, None, None] * np.diff(rows, axis=1)
+    return rows[:, 0]
+
+
+def _third_derivatives(
+    one: PathSegments, u: FloatArray, inside: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return path length from the start [m] and |o_sss| of a corner [1/m3, B2013, Eq. 11]."""
+    turn, speed = np.empty(len(u)), np.empty(len(u))
+    for k, (v, piece) in enumerate(zip(u, inside, strict=True)):
+        tip, axis = corner_jets(
+            one.bottom[0], one.top[0], one.connection[0], one.parametrization[0], v, piece
+        )
+        rate = ds_du(np.array(tip))
+        speed[k] = rate[0]
+        turn[k] = float(np.linalg.norm([by_path_length(np.array(a), rate)[3] for a in axis]))
+    step = np.diff(u)
+    way = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)]
+    return way * (float(lengths(one)[0]) / way[-1]), turn
+
+
+def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
+    """Return the jet of the path speed from the jets of the tip, shape (3, 4)."""
+    first, second, third = tip[:, 1], 2.0 * tip[:, 2], 3.0 * tip[:, 3]
+    squared = (first @ first, 2.0 * first @ second, 2.0 * first @ third + second @ second)
+    s0 = float(np.sqrt(squared[0]))
+    s1 = float(squared[1]) / (2.0 * s0)
+    return s0, s1, (float(squared[2]) - s1 * s1) / (2.0 * s0), 0.0
+
+
+def by_path_length(a: FloatArray, speed: tuple[float, ...]) -> tuple[float, ...]:
+    """Turn the jet of a value in u into the value and its derivatives by path length."""
+    found: tuple[float, ...] = jet.by_arc_length.py_func(tuple(a), speed)
+    return found
+
+
+def _with_lines(
+    segments: PathSegments, row: int, corner: tuple[FloatArray, FloatArray], reach: float
+) -> tuple[FloatArray, FloatArray]:
+    """Put the constant third derivatives of the lines beside a corner's; from its start [m]."""
+    way, turn = corner
+    for side, at in ((-1, row - 1), (1, row + 1)):
+        if not 0 <= at < len(segments) or segments.kind[at] != LINE:
+            continue
+        length = float(segments.length[at])
+        beside = (float(norm(segments.rotation[at])) / length) ** 3 if length > 0.0 else 0.0
+        span = min(reach, length)
+        if side < 0:
+            way, turn = np.r_[-span, 0.0, way], np.r_[beside, beside, turn]
+        else:
+            way, turn = np.r_[way, way[-1], way[-1] + span], np.r_[turn, beside, beside]
+    return way, turn

@@ -1,0 +1,126 @@
+"""The close-up of corners and the comparison of runs, against physics and the plan files."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plan_directories import line_x, write
+
+from cnc_interp.cli import main
+from cnc_interp.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.plan_files import read_plan
+from cnc_interp.report import write_report
+from cnc_interp.report.corner_figures import shift
+from cnc_interp.report.corners import MOST, lengths, read_segments, views_of
+from cnc_interp.smoothing.curves import Curves, poses
+from cnc_interp.units import MM, UM
+
+MACHINE = Machine.load('xyzac')
+POCKET = Path(__file__).parents[2] / 'examples' / 'pocket_corner.apt'
+
+
+@pytest.fixture(scope='module')
+def plans(tmp_path_factory):
+    """Plan one corner twice: with u_top = u_bottom, and with a parametrization of its own."""
+    folder = tmp_path_factory.mktemp('plans')
+    common = ['plan', str(POCKET), '--contour-tolerance', '0.2', '--orientation-tolerance', '0.2']
+    main([*common, '--out', str(folder / 'exact')])
+    paper = ['--parametrization', 'paper', '--top', 'tolerance']
+    main([*common, *paper, '--out', str(folder / 'paper')])
+    return folder
+
+
+@pytest.mark.parametrize('name', ['exact', 'paper'])
+def test_the_close_up_shows_the_corner_s_own_geometry(plans, name):
+    segments = read_segments(plans / name)
+    (view,) = views_of(read_plan(plans / name), segments)
+    assert view.in_step == (name == 'exact')
+    assert view.top_u[0] == pytest.approx(0.0) and view.top_u[-1] == pytest.approx(1.0)
+    away = view.top - view.bottom
+    assert np.allclose(away / np.linalg.norm(away, axis=1)[:, None], view.axis, atol=1e-12)
+    # Both curves start and end with their control polygons; the middle point is the program's.
+    for curve, polygon in ((view.bottom, view.bottom_polygon), (view.top, view.top_polygon)):
+        assert np.allclose(curve[[0, -1]], polygon[[0, -1]], atol=1e-9)
+    assert np.allclose(view.vertex, read_plan(plans / name).blocks['tip'][1] / MM, atol=1e-9)
+    nearest = np.linalg.norm(view.bottom - view.vertex, axis=1).min()
+    assert nearest * MM / UM == pytest.approx(view.deviation[0], rel=1e-3)
+    # Moved for the picture only along the tool axis at the middle.
+    assert np.linalg.norm(np.cross(shift(view), view.axis[len(view.axis) // 2])) < 1e-12
+
+
+@pytest.mark.parametrize('name', ['exact', 'paper'])
+def test_third_derivatives_are_those_of_finite_differences(plans, name):
+    segments = read_segments(plans / name)
+    (view,) = views_of(read_plan(plans / name), segments)
+    row = int(np.flatnonzero(segments.kind == 1)[0])
+    one = segments[row : row + 1]
+    curves = Curves(one.bottom, one.top, one.connection, one.parametrization)
+    u = np.linspace(0.0, 1.0, 20001)
+    tip, axis = (np.concatenate(x) for x in zip(*(poses(curves, v) for v in u), strict=True))
+    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))] / MM
+    assert way[-1] * MM == pytest.approx(lengths(one)[0], rel=1e-6)
+    middle, width = 0.5 * way[-1], way[-1] / 400
+    for at in (-0.31, -0.17, 0.12, 0.33):
+        places = middle + at * way[-1] + width * np.array([-1.5, -0.5, 0.5, 1.5])
+        o = np.stack([np.interp(places, way, axis[:, i]) for i in range(3)], axis=1)
+        found = np.linalg.norm(np.array([-1.0, 3.0, -3.0, 1.0]) @ o) / width**3
+        drawn = np.interp(at * way[-1], view.way, view.turn)
+        assert drawn == pytest.approx(found, rel=0.05, abs=0.02 * view.turn.max())
+    # On the lines the axis turns at a constant rate.
+    rate = np.linalg.norm(segments.rotation[row - 1]) / (segments.length[row - 1] / MM)
+    assert view.turn[0] == pytest.approx(rate**3)
+
+
+def test_the_feed_shown_is_the_planned_one(plans):
+    plan = read_plan(plans / 'paper')
+    (view,) = views_of(plan, read_segments(plans / 'paper'))
+    inside = (view.feed_way >= view.ends[0]) & (view.feed_way <= view.ends[1])
+    assert view.slowest == pytest.approx(view.feed[inside].min())
+    # The corner is where the tool passes nearest to the programmed one.
+    nearest = np.argmin(np.linalg.norm(plan.path['tip'] - plan.blocks['tip'][1], axis=1))
+    middle = plan.path['s'][nearest] - 0.5 * plan.path['s'][-1]
+    assert abs(middle / MM) < 0.1 * (view.ends[1] - view.ends[0])
+
+
+def test_the_page_draws_corners_and_both_runs(plans, tmp_path):
+    assert main(['report', str(plans / 'exact'), '--compare', str(plans / 'paper'),
+                 '--html', str(tmp_path / 'r.html')]) == 0  # fmt: skip
+    page = (tmp_path / 'r.html').read_text(encoding='utf-8')
+    body = page[page.index('</script></head>') :]
+    data = re.search(r'id="corner-data">(.*?)</script>', body, re.DOTALL).group(1)
+    assert '<' not in data
+    corners = json.loads(data)
+    assert len(corners['figures']) == body.count('<option ') <= MOST
+    assert not re.search(r'<(script|img|iframe)[^>]*\ssrc=|<link|@import|url\(', body)
+    cycle = [read_plan(plans / name).summary['cycle_time'] for name in ('exact', 'paper')]
+    row = re.search(r'<th>cycle time</th><td>([\d.]+) s</td><td>([\d.]+) s</td>', body)
+    assert [float(x) for x in row.groups()] == pytest.approx(cycle, abs=2e-3)
+
+
+def test_plans_without_segments_leave_the_section_out(tmp_path):
+    write_report(write(tmp_path / 'plan', line_x(MACHINE)), tmp_path / 'r.html')
+    assert 'corner-data' not in (tmp_path / 'r.html').read_text(encoding='utf-8')
+
+
+def test_names_of_runs_are_escaped(tmp_path):
+    one = write(tmp_path / 'a', line_x(MACHINE))
+    other = write(tmp_path / '<b>&', line_x(MACHINE))
+    write_report(one, tmp_path / 'r.html', compare=other)
+    page = (tmp_path / 'r.html').read_text(encoding='utf-8')
+    body = page[page.index('</script></head>') :]
+    assert '&lt;b&gt;&amp;' in body and '<b>&' not in body
+
+
+def test_segments_of_another_plan_are_refused(plans, tmp_path):
+    directory = write(tmp_path, line_x(MACHINE))
+    (directory / 'segments.npz').write_bytes((plans / 'exact' / 'segments.npz').read_bytes())
+    with pytest.raises(InterpError, match='not of the same plan'):
+        write_report(directory, tmp_path / 'r.html')
+    (directory / 'segments.npz').write_bytes(b'nothing')
+    with pytest.raises(InterpError, match=r'segments\.npz: cannot be read'):
+        write_report(directory, tmp_path / 'r.html')

@@ -37,7 +37,7 @@ def space_figure(view: CornerView) -> Any:
     """Draw bottom and top curve with their control polygons, the programmed corner, tool axes."""
     lowering = shift(view)
     moved = f', moved down {np.linalg.norm(lowering):.3g} mm' if lowering.any() else ''
-    size = float(np.ptp(view.bottom_polygon, axis=0).max())
+    size = _size(view)
     rows = np.linspace(0, len(view.u) - 1, TOOLS).astype(int)
     ends = view.bottom[rows] + min(GAP * size, _height(view)) * view.axis[rows]
     gap = np.full((len(rows), 3), np.nan)
@@ -57,16 +57,25 @@ def space_figure(view: CornerView) -> Any:
     ):  # fmt: skip
         hover = {} if name != 'tool axis' else {'hoverinfo': 'skip'}
         figure.add_trace(go.Scatter3d(**xyz(points - view.vertex), name=name, **style, **hover))
+    # Equal ranges on all axes: one scale, and nothing leaves the view.
+    shown = np.concatenate([corner, ends, view.bottom_polygon, view.top_polygon - lowering])
+    shown = shown - view.vertex
+    middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
+    half = 0.52 * float(np.ptp(shown, axis=0).max())
+    ranges = np.stack([middle - half, middle + half], axis=1).tolist()
     plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID, 'nticks': 5}
     figure.update_layout(
         base_layout(HEIGHT),
         hovermode='closest',
         scene={
-            'aspectmode': 'data',
-            **{f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}} for c in 'xyz'},
+            'aspectmode': 'cube',
+            **{
+                f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}, 'range': span}
+                for c, span in zip('xyz', ranges, strict=True)
+            },
             'camera': {
-                'eye': {'x': 1.35, 'y': -1.7, 'z': 0.8},
-                'center': {'x': 0.0, 'y': 0.0, 'z': -0.16},
+                'eye': {'x': 1.25, 'y': -1.7, 'z': 0.75},
+                'center': {'x': 0.0, 'y': 0.0, 'z': -0.1},
             },
         },
         legend={'orientation': 'h', 'y': 0.0, 'x': 0.0, 'yanchor': 'bottom'},
@@ -82,7 +91,7 @@ def shift(view: CornerView) -> FloatArray:
     At its true height a small corner would show as two dots. Shifted along the tool axis, both
     curves keep their shapes and one scale.
     """
-    size = float(np.ptp(view.bottom_polygon, axis=0).max())
+    size = _size(view)
     middle = view.axis[len(view.axis) // 2]
     away = max(0.0, _height(view) - GAP * size)
     return np.asarray(away * middle)
@@ -96,7 +105,7 @@ def profile_figure(view: CornerView) -> Any:
             'u<sub>top</sub> = u<sub>bottom</sub>; connection added to the top curve'
             if view.in_step else 'parametrization u<sub>top</sub> = f(u)',
             'third derivative of the tool axis (Eq. 11)',
-            f'feed against Eq. 10, programmed {view.programmed:,.0f} mm/min',
+            f'feed against Eq. 10, programmed: {asked_of(view)}',
         ),
     )  # fmt: skip
     shape, unit = (
@@ -138,6 +147,11 @@ def profile_figure(view: CornerView) -> Any:
     return with_axes(figure)
 
 
+def asked_of(view: CornerView) -> str:
+    """Say what feed the program asks for in a corner."""
+    return f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
+
+
 def feed_ceiling(view: CornerView) -> float:
     """Choose where the feed picture of a corner ends [mm/min]."""
     asked = view.programmed_feed[np.isfinite(view.programmed_feed)]
@@ -166,6 +180,12 @@ def _dots(colour: str) -> dict[str, Any]:
         'line': {'color': colour, 'width': 1.5, 'dash': 'dash'},
         'marker': {'color': 'white', 'size': 4, 'line': {'color': colour, 'width': 1.5}},
     }
+
+
+def _size(view: CornerView) -> float:
+    """Return the extent of the larger of both curves [mm]."""
+    both = (view.bottom_polygon, view.top_polygon)
+    return max(float(np.ptp(points, axis=0).max()) for points in both)
 
 
 def _height(view: CornerView) -> float:

@@ -99,9 +99,10 @@ class CornerView:
     def title(self) -> str:
         """Describe the corner in one line."""
         (contour, turn), (most, most_turn) = self.deviation, self.tolerance
+        slowest = f'{self.slowest:,.0f}' if self.slowest >= 10.0 else f'{self.slowest:.2g}'
         return (
             f'line {self.line}: contour {contour:.3g} of {most:.4g} µm, '
-            f'orientation {turn:.3g} of {most_turn:.4g} µm, slowest {self.slowest:,.0f} mm/min'
+            f'orientation {turn:.3g} of {most_turn:.4g} µm, slowest {slowest} mm/min'
         )
 
 

@@ -181,7 +181,7 @@ class RunResult:
         for name in ('velocity', 'acceleration', 'jerk'):
             use = getattr(self, f'{name}_use')
             values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
-            lines.append(f'{name + " use":<15}{values}')
+            lines.append(f'{name:<15}{values}')
         return '\n'.join(lines)
 
 

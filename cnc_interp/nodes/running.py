@@ -45,13 +45,13 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
     stop: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda found, _frame: stop.append(found))
+    come_first()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
         node = make()
         executor = EventsExecutor()
         executor.add_node(node)
-        come_first()
         gc.collect()
         gc.freeze()  # what exists now lives as long as the node: no collection walks over it
         parent = int(os.environ.get(PARENT, '0'))
@@ -72,7 +72,12 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
 
 
 def come_first() -> None:
-    """Ask the system to serve this process before others; only some users may."""
+    """
+    Ask the system to serve this process before others; only some users may.
+
+    On Linux this holds for the calling thread and those that it starts from now on, so it comes
+    before the threads of ROS.
+    """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 

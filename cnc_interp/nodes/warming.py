@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cnc_interp.feedrate.jerk_stage import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.interpolator import Interpolator
 from cnc_interp.kinematics.axis_path import AxisPath
@@ -17,23 +18,26 @@ from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, MM_PER_MIN
 
+#: The tiny path in several windows: some kernels serve only where a window follows another.
+SHORT_WINDOWS = PlanOptions(window_cells=8)
+
 
 def tiny_program(transform: Transform) -> Blocks:
-    """Return two blocks with a corner between them, the tool axis turning where it can."""
-    rotary = np.array([[0.30, 0.20], [0.33, 0.25], [0.35, 0.32]])
+    """Return three blocks: a corner, then an exact stop, the tool axis turning where it can."""
+    rotary = np.array([[0.30, 0.20], [0.33, 0.25], [0.35, 0.32], [0.36, 0.35]])
     rotating = transform.machine.has_rotary
-    axis = transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (3, 1))
+    axis = transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (4, 1))
     return Blocks(
-        tip=np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 1.0]]) * MM,
+        tip=np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 1.0], [5.0, 8.0, 1.0]]) * MM,
         axis=axis,
-        rotary=np.full((3, 2), np.nan),
-        feedrate=np.full(3, 3000.0 * MM_PER_MIN),
-        duration=np.full(3, np.nan),
-        rapid=np.zeros(3, dtype=np.bool_),
-        exact_stop=np.zeros(3, dtype=np.bool_),
-        contour_tolerance=np.full(3, 0.02 * MM),
-        orientation_tolerance=np.full(3, 0.02 * MM),
-        line_number=np.arange(3),
+        rotary=np.full((4, 2), np.nan),
+        feedrate=np.full(4, 3000.0 * MM_PER_MIN),
+        duration=np.full(4, np.nan),
+        rapid=np.zeros(4, dtype=np.bool_),
+        exact_stop=np.array([False, False, True, True]),
+        contour_tolerance=np.full(4, 0.02 * MM),
+        orientation_tolerance=np.full(4, 0.02 * MM),
+        line_number=np.arange(4),
     )
 
 
@@ -55,7 +59,9 @@ def warm_kinematics(transform: Transform) -> AxisPath:
 
 def warm_all(transform: Transform, period: float) -> None:
     """Load the kernels from look-ahead to setpoints."""
-    planner, interpolator = FeedPlanner(transform.machine), Interpolator(period)
-    pieces: list[PlannedPiece] = planner.push(warm_kinematics(transform)) + planner.finish()
-    for piece in pieces:
-        interpolator.push(piece)
+    path = warm_kinematics(transform)
+    for options in (PlanOptions(), SHORT_WINDOWS):
+        planner, interpolator = FeedPlanner(transform.machine, options), Interpolator(period)
+        pieces: list[PlannedPiece] = planner.push(path) + planner.finish()
+        for piece in pieces:
+            interpolator.push(piece)

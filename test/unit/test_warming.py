@@ -1,0 +1,48 @@
+"""Nothing is compiled while axes move: the warm-up reaches every kernel that a program uses."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
+
+RUN = """
+import sys
+sys.path.insert(0, {here!r})
+from numba.core.dispatcher import Dispatcher
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes.warming import warm_all
+from cnc_interp.pipeline import Chain, ChainOptions
+from programs import zigzag
+
+def compiled():
+    return {{
+        (name, key, str(signature))
+        for name, module in list(sys.modules.items()) if name.startswith('cnc_interp')
+        for key, value in vars(module).items() if isinstance(value, Dispatcher)
+        for signature in value.overloads
+    }}
+
+machine = Machine.load('xyzac')
+warm_all(Transform.of(machine), 0.001)
+before = compiled()
+chain = Chain(machine, ChainOptions())
+blocks = zigzag(3, count=300, exact_stop=[i % 40 == 39 for i in range(300)])
+for first in range(0, 300, 64):
+    chain.push(blocks[first : first + 64])
+chain.finish()
+assert len(chain.pieces) > 8
+print(sorted(compiled() - before))
+"""
+
+
+def test_a_long_program_needs_no_kernel_that_was_not_warm():
+    code = RUN.format(here=str(Path(__file__).parent))
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == '[]'

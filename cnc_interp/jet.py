@@ -5,8 +5,7 @@ A jet (c0, c1, c2, c3) stands for f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4), s
 f' = c1, f'' = 2 c2 and f''' = 6 c3. Carrying jets through a formula gives its exact derivatives
 without writing them down. A vector jet is a tuple of three jets.
 
-All functions are compiled; called from Python they also take arrays element by element through
-``.py_func``.
+All functions are compiled into the kernels that use them.
 """
 
 from __future__ import annotations

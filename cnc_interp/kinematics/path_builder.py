@@ -16,42 +16,34 @@ import numpy as np
 from cnc_interp.errors import BlockError, SingularityError, TravelError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.sampling import (
-    BRANCH,
     FINE,
-    FIRST_RATE,
+    FOLLOWING,
+    LINEAR,
+    RESTING,
     SINGULAR,
-    sample_segment,
+    STANDSTILL,
+    sample_segments,
     shapes_of,
 )
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
-from cnc_interp.smoothing.orientation import turned_by
-from cnc_interp.smoothing.segments import CORNER, ROTATION, PathSegments, corner_breaks
+from cnc_interp.smoothing.orientation import norm, turned_by
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 from cnc_interp.units import DEG, MM, MS
 
-#: Parameters between the cells of a corner and of a line, before refinement.
-CORNER_GRID = np.linspace(0.0, 1.0, 13)
-LINE_GRID = np.array([0.0, 0.5, 1.0])
 #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_ANGLE = 1e-8
+#: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
+SAME_TOOL = 1e-12
 #: A kink of the path shows as jerk over this period [s]; more than this share of the limit counts.
 KINK_PERIOD, KINK_JERK = 1.0 * MS, 0.02
 #: A great circle whose normal is this perpendicular to the pole runs through it [-].
 IN_PLANE = 1e-10
 
 
-def corner_grid(parametrization: FloatArray) -> FloatArray:
-    """Return the first parameters of a corner's cells, its breaks among them."""
-    if not len(parametrization):
-        return CORNER_GRID
-    breaks = corner_breaks(parametrization)
-    apart = np.abs(CORNER_GRID[:, None] - breaks).min(axis=1) > 1e-3
-    return np.asarray(np.unique(np.concatenate([breaks, CORNER_GRID[apart]])))
-
-
 @dataclass
 class Cells:
-    """One segment cut into cells, before joining."""
+    """Consecutive segments cut into cells, before joining; ``stop`` at the end of each cell."""
 
     steps: FloatArray
     left: FloatArray
@@ -60,7 +52,7 @@ class Cells:
     tools: FloatArray
     feed: FloatArray
     block: IntArray
-    stop: bool
+    stop: BoolArray
 
 
 class AxisPathBuilder:
@@ -139,64 +131,89 @@ class AxisPathBuilder:
             orientation cannot be reached; the message names line, axis and value.
 
         """
-        shapes = shapes_of(segments)
+        motion = self._motions(segments)
         parts: list[Cells] = []
-        for i in range(len(segments)):
-            parts.extend(self._segment(segments, shapes, i))
+        first, n = 0, len(segments)
+        while first < n:
+            if self._rotary is None:
+                self.start(
+                    segments.axis[first],
+                    segments.rotary[first, 0],
+                    int(segments.line_number[first]),
+                )
+            if motion[first] == LINEAR:
+                parts.extend(self._linear(segments[first : first + 1]))
+                first += 1
+            else:
+                others = np.flatnonzero(motion[first:] == LINEAR)
+                last = first + int(others[0]) if len(others) else n
+                parts.append(self._cells(segments[first:last], motion[first:last]))
+                first = last
+            self._may_turn_at_once = False
         return self._join(parts) if parts else None
 
-    def _segment(self, segments: PathSegments, shapes: FloatArray, i: int) -> list[Cells]:
-        """Cut one segment into cells, with a turn of the outer axis before it if it needs one."""
-        if self._rotary is None:
-            self.start(segments.axis[i], segments.rotary[i, 0], int(segments.line_number[i]))
+    def _motions(self, segments: PathSegments) -> IntArray:
+        """
+        Say how the rotary axes move on each segment, shape (n,).
+
+        LINEAR are rotations that the program gives as rotary positions, and great circles through
+        the pole; the others rest, or follow the tool axis on the branch.
+        """
+        n, kind = len(segments), segments.kind
+        motion = np.full(n, RESTING)
+        if not self.machine.has_rotary:
+            self._refuse_tilt(segments)
+            return motion
+        tool = segments.top - segments.bottom
+        for curve, points in ((CORNER, 5), (SPLINE, 6)):
+            spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
+            bent = np.abs(segments.connection).max(axis=(1, 2), initial=0.0)
+            motion[(kind == curve) & ((spread >= SAME_TOOL) | (bent >= SAME_TOOL))] = FOLLOWING
+        angle = norm(segments.rotation)
+        turning = (angle > 0.0) & ((kind == LINE) | (kind == ROTATION))
+        motion[turning] = FOLLOWING
+        motion[turning & (np.abs(segments.rotation @ self.transform.pole) <= IN_PLANE * angle)] = (
+            LINEAR
+        )
+        named = np.isfinite(segments.rotary).all(axis=(1, 2))
+        motion[(kind == ROTATION) & named] = LINEAR
+        return motion
+
+    def _linear(self, one: PathSegments) -> list[Cells]:
+        """Cut a segment with linear rotary axes; the outer axis turns before it if it must."""
         assert self._rotary is not None
-        motion = self._rotary_motion(segments, i)
+        words = one.rotary[0]
+        if one.kind[0] == ROTATION and np.isfinite(words).all():
+            start, turn = words[0], words[1] - words[0]
+        else:
+            found = self._through_the_pole(one.axis[0], one.rotation[0])
+            if found is None:
+                return [self._cells(one, np.array([FOLLOWING]))]
+            start, turn = found
         parts = []
-        if motion[BRANCH] == 0.0 and np.abs(motion[:2] - self._rotary).max() > SAME_ANGLE:
+        if np.abs(start - self._rotary).max() > SAME_ANGLE:
             if not self._may_turn_at_once:
-                parts.append(self._turn_first(segments, shapes, i, motion[:2]))
-            self._rotary = motion[:2].copy()
-        self._may_turn_at_once = False
-        parts.append(self._cells(segments, shapes, i, motion))
-        turned = bool(motion[FIRST_RATE:].any())
-        self._rotary = motion[:2].copy()
-        if turned:
-            self._branch = self._branch_at(self._rotary)
+                parts.append(self._turn_first(one, start))
+            self._rotary = start.copy()
+        parts.append(self._cells(one, np.array([LINEAR]), turn))
+        self._branch = self._branch_at(self._rotary)
         return parts
 
-    def _rotary_motion(self, segments: PathSegments, i: int) -> FloatArray:
-        """Decide how the rotary axes move on a segment (``rotary`` of ``sampling.sample``)."""
-        assert self._rotary is not None
-        resting = np.array([*self._rotary, 0.0, 0.0, 0.0])
-        following = np.array([*self._rotary, self._branch, 0.0, 0.0])
-        if not self.machine.has_rotary:
-            self._refuse_tilt(segments, i)
-            return resting
-        words = segments.rotary[i]
-        if segments.kind[i] == ROTATION and np.isfinite(words).all():
-            return np.array([*words[0], 0.0, *(words[1] - words[0])])
-        if segments.kind[i] == CORNER:
-            tool = segments.top[i] - segments.bottom[i]
-            return resting if np.ptp(tool, axis=0).max() < 1e-12 else following
-        rotation = segments.rotation[i]
-        angle = float(np.sqrt(rotation @ rotation))
-        if angle == 0.0:
-            return resting
-        if abs(rotation @ self.transform.pole) > IN_PLANE * angle:
-            return following
-        through = self._through_the_pole(segments.axis[i], rotation, angle)
-        return following if through is None else through
-
     def _through_the_pole(
-        self, axis: FloatArray, rotation: FloatArray, angle: float
-    ) -> FloatArray | None:
-        """Solve a great circle through the pole; None where the tilt is not linear along it."""
+        self, axis: FloatArray, rotation: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """
+        Solve a great circle through the pole; None where the tilt is not linear along it.
+
+        Returns first rotary positions and what they turn by, shape (2,) each [rad].
+        """
         assert self._rotary is not None
         outer, inner = self.transform.outer, 1 - self.transform.outer
+        angle = float(np.sqrt(rotation @ rotation))
         shares = np.array([0.0, 0.5, 1.0])
         tools = np.array([turned_by(axis, rotation, share) for share in shares])
         far = int(np.argmin(np.abs(tools @ self.transform.pole)))
-        best: tuple[float, FloatArray] | None = None
+        best: tuple[float, FloatArray, FloatArray] | None = None
         for pair in self.transform.rotary_solutions(tools[far]):
             turns = np.round((self._rotary[outer] - pair[outer]) / (2.0 * np.pi))
             for rate in (angle, -angle):
@@ -207,62 +224,66 @@ class AxisPathBuilder:
                     continue
                 gap = float(np.abs(path[0] - self._rotary).sum())
                 if best is None or gap < best[0]:
-                    best = gap, np.array([*path[0], 0.0, *(path[2] - path[0])])
-        return None if best is None else best[1]
+                    best = gap, path[0], path[2] - path[0]
+        return None if best is None else best[1:]
 
-    def _turn_first(
-        self, segments: PathSegments, shapes: FloatArray, i: int, target: FloatArray
-    ) -> Cells:
+    def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
         """Turn the rotary axes about the resting tip before a segment."""
         assert self._rotary is not None
         turn = target - self._rotary
         still = replace(
-            segments[i : i + 1],
+            one,
             kind=np.array([ROTATION]),
             length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
             feed=np.full((1, 2), np.inf),
             stop=np.array([True]),
         )
-        motion = np.array([*self._rotary, 0.0, *turn])
-        return self._cells(still, shapes[i : i + 1], 0, motion)
+        return self._cells(still, np.array([LINEAR]), turn)
 
     def _cells(
-        self, segments: PathSegments, shapes: FloatArray, i: int, motion: FloatArray
+        self, segments: PathSegments, motion: IntArray, turn: FloatArray | None = None
     ) -> Cells:
-        """Sample one segment and check what came out; ``motion`` moves on to its end."""
-        kind, line = int(segments.kind[i]), int(segments.line_number[i])
-        linear = motion[BRANCH] == 0.0
-        status, early, steps, left, right, tips, tools = sample_segment(
+        """Cut segments into cells and check what came out; ``turn`` is that of a linear one."""
+        rates = np.zeros(2) if turn is None else turn
+        rotary = np.array([*np.zeros(2), self._branch, *rates])
+        if self._rotary is not None:
+            rotary[:2] = self._rotary
+        status, counts, early, steps, left, right, tips, tools = sample_segments(
             self.transform.packed,
-            0.0 if linear else float(np.sin(self.machine.singular_cone)),
+            float(np.sin(self.machine.singular_cone)),
             len(self.machine.axis_names),
-            kind,
-            shapes[i],
-            segments.parametrization[i],
-            segments.length[i],
+            segments.kind,
+            shapes_of(segments),
+            segments.parametrization,
+            segments.length,
             motion,
-            corner_grid(segments.parametrization[i]) if kind == CORNER else LINE_GRID,
+            rotary,
         )
+        self._rotary = rotary[:2].copy()
+        segment = np.repeat(np.arange(len(counts)), counts)
+        ends = np.cumsum(counts)
+        self._check_travel(left[:, 0], segments.line_number[segment])
+        self._check_travel(right[:, 0], segments.line_number[segment])
         if status != FINE:
-            self._refuse_orientation(status, line)
-        q = np.concatenate([left[0], right[0, -1:]])
-        self._check_travel(q, line)
-        if kind == ROTATION and linear:  # the tool axis follows the rotary axes
+            self._refuse(status, int(segments.line_number[len(counts) - 1]))
+        if turn is not None and segments.kind[0] == ROTATION:  # the tool follows the rotary axes
+            q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:])
-        half = (np.arange(len(steps)) >= early).astype(int) if kind == CORNER else 1
-        feed = np.broadcast_to(segments.feed[i, half], len(steps))
-        block = np.broadcast_to(segments.block[i, half], len(steps))
-        return Cells(steps, left, right, tips, tools, feed, block, bool(segments.stop[i]))
+        half = (np.arange(len(steps)) - (ends - counts)[segment] >= early[segment]).astype(int)
+        stop = np.zeros(len(steps), dtype=bool)
+        stop[ends[counts > 0] - 1] = segments.stop[counts > 0]
+        return Cells(
+            steps, left, right, tips, tools,
+            segments.feed[segment, half], segments.block[segment, half], stop,
+        )  # fmt: skip
 
     def _join(self, parts: list[Cells]) -> AxisPath:
         """Put parts together into a piece of path that begins where the last one ended."""
         steps = np.concatenate([part.steps for part in parts])
         s = self._s + np.concatenate([[0.0], np.cumsum(steps)])
-        stop = np.zeros(len(s), dtype=bool)
-        stop[0] = self._stopped
-        stop[np.cumsum([len(part.steps) for part in parts])] = [part.stop for part in parts]
-        left = np.concatenate([part.left for part in parts], axis=1)
-        right = np.concatenate([part.right for part in parts], axis=1)
+        stop = np.concatenate([[self._stopped], *(part.stop for part in parts)])
+        left = np.concatenate([part.left for part in parts]).swapaxes(0, 1).copy()
+        right = np.concatenate([part.right for part in parts]).swapaxes(0, 1).copy()
         feed = np.concatenate([part.feed for part in parts])
         before, self._end = self._end, (right[:, -1:], feed[-1:])
         if before is not None:
@@ -327,17 +348,19 @@ class AxisPathBuilder:
         self._branch = -minus_branch
         return np.asarray(pair)
 
-    def _refuse_tilt(self, segments: PathSegments, i: int) -> None:
+    def _refuse_tilt(self, segments: PathSegments) -> None:
         """Refuse a tilted tool on a machine without rotary axes."""
-        if segments.axis[i, 2] < 1.0 - 1e-12 or np.abs(segments.rotation[i]).max() > 1e-12:
+        turned = np.abs(segments.rotation).max(axis=1, initial=0.0) > 1e-12
+        tilted = np.flatnonzero((segments.axis[:, 2] < 1.0 - 1e-12) | turned)
+        if len(tilted):
             raise BlockError(
                 f'a tilted tool needs rotary axes, and machine {self.machine.name} has none; '
                 'choose a 5-axis machine',
-                int(segments.line_number[i]),
+                int(segments.line_number[tilted[0]]),
             )
 
-    def _refuse_orientation(self, status: int, line: int) -> None:
-        """Say why the tool axis of a segment cannot be followed."""
+    def _refuse(self, status: int, line: int) -> None:
+        """Say why a segment cannot be followed."""
         if status == SINGULAR:
             name = self.machine.axis_names[3 + self.transform.outer]
             raise SingularityError(
@@ -347,10 +370,16 @@ class AxisPathBuilder:
                 line,
                 name,
             )
+        if status == STANDSTILL:
+            raise BlockError(
+                'the tip rests on a curve while the tool axis turns; give the turn a block of '
+                'its own',
+                line,
+            )
         raise BlockError(f'machine {self.machine.name} cannot reach the tool axis', line)
 
-    def _check_travel(self, q: FloatArray, line: int) -> None:
-        """Refuse positions outside the travel of an axis."""
+    def _check_travel(self, q: FloatArray, lines: IntArray) -> None:
+        """Refuse positions outside the travel of an axis, shape (n, n_axes)."""
         low, high = self.machine.travel.T
         outside = np.argwhere((q < low) | (q > high))
         if not len(outside):
@@ -361,7 +390,7 @@ class AxisPathBuilder:
         raise TravelError(
             f'axis {name} would have to go to {value / unit:.3f} {word}, outside its travel '
             f'{low[axis] / unit:g} ... {high[axis] / unit:g} {word}; move the workpiece',
-            line,
+            int(lines[row]),
             name,
             value,
         )

@@ -1,5 +1,5 @@
 """
-One segment -> cells of the AxisPath: q and its exact derivatives by path length.
+Segments -> cells of the AxisPath: q and its exact derivatives by path length.
 
 A segment is cut into cells until the septic polynomial between a cell's ends meets the exact axes
 inside. Cells break where the third derivative may jump: at joins and at u = 0.5 of corners, where
@@ -20,11 +20,16 @@ from cnc_interp.program.blocks import FloatArray
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,
+    POINTS,
+    SPLINE,
     PathSegments,
+    corner_breaks,
     corner_jets,
     great_circle_jets,
     line_jets,
+    quintic_component,
     spline_component,
+    spline_jets,
 )
 
 #: Septic and exact axes agree to this inside a cell [m or rad],
@@ -34,19 +39,27 @@ THIRD_ERROR = 0.01
 ROUNDING = 1e-12
 #: A segment is cut into at most this many cells.
 MOST_CELLS = 4096
+#: Parameters between the cells of a corner and of any other segment, before refinement.
+CORNER_GRID = np.linspace(0.0, 1.0, 13)
+PLAIN_GRID = np.array([0.0, 0.5, 1.0])
+#: A tip slower than this share of the top rests, and its arc length measures nothing [-].
+SLOWEST_TIP = 1e-6
 #: What became of a segment.
-FINE, UNREACHABLE, SINGULAR = 0, 1, 2
+FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3
+#: How the rotary axes move on a segment: at rest, following the tool axis, linearly in u.
+RESTING, FOLLOWING, LINEAR = 0, 1, 2
 #: Layout of ``rotary``: positions, branch (+1, -1, or 0 for linear), rates per unit of u.
 FIRST, SECOND, BRANCH, FIRST_RATE, SECOND_RATE = range(5)
 #: Rows of a segment's ``shape``.
-BOTTOM, TOP, AXIS, ROTATION, CONNECTION = slice(0, 5), slice(5, 10), 10, 11, slice(12, None)
+BOTTOM, TOP = slice(0, POINTS), slice(POINTS, 2 * POINTS)
+AXIS, ROTATION, CONNECTION = 2 * POINTS, 2 * POINTS + 1, slice(2 * POINTS + 2, None)
 
 # Gauss-Legendre points and weights for the arc length of half a corner
 _GAUSS = np.array(np.polynomial.legendre.leggauss(10))  # type: ignore[no-untyped-call]
 
 
 def shapes_of(segments: PathSegments) -> FloatArray:
-    """Stack the geometry of segments for the kernels, shape (n, 18, 3)."""
+    """Stack the geometry of segments for the kernels, shape (n, 20 or 22, 3)."""
     return np.concatenate(
         [
             segments.bottom,
@@ -69,7 +82,7 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
     packed : ndarray
         Geometry of the machine.
     kind, length : int, float
-        Kind of the segment, and its length unless it is a corner [m].
+        Kind of the segment, and its length unless it is a curve [m].
     shape, f : ndarray, shapes (m, 3) and (spans, 8)
         Its geometry, and the parametrization of corners.
     rotary : ndarray, shape (5,)
@@ -93,10 +106,10 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
     """
     if kind == CORNER:
         p, o = corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
-        dx = (p[0][1], 2.0 * p[0][2], 3.0 * p[0][3], 0.0)
-        dy = (p[1][1], 2.0 * p[1][2], 3.0 * p[1][3], 0.0)
-        dz = (p[2][1], 2.0 * p[2][2], 3.0 * p[2][3], 0.0)
-        speed = jet.square_root(jet.dot((dx, dy, dz), (dx, dy, dz)))
+        speed = speed_of(p)
+    elif kind == SPLINE:
+        p, o = spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)
+        speed = speed_of(p)
     elif kind == LINE:
         p, o = line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)
         speed = jet.constant(length)
@@ -123,19 +136,32 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
     return q, tip, tool, sine_squared
 
 
+@njit(cache=True, nogil=True, inline='always')
+def speed_of(p):  # type: ignore[no-untyped-def]
+    """Return the jet of ds/du, two derivatives of it, from the jet of the tip."""
+    dx = (p[0][1], 2.0 * p[0][2], 3.0 * p[0][3], 0.0)
+    dy = (p[1][1], 2.0 * p[1][2], 3.0 * p[1][3], 0.0)
+    dz = (p[2][1], 2.0 * p[2][2], 3.0 * p[2][3], 0.0)
+    return jet.square_root(jet.dot((dx, dy, dz), (dx, dy, dz)))
+
+
 @njit(cache=True, nogil=True)
 def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
     """Return the path length of a segment between parameters a and b of one half [m]."""
-    if kind != CORNER:
+    if kind != CORNER and kind != SPLINE:
         return length * (b - a)
     late = 0.5 * (a + b) > 0.5
     total = 0.0
     for i in range(_GAUSS.shape[1]):
         u = 0.5 * (a + b) + 0.5 * (b - a) * _GAUSS[0, i]
-        dx = spline_component(shape[BOTTOM], 0, u, late)[1]
-        dy = spline_component(shape[BOTTOM], 1, u, late)[1]
-        dz = spline_component(shape[BOTTOM], 2, u, late)[1]
-        total += _GAUSS[1, i] * sqrt(dx * dx + dy * dy + dz * dz)
+        square = 0.0
+        for k in range(3):
+            if kind == CORNER:
+                rate = spline_component(shape[BOTTOM], k, u, late)[1]
+            else:
+                rate = quintic_component(shape[BOTTOM], k, u)[1]
+            square += rate * rate
+        total += _GAUSS[1, i] * sqrt(square)
     return 0.5 * (b - a) * total
 
 
@@ -155,77 +181,142 @@ def septic_fits(left, right, h, x, exact, n_axes):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def sample_segment(packed, cone_sine, n_axes, kind, shape, f, length, rotary, grid):  # type: ignore[no-untyped-def]
+def first_grid(kind, f):  # type: ignore[no-untyped-def]
+    """Return the first parameters to use, from 0 to 1, all breaks of the segment among them."""
+    if kind != CORNER:
+        return PLAIN_GRID
+    if f.shape[0] == 0:
+        return CORNER_GRID
+    grid = corner_breaks(f)
+    breaks = len(grid)
+    grid = np.concatenate((grid, CORNER_GRID))
+    count = breaks
+    for u in CORNER_GRID:
+        if np.abs(grid[:breaks] - u).min() > 1e-3:
+            grid[count] = u
+            count += 1
+    return np.sort(grid[:count])
+
+
+@njit(cache=True, nogil=True)
+def tip_rests(shape):  # type: ignore[no-untyped-def]
+    """Tell whether the tip of a spline rests at an end or in the middle."""
+    for u in PLAIN_GRID:
+        tip = top = 0.0
+        for k in range(3):
+            tip += quintic_component(shape[BOTTOM], k, u)[1] ** 2
+            top += quintic_component(shape[TOP], k, u)[1] ** 2
+        if tip <= SLOWEST_TIP**2 * top:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def roomier(array, cells):  # type: ignore[no-untyped-def]
+    """Return the array with room for more cells on its first axis."""
+    larger = np.empty((cells, *array.shape[1:]))
+    larger[: len(array)] = array
+    return larger
+
+
+@njit(cache=True, nogil=True)
+def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion, rotary):  # type: ignore[no-untyped-def]
     """
-    Cut one segment into cells.
+    Cut consecutive segments into cells.
 
     Parameters
     ----------
-    packed, kind, shape, f, length, rotary
-        As in ``sample``; on return ``rotary`` holds the positions at the end of the segment.
+    packed : ndarray
+        Geometry of the machine.
     cone_sine : float
         Sine of the singular cone [-].
     n_axes : int
         3 or 5.
-    grid : ndarray
-        First parameters to use, from 0 to 1, all breaks among them.
+    kinds, shapes, f, lengths : ndarray, shapes (n,), (n, m, 3), (n, spans, 8), (n,)
+        As in ``sample``, segment by segment.
+    motion : ndarray of int, shape (n,)
+        RESTING, FOLLOWING or LINEAR; for a linear one ``rotary`` holds the rates.
+    rotary : ndarray, shape (5,)
+        As in ``sample``; on return it holds the positions at the end of the last segment.
 
     Returns
     -------
     status : int
-        FINE, UNREACHABLE or SINGULAR.
-    early : int
-        How many of the cells lie before u = 0.5.
-    steps : ndarray, shape (n,)
+        FINE, or why the segment after the last one counted cannot be cut.
+    counts, early : ndarray of int, shape (m,)
+        How many cells each segment has, and how many of them lie before u = 0.5; m = n when all
+        is fine, else m - 1 segments are sound and the last one is not.
+    steps : ndarray, shape (N,)
         Path length of each cell [m].
-    left, right : ndarray, shape (4, n, n_axes)
-        As in AxisPath.
-    tips, tools : ndarray, shape (n + 1, 3)
+    left, right : ndarray, shape (N, 4, n_axes)
+        As in AxisPath, but cell by cell.
+    tips, tools : ndarray, shape (N + 1, 3)
         Tool tip and axis at the cells' ends.
 
     """
-    steps = np.empty(MOST_CELLS)
-    left, right = np.empty((4, MOST_CELLS, n_axes)), np.empty((4, MOST_CELLS, n_axes))
-    tips, tools = np.empty((MOST_CELLS + 1, 3)), np.empty((MOST_CELLS + 1, 3))
+    n = len(kinds)
+    counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    capacity = 8 * n + MOST_CELLS
+    steps = np.empty(capacity)
+    left, right = np.empty((capacity, 4, n_axes)), np.empty((capacity, 4, n_axes))
+    tips, tools = np.empty((capacity + 1, 3)), np.empty((capacity + 1, 3))
     ends = np.empty(MOST_CELLS)  # right ends of the cells still to do, the next one last
-    waiting = len(grid) - 1
-    ends[:waiting] = grid[:0:-1]
-    free = rotary[BRANCH] != 0.0
-    least = cone_sine * cone_sine
-    count, early, a, fresh = 0, 0, 0.0, False
-    q_a, tips[0], tools[0], sine = sample(packed, kind, shape, f, length, rotary, 0.0, 0.0)
-    while waiting > 0 and sine >= least:
-        b = ends[waiting - 1]
-        middle = 0.5 * (a + b)
-        if fresh:  # on a break the left end is another one than the last right end
-            q_a = sample(packed, kind, shape, f, length, rotary, a, middle)[0]
-            fresh = False
-        if free:  # whole turns follow the left end of the cell
-            rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
-        q_m, _, _, sine = sample(packed, kind, shape, f, length, rotary, middle, middle)
-        if sine < least:
+    branch, status, count, row = rotary[BRANCH], FINE, 0, 0
+    for row in range(n):
+        kind, shape, spans, length = kinds[row], shapes[row], f[row], lengths[row]
+        if count + MOST_CELLS > capacity:
+            capacity = 2 * capacity + MOST_CELLS
+            steps, left = roomier(steps, capacity), roomier(left, capacity)
+            right = roomier(right, capacity)
+            tips, tools = roomier(tips, capacity + 1), roomier(tools, capacity + 1)
+        free = motion[row] == FOLLOWING
+        rotary[BRANCH] = branch if free else 0.0
+        least = cone_sine * cone_sine if free else 0.0
+        grid = first_grid(kind, spans)
+        waiting = len(grid) - 1
+        ends[:waiting] = grid[:0:-1]
+        begin, a, fresh = count, 0.0, False
+        if kind == SPLINE and tip_rests(shape):
+            status = STANDSTILL
             break
-        if free:
-            rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
-        q_b, tip, tool, sine = sample(packed, kind, shape, f, length, rotary, b, middle)
-        h = arc_length(kind, shape, length, a, b)
-        half = arc_length(kind, shape, length, a, middle)
-        room = count + waiting < MOST_CELLS - 1
-        if sine >= least and room and not septic_fits(q_a, q_b, h, half, q_m, n_axes):
-            ends[waiting] = middle
-            waiting += 1
-            continue
-        waiting -= 1
-        steps[count] = h
-        left[:, count], right[:, count] = q_a[:, :n_axes], q_b[:, :n_axes]
-        count += 1
-        if b <= 0.5:
-            early = count
-        tips[count], tools[count] = tip, tool
-        a, q_a, fresh = b, q_b, kind == CORNER and b in grid
-    status = FINE if sine >= least else (UNREACHABLE if sine < 0.0 else SINGULAR)
-    rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
+        q_a, tip, tool, sine = sample(packed, kind, shape, spans, length, rotary, 0.0, 0.0)
+        if count == 0:
+            tips[0], tools[0] = tip, tool
+        while waiting > 0 and sine >= least:
+            b = ends[waiting - 1]
+            middle = 0.5 * (a + b)
+            if fresh:  # on a break the left end is another one than the last right end
+                q_a = sample(packed, kind, shape, spans, length, rotary, a, middle)[0]
+                fresh = False
+            if free:  # whole turns follow the left end of the cell
+                rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
+            q_m, _, _, sine = sample(packed, kind, shape, spans, length, rotary, middle, middle)
+            if sine < least:
+                break
+            if free:
+                rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
+            q_b, tip, tool, sine = sample(packed, kind, shape, spans, length, rotary, b, middle)
+            h = arc_length(kind, shape, length, a, b)
+            half = arc_length(kind, shape, length, a, middle)
+            room = count - begin + waiting < MOST_CELLS - 1
+            if sine >= least and room and not septic_fits(q_a, q_b, h, half, q_m, n_axes):
+                ends[waiting] = middle
+                waiting += 1
+                continue
+            waiting -= 1
+            steps[count] = h
+            left[count], right[count] = q_a[:, :n_axes], q_b[:, :n_axes]
+            count += 1
+            if b <= 0.5:
+                early[row] = count - begin
+            tips[count], tools[count] = tip, tool
+            a, q_a, fresh = b, q_b, kind == CORNER and b in grid
+        counts[row] = count - begin
+        if sine < least:
+            status = UNREACHABLE if sine < 0.0 else SINGULAR
+            break
+        rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
     return (
-        status, early, steps[:count].copy(), left[:, :count].copy(), right[:, :count].copy(),
-        tips[: count + 1].copy(), tools[: count + 1].copy(),
+        status, counts[: row + 1], early[: row + 1], steps[:count], left[:count], right[:count],
+        tips[: count + 1], tools[: count + 1],
     )  # fmt: skip

@@ -10,10 +10,14 @@ from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.program.blocks import Blocks, FloatArray
-from cnc_interp.smoothing.segments import CORNER, PathSegments
+from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
+QUINTIC_KNOTS = array('d', [0.0] * 6 + [1.0] * 6)
+#: Degree, knots and number of control points of each kind's curves.
+CURVES = {CORNER: (3, CUBIC_KNOTS, 5), SPLINE: (5, QUINTIC_KNOTS, 6)}
+LINE_CURVE = (1, LINEAR_KNOTS, 2)
 #: Bezier points of a connection, quintic or septic, and degree of the parametrization's spans.
 CONNECTION_POINTS = (6, 8)
 SPAN_DEGREE = 6
@@ -97,12 +101,12 @@ def _segment_message(
     segments: PathSegments, i: int, program_id: str, sequence: int, height: float, end: bool
 ) -> PathSegment:
     """Turn one segment into a message."""
-    corner = segments.kind[i] == CORNER
+    kind = int(segments.kind[i])
     message = PathSegment(
         program_id=program_id,
         sequence=sequence,
-        kind=int(segments.kind[i]),
-        bottom=_spline(segments.bottom[i] if corner else segments.bottom[i, :2]),
+        kind=kind,
+        bottom=_spline(segments.bottom[i], kind),
         flank_height=height,
         axis=segments.axis[i],
         rotation=segments.rotation[i],
@@ -118,22 +122,17 @@ def _segment_message(
         stop=bool(segments.stop[i]),
         end_of_program=end,
     )
-    if corner:
-        message.top = _spline(segments.top[i])
+    if kind in CURVES:
+        message.top = _spline(segments.top[i], kind)
         message.connection = _packed(segments.connection[i])
         message.parametrization = _parametrization(segments.parametrization[i])
     return message
 
 
-def _spline(points: FloatArray) -> BSpline:
-    """Describe control points of a line (2) or a corner (5) as a clamped B-spline."""
-    cubic = len(points) == 5
-    return BSpline(
-        degree=3 if cubic else 1,
-        dimension=3,
-        knots=CUBIC_KNOTS if cubic else LINEAR_KNOTS,
-        control_points=_packed(points),
-    )
+def _spline(points: FloatArray, kind: int) -> BSpline:
+    """Describe the control points that a kind of segment uses as a clamped B-spline."""
+    degree, knots, count = CURVES.get(kind, LINE_CURVE)
+    return BSpline(degree=degree, dimension=3, knots=knots, control_points=_packed(points[:count]))
 
 
 def _parametrization(spans: FloatArray) -> BSpline:
@@ -165,7 +164,7 @@ def _packed(values: FloatArray) -> array[float]:
 def segments_from(messages: list[PathSegment]) -> PathSegments:
     """Collect messages, checked before, into segments."""
     n = len(messages)
-    bottom, top = np.zeros((n, 5, 3)), np.zeros((n, 5, 3))
+    bottom, top = np.zeros((n, POINTS, 3)), np.zeros((n, POINTS, 3))
     points_of_e = max([len(m.connection) // 3 for m in messages], default=0)
     spans = max([len(m.parametrization.control_points) for m in messages], default=0)
     connection = np.zeros((n, max(points_of_e, CONNECTION_POINTS[0]), 3))
@@ -173,8 +172,8 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
     for i, message in enumerate(messages):
         points = np.frombuffer(message.bottom.control_points).reshape(-1, 3)
         bottom[i, : len(points)] = points
-        if message.kind == CORNER:
-            top[i] = np.frombuffer(message.top.control_points).reshape(-1, 3)
+        if message.kind in CURVES:
+            top[i, : len(points)] = np.frombuffer(message.top.control_points).reshape(-1, 3)
             if len(message.connection):
                 connection[i] = np.frombuffer(message.connection).reshape(-1, 3)
             if len(message.parametrization.knots):

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from array import array
-
 import numpy as np
 from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.errors import StreamError
 from cnc_interp.nodes.messages import (
     CONNECTION_POINTS,
-    CUBIC_KNOTS,
-    LINEAR_KNOTS,
+    CURVES,
+    LINE_CURVE,
     SPAN_DEGREE,
 )
 from cnc_interp.program.blocks import FloatArray
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE
 
 #: A tool axis may differ from length 1 by rounding only.
 UNIT = 1e-9
@@ -52,14 +50,15 @@ def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray
 def check_segment(message: PathSegment) -> None:
     """Refuse a segment whose curves or values do not fit its kind."""
     name = f'segment {message.sequence} (line {message.line_number})'
-    kind, corner = message.kind, message.kind == CORNER
-    if kind not in (LINE, CORNER, ROTATION):
-        raise StreamError(f'{name}: kind {kind} is unknown; send LINE, CORNER or ROTATION')
-    _check_spline(f'{name}: bottom', message.bottom, CUBIC_KNOTS if corner else LINEAR_KNOTS)
-    if corner:
-        _check_spline(f'{name}: top', message.top, CUBIC_KNOTS)
+    kind, curved = message.kind, message.kind in CURVES
+    if kind not in (LINE, CORNER, ROTATION, SPLINE):
+        raise StreamError(f'{name}: kind {kind} is unknown; send LINE, CORNER, ROTATION or SPLINE')
+    _check_spline(f'{name}: bottom', message.bottom, kind)
+    if curved:
+        _check_spline(f'{name}: top', message.top, kind)
         if len(message.connection) not in [3 * points for points in CONNECTION_POINTS]:
             raise StreamError(f'{name}: connection must hold 6 or 8 points of 3 values')
+    if kind == CORNER:
         _check_parametrization(f'{name}: parametrization', message.parametrization)
     for rotary in (message.rotary_start, message.rotary_end):
         _check_pose(name, np.zeros(3), message.axis, rotary)
@@ -71,14 +70,14 @@ def check_segment(message: PathSegment) -> None:
         raise StreamError(f'{name}: flank_height must be greater than 0')
     if not (message.feedrate > 0.0).all():
         raise StreamError(f'{name}: the feedrate must be greater than 0')
-    if not (corner or 0.0 <= message.length < np.inf):
+    if not (curved or 0.0 <= message.length < np.inf):
         raise StreamError(f'{name}: length is {message.length:g} m; it must not be negative')
 
 
-def _check_spline(name: str, spline: BSpline, knots: array[float]) -> None:
+def _check_spline(name: str, spline: BSpline, kind: int) -> None:
     """Refuse a curve of another shape than its kind has."""
-    degree = 3 if knots is CUBIC_KNOTS else 1
-    count = 3 * (len(knots) - degree - 1)
+    degree, knots, points = CURVES.get(kind, LINE_CURVE)
+    count = 3 * points
     if (spline.degree, spline.dimension, spline.knots) != (degree, 3, knots):
         raise StreamError(f'{name} must be of degree {degree} in 3-D with knots {knots.tolist()}')
     if len(spline.control_points) != count:

@@ -15,13 +15,23 @@ from cnc_interp.plan_files import PlanFiles
 from cnc_interp.program.blocks import FloatArray, IntArray
 from cnc_interp.smoothing.curves import (
     Curves,
+    bezier,
     end_derivatives,
     poses,
     spline_points,
+    sum_of,
     top_parameters,
 )
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments, corner_breaks, corner_jets
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    POINTS,
+    SPLINE,
+    PathSegments,
+    corner_breaks,
+    corner_jets,
+)
 from cnc_interp.units import MM, MM_PER_MIN, UM
 from cnc_interp.verify import vertex_tolerances
 
@@ -126,7 +136,7 @@ def read_segments(directory: Path) -> PathSegments | None:
         raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
     count = len(segments)
     tails = {
-        'bottom': (5, 3), 'top': (5, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
+        'bottom': (POINTS, 3), 'top': (POINTS, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
         'deviation': (2,), 'length': (), 'line_number': (),
     }  # fmt: skip
     for name, tail in tails.items():
@@ -162,10 +172,10 @@ def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
 
 
 def lengths(segments: PathSegments) -> FloatArray:
-    """Return path lengths of segments; corners by Gauss's rule on each half [m], shape (n,)."""
+    """Return path lengths of segments; curves by Gauss's rule [m], shape (n,)."""
     length = np.array(segments.length, dtype=float)
     corner = np.flatnonzero(segments.kind == CORNER)
-    points = segments.bottom[corner]
+    points = segments.bottom[corner, :5]
     node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
     total = np.zeros(len(corner))
     for half in (points, points[:, ::-1]):
@@ -173,6 +183,12 @@ def lengths(segments: PathSegments) -> FloatArray:
         for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
             total += w * norm(first + x * (second + 0.5 * x * third))
     length[corner] = total
+    spline = np.flatnonzero(segments.kind == SPLINE)
+    rates = 5.0 * np.diff(segments.bottom[spline], axis=1)
+    length[spline] = sum_of(
+        0.5 * w * norm(bezier(rates.swapaxes(1, 2), np.full((len(spline), 1), 0.5 * (x + 1.0))))
+        for x, w in zip(node, weight, strict=True)
+    )
     return length
 
 
@@ -217,11 +233,12 @@ def _view(
 ) -> CornerView:
     """Work out the pictures of one corner that runs from start to end of the path [m]."""
     one = segments[row : row + 1]
-    curves = Curves(one.bottom, one.top, one.connection, one.parametrization)
+    bottom, polygon = one.bottom[:, :5], one.top[:, :5]
+    curves = Curves(bottom, polygon, one.connection, one.parametrization)
     u, late = _parameters(one.parametrization[0])
     tip, axis = (np.concatenate(x) for x in zip(*(poses(curves, v) for v in u), strict=True))
     top_u = np.array([top_parameters(one.parametrization, v)[0] for v in u])
-    top = spline_points(one.top[0], top_u)
+    top = spline_points(polygon[0], top_u)
     bend = _connection(one.connection[0], u)
     corner_way, corner_turn = _third_derivatives(one, u, late)
     middle, reach = 0.5 * (start + end), MARGIN * (end - start)
@@ -237,8 +254,8 @@ def _view(
         programmed=programmed / MM_PER_MIN,
         bottom=tip / MM,
         top=(top + bend) / MM,
-        bottom_polygon=one.bottom[0] / MM,
-        top_polygon=one.top[0] / MM,
+        bottom_polygon=bottom[0] / MM,
+        top_polygon=polygon[0] / MM,
         vertex=one.bottom[0, 2] / MM,
         axis=axis,
         u=u,

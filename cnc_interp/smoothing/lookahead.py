@@ -23,7 +23,7 @@ from cnc_interp.smoothing.orientation import (
     rotations_between,
     turned_by,
 )
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments, room_for
 from cnc_interp.units import DEG, MM
 
 #: A tip that moves less than this stands still [m].
@@ -303,8 +303,8 @@ class LookAhead:
         row = self._row + kept + 1
         return PathSegments(
             kind=np.where(resting, ROTATION, LINE)[kept],
-            bottom=bottom[kept],
-            top=curves.top[kept],
+            bottom=room_for(bottom[kept]),
+            top=room_for(curves.top[kept]),
             connection=curves.connection[kept],
             parametrization=curves.parametrization[kept],
             axis=axis[kept],
@@ -350,8 +350,8 @@ class LookAhead:
         zero = np.zeros(n)
         return PathSegments(
             kind=np.full(n, CORNER),
-            bottom=curves.bottom,
-            top=curves.top,
+            bottom=room_for(curves.bottom),
+            top=room_for(curves.top),
             connection=curves.connection,
             parametrization=curves.parametrization,
             axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.options.flank_height,
@@ -374,8 +374,8 @@ def no_segments(style: Style) -> PathSegments:
     curves = style.room(0)
     return PathSegments(
         kind=np.zeros(0, dtype=np.int64),
-        bottom=curves.bottom,
-        top=curves.top,
+        bottom=room_for(curves.bottom),
+        top=room_for(curves.top),
         connection=curves.connection,
         parametrization=curves.parametrization,
         axis=np.zeros((0, 3)),

@@ -11,7 +11,9 @@ from numba import njit
 from cnc_interp import jet
 from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 
-LINE, CORNER, ROTATION = 0, 1, 2
+LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
+#: Control points that a segment has room for: a line uses 2, a corner 5, a spline all 6.
+POINTS = 6
 
 
 @dataclass(frozen=True)
@@ -24,16 +26,19 @@ class PathSegments:
     [B2013, section 2.3] with knots (0 0 0 0 .5 1 1 1 1): the tip runs on ``bottom``, the tool
     axis is the direction of ``top(f(u)) + connection(u) - bottom(u)`` (Eq. 5 with parametrization
     f and connection of ``connection.py``). A ``ROTATION`` turns the tool about the resting tip
-    ``bottom[0]``.
+    ``bottom[0]``. A ``SPLINE`` is one polynomial span of a 5-axis curve: the tip runs on the
+    quintic Bezier curve ``bottom``, the tool axis is the direction of ``top(u) + connection(u)
+    - bottom(u)`` with the quintic Bezier curve ``top``.
 
     Parameters
     ----------
     kind : ndarray of int, shape (n,)
-        LINE, CORNER or ROTATION.
-    bottom, top : ndarray, shape (n, 5, 3)
-        Control points of bottom and top curve [m]; lines use the first two (start and end).
+        LINE, CORNER, ROTATION or SPLINE.
+    bottom, top : ndarray, shape (n, 6, 3)
+        Control points of bottom and top curve [m]; lines use the first two (start and end),
+        corners the first five.
     connection : ndarray, shape (n, m, 3)
-        Bezier points over [0, 1] added to the top curve of a corner [m].
+        Bezier points over [0, 1] added to the top curve of a corner or spline [m].
     parametrization : ndarray, shape (n, spans, 8)
         u_top = f(u) of corners, span by span: start of the span, then the seven Bezier values of
         a sextic on it; no spans where f(u) = u everywhere [-].
@@ -44,7 +49,7 @@ class PathSegments:
     rotary : ndarray, shape (n, 2, 2)
         Programmed rotary axes at start and end, NaN where not programmed [rad].
     length : ndarray, shape (n,)
-        Length of lines; flank height times angle of rotations; NaN for corners [m].
+        Length of lines; flank height times angle of rotations; NaN for curves [m].
     feed : ndarray, shape (n, 2)
         Programmed ds/dt in the first and second half (the two blocks of a corner) [m/s].
     block : ndarray of int, shape (n, 2)
@@ -54,7 +59,7 @@ class PathSegments:
     stop : ndarray of bool, shape (n,)
         True where the tool rests at the end of the segment.
     deviation : ndarray, shape (n, 2)
-        Contour and orientation deviation of corners, 0 elsewhere [m].
+        Contour and orientation deviation of curves, 0 elsewhere [m].
 
     """
 
@@ -90,6 +95,12 @@ class PathSegments:
         """Join batches end to end."""
         names = [field.name for field in fields(PathSegments)]
         return PathSegments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+def room_for(points: FloatArray) -> FloatArray:
+    """Return control points, shape (n, k, 3), with room up to POINTS of them."""
+    spare = np.zeros((len(points), POINTS - points.shape[1], 3))
+    return np.concatenate([points, spare], axis=1)
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -142,6 +153,41 @@ def bezier_component(points, i, u):  # type: ignore[no-untyped-def]
         p * (p - 1.0) * d2 / 2.0,
         p * (p - 1.0) * (p - 2.0) * d3 / 6.0,
     )
+
+
+@njit(cache=True, nogil=True, inline='always')
+def quintic_component(points, i, u):  # type: ignore[no-untyped-def]
+    """Return the jet of one coordinate of a quintic Bezier curve, in powers of u."""
+    p0, p1, p2, p3, p4, p5 = (
+        points[0, i], points[1, i], points[2, i], points[3, i], points[4, i], points[5, i],
+    )  # fmt: skip
+    d1, d2, d3, d4, d5 = p1 - p0, p2 - p1, p3 - p2, p4 - p3, p5 - p4
+    a1 = 5.0 * d1
+    d1, d2, d3, d4 = d2 - d1, d3 - d2, d4 - d3, d5 - d4
+    a2 = 10.0 * d1
+    d1, d2, d3 = d2 - d1, d3 - d2, d4 - d3
+    a3 = 10.0 * d1
+    d1, d2 = d2 - d1, d3 - d2
+    a4, a5 = 5.0 * d1, d2 - d1
+    return (
+        p0 + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5)))),
+        a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + 5.0 * u * a5))),
+        a2 + u * (3.0 * a3 + u * (6.0 * a4 + 10.0 * u * a5)),
+        a3 + u * (4.0 * a4 + 10.0 * u * a5),
+    )
+
+
+@njit(cache=True, nogil=True)
+def spline_jets(bottom, top, connection, u):  # type: ignore[no-untyped-def]
+    """Return the vector jets, in u, of tool tip and tool axis of a spline [B2013, Eq. 5]."""
+    tip, tool = np.empty((3, 4)), np.empty((3, 4))
+    for i in range(3):
+        p = quintic_component(bottom, i, u)
+        d = jet.subtract(quintic_component(top, i, u), p)
+        d = jet.add(d, bezier_component(connection, i, u))
+        tip[i, 0], tip[i, 1], tip[i, 2], tip[i, 3] = p
+        tool[i, 0], tool[i, 1], tool[i, 2], tool[i, 3] = d
+    return vector_jet(tip), jet.normalised(vector_jet(tool))
 
 
 @njit(cache=True, nogil=True)

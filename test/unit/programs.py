@@ -1,8 +1,10 @@
 """Small programs as Blocks, built straight from tool tips and tool axes."""
 
 import numpy as np
+from scipy.interpolate import BPoly, BSpline, PPoly
 
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
 from cnc_interp.units import DEG, MM, MM_PER_MIN
 
 
@@ -45,3 +47,38 @@ def zigzag(seed, count=12, step=5 * MM, tilt=20 * DEG, **columns):
     lean = 0.6 + tilt * rng.uniform(-1, 1, count)
     axes = np.c_[np.sin(lean) * np.sin(turn), np.sin(lean) * np.cos(turn), np.cos(lean)]
     return blocks_of(tips, axes, **columns)
+
+
+def spline_segments(seed, spans=6, step=0.5 * MM, height=30 * MM):
+    """One C4 5-axis curve as SPLINE segments, and the curve itself (tip and top) to compare."""
+    rng = np.random.default_rng(seed)
+    count = spans + 5
+    way = np.arange(count) * step
+    bend = np.cumsum(rng.normal(0, 0.1, (count, 2)), axis=0) * step
+    tilt = 0.3 + np.cumsum(rng.normal(0, 0.004, (count, 2)), axis=0)
+    axes = np.c_[np.sin(tilt[:, 0]), np.sin(tilt[:, 1]), np.ones(count)]
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    tips = np.c_[way, bend]
+    curve = BSpline(np.arange(count + 6.0), np.hstack([tips, tips + height * axes]), 5)
+    powers = [PPoly.from_spline((curve.t, column, 5)).c for column in curve.c.T]
+    pieces = BPoly.from_power_basis(PPoly(np.stack(powers, axis=-1), curve.t))
+    points = pieces.c[:, 5 : 5 + spans].swapaxes(0, 1)  # where the curve is defined
+    bottom, top = points[..., :3], points[..., 3:]
+    axis = top[:, 0] - bottom[:, 0]
+    segments = PathSegments(
+        kind=np.full(spans, SPLINE),
+        bottom=bottom.copy(),
+        top=top.copy(),
+        connection=np.zeros((spans, 6, 3)),
+        parametrization=np.zeros((spans, 0, 8)),
+        axis=axis / np.linalg.norm(axis, axis=1)[:, None],
+        rotation=np.zeros((spans, 3)),
+        rotary=np.full((spans, 2, 2), np.nan),
+        length=np.full(spans, np.nan),
+        feed=np.full((spans, 2), 3000.0 * MM_PER_MIN),
+        block=np.repeat(np.arange(1, spans + 1)[:, None], 2, axis=1),
+        line_number=np.arange(1, spans + 1),
+        stop=np.arange(spans) == spans - 1,
+        deviation=np.zeros((spans, 2)),
+    )
+    return segments, curve

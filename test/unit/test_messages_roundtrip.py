@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
+from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
 
 from cnc_interp.errors import InterpError, StreamError
@@ -111,6 +112,12 @@ def test_every_kind_of_segment_keeps_every_bit():
     same_bits(
         messages.segments_from(checked(over_the_wire(sent), soundness.check_segment)), segments
     )
+
+
+def test_splines_keep_every_bit():
+    segments, _ = spline_segments(1)
+    received = over_the_wire(messages.segment_messages(segments, 'p', 0, H, end=True))
+    same_bits(messages.segments_from(checked(received, soundness.check_segment)), segments)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from programs import blocks_of, pyramid, zigzag
+from programs import blocks_of, pyramid, spline_segments, zigzag
 
 from cnc_interp.errors import BlockError, SingularityError, TravelError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -88,6 +88,43 @@ def test_arc_length_is_that_of_the_tip():
     assert np.linalg.norm(np.diff(tip, axis=0), axis=1).sum() == pytest.approx(
         path.s[-1], rel=1e-8
     )
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_spline_is_followed_with_its_derivatives(seed):
+    """Tip and axis are those of the curve; C4 in u means that q_sss too runs through the joins."""
+    segments, curve = spline_segments(seed)
+    path = AxisPathBuilder(AC).push(segments)
+    tip, axis = AC.forward(path.q)
+    u = np.linspace(5.0, 5.0 + len(segments), 20001)
+    tips, tops = curve(u)[:, :3], curve(u)[:, 3:]
+    axes = (tops - tips) / np.linalg.norm(tops - tips, axis=1)[:, None]
+    nearest = np.linalg.norm(tip[:, None] - tips[None, ::20], axis=2).argmin(axis=1) * 20
+    for i, at in enumerate(nearest):
+        near = slice(max(at - 30, 0), at + 31)
+        gap = np.linalg.norm(tip[i] - tips[near], axis=1)
+        assert gap.min() < 0.6 * np.linalg.norm(np.diff(tips, axis=0), axis=1).max()
+        assert np.abs(axis[i] - axes[near][gap.argmin()]).max() < 1e-5
+    assert path.s[-1] == pytest.approx(
+        np.linalg.norm(np.diff(tips, axis=0), axis=1).sum(), rel=1e-6
+    )
+    for order in range(4):
+        left, right = path.cell_right[order, :-1], path.cell_left[order, 1:]
+        assert np.abs(left - right).max() <= 1e-8 * np.abs(path.cell_left[order]).max()
+    h = np.diff(path.s)
+    cells = np.arange(len(h))
+    inside = [evaluate(path, path.s[:-1] + share * h, cells) for share in (0.45, 0.5, 0.55)]
+    for order in (1, 2, 3):
+        slope = (inside[2][order - 1] - inside[0][order - 1]) / (0.1 * h[:, None])
+        size = np.abs(inside[1][order]).max(axis=0) + 1e-9
+        assert (np.abs(slope - inside[1][order]) < 5e-3 * size).all()
+
+
+def test_curve_whose_tip_rests_is_refused():
+    segments, _ = spline_segments(0)
+    resting = replace(segments, bottom=np.repeat(segments.bottom[:, :1], 6, axis=1))
+    with pytest.raises(BlockError, match='the tip rests on a curve while the tool axis turns'):
+        AxisPathBuilder(AC).push(resting)
 
 
 def test_same_path_however_it_is_cut():

@@ -279,6 +279,7 @@ def write_plan(plan: Plan, directory: Path) -> None:
         line=blocks.line_number, contour_tolerance=blocks.contour_tolerance,
         orientation_tolerance=blocks.orientation_tolerance, rapid=blocks.rapid,
         rotary=blocks.rotary, duration=blocks.duration, exact_stop=blocks.exact_stop,
+        top=blocks.top, knot_interval=blocks.knot_interval,
     )  # fmt: skip
     text = json.dumps(summary_of(plan), indent=2)
     (directory / 'summary.json').write_text(text + '\n', encoding='utf-8')

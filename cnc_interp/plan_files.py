@@ -31,9 +31,13 @@ BLOCK_COLUMNS = {
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
 PATH_CELLS = ('cell_left', 'cell_right')
-# Programs without rotary words, inverse-time feeds or exact stops need not carry these.
-OPTIONAL_BLOCK_COLUMNS = {'rotary': '2', 'duration': '', 'exact_stop': ''}
-MAY_BE_UNBOUNDED = frozenset({'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration'})
+# Programs without rotary words, inverse-time feeds, exact stops or splines need not carry these.
+OPTIONAL_BLOCK_COLUMNS = {
+    'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
+}  # fmt: skip
+MAY_BE_UNBOUNDED = frozenset(
+    {'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration', 'top', 'knot_interval'}
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class PlanFiles:
     path : mapping
         Grid of the planner, see the design of the plan files; empty when there is none (a bag).
     blocks : mapping
-        Program rows, start pose first; ``rotary``, ``duration``, ``exact_stop`` filled in.
+        Program rows, start pose first; optional columns filled in.
     summary : mapping
         Contents of ``summary.json``.
 
@@ -126,6 +130,8 @@ def complete_blocks(columns: Columns) -> Columns:
         'rotary': np.full((rows, 2), np.nan),
         'duration': np.full(rows, np.nan),
         'exact_stop': np.zeros(rows, dtype=bool),
+        'top': np.full((rows, 3), np.nan),
+        'knot_interval': np.full(rows, np.nan),
     }
     return defaults | dict(columns)
 

@@ -43,6 +43,7 @@ def block_messages(
         True when the last row is the program's last.
 
     """
+    spline = blocks.on_spline
     return [
         G1Block(
             program_id=program_id,
@@ -51,6 +52,9 @@ def block_messages(
             tip=blocks.tip[i],
             axis=blocks.axis[i],
             rotary=blocks.rotary[i],
+            spline=bool(spline[i]),
+            top=blocks.top[i],
+            knot_interval=float(blocks.knot_interval[i]),
             feedrate=float(blocks.feedrate[i]),
             duration=float(blocks.duration[i]),
             rapid=bool(blocks.rapid[i]),
@@ -70,6 +74,9 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
     def column(field: str, kind: Any = np.float64) -> Any:
         return np.array([getattr(message, field) for message in messages], dtype=kind)
 
+    linear = ~column('spline', np.bool_)
+    top, knot_interval = column('top'), column('knot_interval')
+    top[linear], knot_interval[linear] = np.nan, np.nan
     return Blocks(
         tip=column('tip'),
         axis=column('axis'),
@@ -81,6 +88,8 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
         contour_tolerance=column('contour_tolerance'),
         orientation_tolerance=column('orientation_tolerance'),
         line_number=column('line_number', np.int64),
+        top=top,
+        knot_interval=knot_interval,
     )
 
 

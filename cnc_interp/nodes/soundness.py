@@ -23,6 +23,7 @@ def check_block(message: G1Block) -> None:
     """Refuse a block with values that no program can mean."""
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
+    _check_control_point(name, message)
     for field in ('contour_tolerance', 'orientation_tolerance', 'flank_height'):
         value = getattr(message, field)
         if not 0.0 < value < np.inf:
@@ -45,6 +46,20 @@ def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray
         raise StreamError(f'{name}: the tool axis has length {length:.6g}; it must be 1')
     if np.isinf(rotary).any() or np.isnan(rotary).any() != np.isnan(rotary).all():
         raise StreamError(f'{name}: name both rotary axes, or none (NaN)')
+
+
+def _check_control_point(name: str, message: G1Block) -> None:
+    """Refuse a control point of splines that is not finite or lies off the tool axis."""
+    if not message.spline:
+        return
+    if not 0.0 <= message.knot_interval < np.inf:
+        raise StreamError(
+            f'{name}: knot_interval is {message.knot_interval:g}; it must not be negative'
+        )
+    tool = message.top - message.tip
+    length = float(np.sqrt(tool @ tool))
+    if not np.abs(tool - length * message.axis).max() <= UNIT * length:
+        raise StreamError(f'{name}: top must be a point on the tool axis above the tip')
 
 
 def check_segment(message: PathSegment) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,18 @@ IntArray = NDArray[np.int64]
 @dataclass(frozen=True)
 class Blocks:
     """
-    Linear blocks of a part program, in order; row 0 is the start pose.
+    Blocks of a part program, in order; row 0 is the start pose.
 
-    A row says where the tool goes and how: along a straight line of the tool tip, the tool axis
-    turning on the great circle between both orientations [B2013, Eq. 4].
+    A linear row says where the tool goes and how: along a straight line of the tool tip, the tool
+    axis turning on the great circle between both orientations [B2013, Eq. 4]. A spline row is one
+    control point of a pair of cubic B-splines, as in native programs [B2013, section 4.1]:
+    consecutive spline rows make one curve. Its first row repeats the pose before it, its last one
+    is followed by a linear row or has an exact stop.
 
     Parameters
     ----------
     tip : ndarray, shape (n, 3)
-        Tool tip ``p_WT`` at the end of the block, in W [m].
+        Tool tip ``p_WT`` at the end of the block, in W; control point of spline rows [m].
     axis : ndarray, shape (n, 3)
         Unit tool axis ``o_W`` at the end of the block, from tip to spindle [-].
     rotary : ndarray, shape (n, 2)
@@ -41,6 +44,12 @@ class Blocks:
         Largest deviation of the tool tip, and of the point at flank height [m].
     line_number : ndarray of int, shape (n,)
         Line of the source text, from 1.
+    top : ndarray, shape (n, 3)
+        Control points of the second curve, on the tool axis, of spline rows [m]; else NaN.
+    knot_interval : ndarray, shape (n,)
+        Spline rows: ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots of its curve, so
+        0 in the first row, in the last two and for a repeated knot [-]. NaN on linear rows.
+        Without ``top`` and ``knot_interval`` all rows are linear.
 
     """
 
@@ -54,10 +63,15 @@ class Blocks:
     contour_tolerance: FloatArray
     orientation_tolerance: FloatArray
     line_number: IntArray
+    top: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    knot_interval: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            getattr(self, field.name).flags.writeable = False
+        if len(self.knot_interval) != len(self.tip):
+            object.__setattr__(self, 'top', np.full(np.shape(self.tip), np.nan))
+            object.__setattr__(self, 'knot_interval', np.full(len(self.tip), np.nan))
+        for column in fields(self):
+            getattr(self, column.name).flags.writeable = False
 
     def __len__(self) -> int:
         """Count the rows, start pose included."""
@@ -65,10 +79,15 @@ class Blocks:
 
     def __getitem__(self, rows: slice) -> Blocks:
         """Take a slice of rows."""
-        return Blocks(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Blocks(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    @property
+    def on_spline(self) -> BoolArray:
+        """True for the rows that are control points of native B-splines, shape (n,)."""
+        return np.isfinite(self.knot_interval)
 
     @staticmethod
     def concatenate(parts: list[Blocks]) -> Blocks:
         """Join batches end to end."""
-        names = [field.name for field in fields(Blocks)]
+        names = [column.name for column in fields(Blocks)]
         return Blocks(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))

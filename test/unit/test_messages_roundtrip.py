@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
+from programs import blocks_of as blocks_of_points
 from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -102,6 +103,40 @@ def keeps_every_bit(blocks):
     received = checked(over_the_wire(sent), soundness.check_segment)
     same_bits(messages.segments_from(received), segments)
     assert [m.sequence for m in received] == list(range(5, 5 + len(segments)))
+
+
+def control_points(knot_interval=0.5):
+    tip = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    axis = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.6, 0.8]])
+    interval = np.array([np.nan, 0.0, knot_interval])
+    top = np.where(np.isnan(interval)[:, None], np.nan, tip + 0.02 * axis)
+    return blocks_of_points(tip, axis, top=top, knot_interval=interval)
+
+
+def test_control_points_of_splines_keep_every_bit():
+    blocks = control_points()
+    sent = messages.block_messages(blocks, 'p', 0, H, end=True)
+    received = checked(over_the_wire(sent), soundness.check_block)
+    assert [m.spline for m in received] == [False, True, True]
+    same_bits(messages.blocks_from(received), blocks)
+
+
+@pytest.mark.parametrize(
+    ('field', 'value', 'word'),
+    [
+        ('knot_interval', -0.1, 'knot_interval is -0.1'),
+        ('knot_interval', float('nan'), 'knot_interval'),
+        ('top', [float('nan'), 0.0, 0.0], 'top must be'),
+        ('top', [0.01, 0.0, 0.02], 'top must be'),
+        ('top', [0.01, -0.012, -0.016], 'top must be'),
+    ],
+)
+def test_unsound_control_points_are_refused_by_name(field, value, word):
+    message = messages.block_messages(control_points(), 'p', 0, H, end=True)[2]
+    check(message)
+    setattr(message, field, value)
+    with pytest.raises(StreamError, match=word):
+        check(message)
 
 
 def test_every_kind_of_segment_keeps_every_bit():

@@ -129,8 +129,9 @@ def program_options(added: argparse.ArgumentParser) -> None:
         '--feed', type=positive, metavar='MM_PER_MIN', help='feedrate where the program has no F'
     )
     added.add_argument(
-        '--ratio', type=positive, default=2.0, metavar='L2/L1', help='shape of the corners (2)'
-    )
+        '--ratio', type=ratio, metavar='L2/L1',
+        help='shape of the corners, 1.2 to 4, or auto: chosen for each (auto)',
+    )  # fmt: skip
     added.add_argument(
         '--parametrization', choices=('exact', 'linear', 'paper'), default='exact',
         help='how the orientation of a corner joins its lines (exact)',
@@ -164,6 +165,14 @@ def positive(text: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise argparse.ArgumentTypeError(f'must be a positive number, not {text!r}')
     return value
+
+
+def ratio(text: str) -> float | None:
+    """Read the shape of the corners: a number, or `auto` as None."""
+    try:
+        return None if text == 'auto' else positive(text)
+    except argparse.ArgumentTypeError as problem:
+        raise argparse.ArgumentTypeError(f"{problem}, or 'auto'") from None
 
 
 def plan_command(options: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
@@ -45,8 +47,8 @@ class ChainOptions:
     ----------
     flank_height : float
         Height at which the orientation tolerance is measured [m].
-    ratio : float
-        L2/L1 of the corners [-].
+    ratio : float, optional
+        L2/L1 of all corners [-]; None: chosen for each.
     parametrization, top, septic
         How corners are made; see SmoothingOptions.
     period : float
@@ -55,7 +57,7 @@ class ChainOptions:
     """
 
     flank_height: float = 30.0 * MM
-    ratio: float = 2.0
+    ratio: float | None = None
     parametrization: str = 'exact'
     top: str = 'in_step'
     septic: bool = False
@@ -133,12 +135,13 @@ class Chain:
 
 
 def smoothing_options(transform: Transform, options: ChainOptions) -> SmoothingOptions:
-    """Return the look-ahead's options for a machine (its pole) and the user's choices."""
+    """Return the look-ahead's options for a machine (pole, axes) and the user's choices."""
     machine = transform.machine
     pole = tuple(float(x) for x in transform.pole) if machine.has_rotary else None
     return SmoothingOptions(
         flank_height=options.flank_height,
         ratio=options.ratio,
+        axis_rates=partial(jerk_rates, transform),
         parametrization=options.parametrization,
         top=options.top,
         septic=options.septic,

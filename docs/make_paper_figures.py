@@ -46,6 +46,8 @@ FEED = 3000.0
 MARGIN = 3.0 * MM
 #: Steps of the discrete third derivative: at F one period on the pocket; fine on the pyramid [m].
 POCKET_STEP, PYRAMID_STEP = 0.05 * MM, 0.002 * MM
+#: L2/L1 in the tables; None: chosen for each corner.
+RATIOS = (1.4, 2.0, None)
 #: Like for like: the same curves (the paper's top, its ratio), only the parametrization differs.
 PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'ratio': 1.4}
 
@@ -380,14 +382,14 @@ def table(program: Program, machine: Machine) -> list[str]:
     head = 'f | top | L2/L1 | E | q_s | q_ss | q_sss XYZ | q_sss AC | stops | corner, s | whole, s'
     lines, largest = [f'| {head} |', '|---' * 11 + '|'], 0.0
     ways = [('linear', False), ('paper', False), ('exact', False), ('exact', True)]
-    for (f, septic), top, ratio in product(ways, ('tolerance', 'in_step'), (1.4, 2.0)):
+    for (f, septic), top, ratio in product(ways, ('tolerance', 'in_step'), RATIOS):
         options = ChainOptions(parametrization=f, top=top, ratio=ratio, septic=septic)
         run = Run(plan_program(program, machine, options))
         use = summary_of(run.plan)['largest_use']
         largest = max(largest, *(x for axes in use.values() for x in axes.values()))
         jump = run.jumps()
         e = ('septic' if septic else 'quintic') if f == 'exact' else '-'
-        cells = [f, top, f'{ratio:g}', e]
+        cells = [f, top, f'{ratio:g}' if ratio else 'auto', e]
         cells += [jump_text(jump[k].max()) for k in range(2)] + [jump_text(x) for x in jump[2]]
         cells += [f'{run.stops_inside()}', f'{run.corner_time():.3f}', f'{run.cycle_time:.3f}']
         lines.append('| ' + ' | '.join(cells) + ' |')

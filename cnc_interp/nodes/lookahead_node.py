@@ -36,7 +36,7 @@ class LookaheadNode(Node):
         values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
         self._corners = {name: values[name] for name in ('parametrization', 'top', 'septic')}
-        self._corners['ratio'] = values['corner_ratio']
+        self._corners['ratio'] = values['corner_ratio'] or None
         smoothing_options(self._transform, ChainOptions(**self._corners))
         self._peer_timeout = values['peer_timeout']
         self._heard = 0.0

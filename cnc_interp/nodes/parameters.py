@@ -38,7 +38,9 @@ PEER_TIMEOUT = Declared(
 
 LOOKAHEAD = (
     MACHINE,
-    Declared('corner_ratio', 2.0, 'L2/L1 of a rounded corner where there is room [-]', 1.2, 4.0),
+    Declared(
+        'corner_ratio', 0.0, 'L2/L1 of rounded corners, 1.2 to 4; 0: chosen for each [-]', 0.0, 4.0
+    ),
     Declared('parametrization', 'exact', 'Orientation of corners: exact, linear or paper'),
     Declared('top', 'in_step', 'Top curve of corners: in_step or tolerance'),
     Declared('septic', False, 'Continue the third derivative of the tool axis too'),

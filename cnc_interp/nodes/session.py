@@ -36,8 +36,8 @@ class RunRequest:
         Keep the tolerances above even where the program gives others.
     feedrate : float, optional
         Where the program gives none [m/s].
-    ratio : float
-        L2/L1 of the corners [-].
+    ratio : float, optional
+        L2/L1 of all corners [-]; None: chosen for each.
     parametrization, top, septic
         How corners are made; see SmoothingOptions.
     period : float
@@ -56,7 +56,7 @@ class RunRequest:
     flank_height: float = 30.0 * MM
     force_tolerances: bool = False
     feedrate: float | None = None
-    ratio: float = 2.0
+    ratio: float | None = None
     parametrization: str = 'exact'
     top: str = 'in_step'
     septic: bool = False
@@ -92,7 +92,7 @@ class RunRequest:
             'program_node': machine,
             'lookahead_node': machine
             | {
-                'corner_ratio': self.ratio,
+                'corner_ratio': self.ratio or 0.0,
                 'parametrization': self.parametrization,
                 'top': self.top,
                 'septic': self.septic,

@@ -76,8 +76,6 @@ class Style:
     ----------
     height : float
         Flank height h [m].
-    ratio : float
-        L2/L1 where there is room [-].
     in_step : bool
         How the top polygon is divided.
     method : {'exact', 'linear', 'paper'}
@@ -88,7 +86,6 @@ class Style:
     """
 
     height: float
-    ratio: float
     in_step: bool
     method: str
     septic: bool
@@ -100,12 +97,13 @@ class Style:
 
 
 def first_lengths(
-    corners: Corners, lengths: FloatArray, style: Style
+    corners: Corners, lengths: FloatArray, ratios: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """
     Return L1, shape (n,), and both L2, shape (n, 2), from the contour tolerance and the room.
 
-    ``lengths`` says how much of each line a corner may use, shape (n, 2) [m].
+    ``lengths`` says how much of each line a corner may use [m], ``ratios`` is L2/L1 where there is
+    room [-]; shapes (n, 2).
     """
     turn = norm(corners.rates) * lengths
     room = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
@@ -114,7 +112,7 @@ def first_lengths(
     allowed = 4.0 * corners.tolerances[:, 0]
     bound = bend * inner > allowed
     inner = np.where(bound, allowed / np.where(bound, bend, 1.0), inner)  # Eq. 3 and A.3
-    return inner, np.minimum(style.ratio * inner[:, None], room)
+    return inner, np.minimum(ratios * inner[:, None], room)
 
 
 def build(
@@ -162,7 +160,11 @@ def top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
 
 
 def fit(
-    corners: Corners, inner: FloatArray, outer: FloatArray, style: Style, free_ends: bool
+    corners: Corners,
+    inner: FloatArray,
+    outer: FloatArray,
+    style: Style,
+    ratios: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, Curves, FloatArray]:
     """
     Build corners and shrink them until both tolerances hold.
@@ -175,8 +177,8 @@ def fit(
         L1 and both L2 to begin with [m].
     style : Style
         How corners are made.
-    free_ends : bool
-        Whether L2 shrinks with L1, or the ends must stay where they are.
+    ratios : ndarray, shape (n, 2), optional
+        Largest L2/L1 of a corner that shrinks; without it the ends stay where they are [-].
 
     Returns
     -------
@@ -206,8 +208,8 @@ def fit(
         shrink = np.clip(0.998 / excess[too_large], 0.05, 0.995 if turn < 6 else 0.9)
         inner[rows] *= shrink
         reach[rows] *= shrink
-        if free_ends:
-            outer[rows] = np.minimum(outer[rows], style.ratio * inner[rows, None])
+        if ratios is not None:
+            outer[rows] = np.minimum(outer[rows], ratios[rows] * inner[rows, None])
     return inner, outer, curves, deviation
 
 

@@ -23,6 +23,7 @@ from cnc_interp.smoothing.orientation import (
     rotations_between,
     turned_by,
 )
+from cnc_interp.smoothing.ratio import AxisRates, ratios_at
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments, room_for
 from cnc_interp.units import DEG, MM
 
@@ -31,6 +32,8 @@ STANDSTILL = 1e-9
 #: Directions (relative to 1) and rates at flank height that differ less go straight on.
 STRAIGHT = 1e-9
 PASS, ROUND, STOP = 0, 1, 2
+#: Fixed L2/L1 that may be asked for; at 1 the curve meets its lines with a kink.
+RATIOS = 1.2, 4.0
 #: Ways to make a corner; the first of each is the default.
 CHOICES = {'parametrization': ('exact', 'linear', 'paper'), 'top': ('in_step', 'tolerance')}
 
@@ -44,8 +47,11 @@ class SmoothingOptions:
     ----------
     flank_height : float
         Height h over the tip at which the orientation tolerance is measured [m].
-    ratio : float
-        L2/L1 of a corner where there is room [-].
+    ratio : float, optional
+        L2/L1 of every corner where there is room [-]; None: chosen for each corner, see
+        ``ratio.py``.
+    axis_rates : callable, optional
+        What the machine's axes do along a line, each over its jerk limit, to choose ratios by.
     parametrization : {'exact', 'linear', 'paper'}
         How the orientation of a corner is connected to its lines; see ``connection.py``.
     top : {'in_step', 'tolerance'}
@@ -54,8 +60,9 @@ class SmoothingOptions:
         Continue the third derivative of the tool axis as well (``exact`` only).
     left_over : float
         A line shorter than this share of its block goes to the corners [-].
-    sharpest_turn : float
-        The tool stops where its path turns by more than this [rad].
+    sharpest_turn, sharpest_swing : float
+        The tool stops where its path turns by more than this while the tool axis rests, and where
+        it turns [rad]: there a stop is faster on average.
     pole : tuple of float or None
         Direction at which a rotary axis is undefined; a turning tool stops there.
     pole_cone : float
@@ -64,12 +71,14 @@ class SmoothingOptions:
     """
 
     flank_height: float = 30.0 * MM
-    ratio: float = 2.0
+    ratio: float | None = None
+    axis_rates: AxisRates | None = None
     parametrization: str = 'exact'
     top: str = 'in_step'
     septic: bool = False
     left_over: float = 0.05
-    sharpest_turn: float = 165.0 * DEG
+    sharpest_turn: float = 178.0 * DEG
+    sharpest_swing: float = 176.0 * DEG
     pole: tuple[float, float, float] | None = None
     pole_cone: float = 0.02 * DEG
 
@@ -79,12 +88,15 @@ class SmoothingOptions:
                 raise InterpError(
                     f'{name} {getattr(self, name)!r} is unknown; choose {" or ".join(choices)}'
                 )
+        low, high = RATIOS
+        if self.ratio is not None and not low <= self.ratio <= high:
+            raise InterpError(f'ratio L2/L1 {self.ratio:g} is not between {low:g} and {high:g}')
 
     @property
     def style(self) -> Style:
         """Return what concerns the corners alone."""
         in_step = self.top == 'in_step'
-        return Style(self.flank_height, self.ratio, in_step, self.parametrization, self.septic)
+        return Style(self.flank_height, in_step, self.parametrization, self.septic)
 
 
 @dataclass
@@ -197,7 +209,9 @@ class LookAhead:
         before, after = slice(None, -1), slice(1, None)
         resting = legs.resting[before] | legs.resting[after]
         cosine = dot(legs.direction[before], legs.direction[after])
-        sharp = cosine < np.cos(self.options.sharpest_turn)
+        turning = (legs.turn[before] > 0.0) | (legs.turn[after] > 0.0)
+        sharpest = np.where(turning, self.options.sharpest_swing, self.options.sharpest_turn)
+        sharp = cosine < np.cos(sharpest)
         bend = norm(np.diff(legs.direction, axis=0))
         twist = norm(np.diff(legs.rate, axis=0)) * self.options.flank_height
         straight = (bend < STRAIGHT) & (twist < STRAIGHT)
@@ -208,7 +222,7 @@ class LookAhead:
             pole = np.broadcast_to(np.asarray(self.options.pole), o.shape)
             angle = angles_between(o, pole)
             close = np.minimum(angle, np.pi - angle) < self.options.pole_cone
-            at_pole = close & ((legs.turn[before] > 0.0) | (legs.turn[after] > 0.0))
+            at_pole = close & turning
         stop = resting | sharp | at_pole | blocks.exact_stop[1:-1]
         kind[1:-1][stop] = STOP
         return kind
@@ -234,9 +248,16 @@ class LookAhead:
         if len(rows):
             corners = self._corners_at(blocks, legs, rows)
             half = 0.5 * np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
-            start = corner.first_lengths(corners, half, self._style)
-            inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, True)
+            ratios = self._ratios(corners)
+            start = corner.first_lengths(corners, half, ratios)
+            inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
         return inner, outer
+
+    def _ratios(self, corners: Corners) -> FloatArray:
+        """Return L2/L1 on both sides of corners, shape (n, 2): as told, or chosen for each."""
+        if self.options.ratio is not None:
+            return np.full((len(corners.tip), 2), self.options.ratio)
+        return ratios_at(corners, self.options.flank_height, self.options.axis_rates)
 
     def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
         """Stretch the corners over lines that are too short to be worth keeping."""
@@ -338,9 +359,7 @@ class LookAhead:
         """Return the corners at the given vertices."""
         n = len(rows)
         corners = self._corners_at(blocks, legs, rows)
-        _, _, curves, deviation = corner.fit(
-            corners, inner[rows], outer[rows], self._style, free_ends=False
-        )
+        _, _, curves, deviation = corner.fit(corners, inner[rows], outer[rows], self._style)
         beyond = np.flatnonzero((deviation > corners.tolerances * (1.0 + 1e-6)).any(axis=1))
         if len(beyond):
             raise BlockError(

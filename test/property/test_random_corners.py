@@ -6,6 +6,7 @@ import pytest
 from cnc_interp.smoothing.corner import Corners, Style, first_lengths, fit
 from cnc_interp.smoothing.curves import poses
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
+from cnc_interp.smoothing.ratio import ratios_at
 from cnc_interp.units import DEG, MM, UM
 
 HEIGHT = 30 * MM
@@ -13,7 +14,7 @@ COUNT = 20000
 
 
 def random_corners(seed, count):
-    """Angles 1-164 deg, lines 1 um - 1 m, rotations 0-60 deg a line, tolerances 1 um - 5 mm."""
+    """Angles 1-179 deg, lines 1 um - 1 m, rotations 0-60 deg a line, tolerances 1 um - 5 mm."""
     rng = np.random.default_rng(seed)
 
     def spread(low, high, *shape):
@@ -24,7 +25,7 @@ def random_corners(seed, count):
         return v / norm(v)[:, None]
 
     axis, first = directions(), directions()
-    turn = rng.uniform(1 * DEG, 164 * DEG, count)
+    turn = rng.uniform(1 * DEG, 179 * DEG, count)
     normal = cross(first, directions())
     second = turned_by(first, normal / norm(normal)[:, None], turn)
     lengths = spread(1 * UM, 1.0, 2)
@@ -66,8 +67,9 @@ def axis_derivatives(curves, side):
 @pytest.mark.parametrize('septic', [False, True])
 def test_tool_axis_continues_to_the_second_derivative(septic):
     lengths, corners = random_corners(1, COUNT)
-    style = Style(HEIGHT, 2.0, True, 'exact', septic)
-    _, outer, curves, _ = fit(corners, *first_lengths(corners, 0.5 * lengths, style), style, True)
+    style, ratios = Style(HEIGHT, True, 'exact', septic), ratios_at(corners, HEIGHT, None)
+    start = first_lengths(corners, 0.5 * lengths, ratios)
+    _, outer, curves, _ = fit(corners, *start, style, ratios)
     for side, sense in ((0, 1.0), (1, -1.0)):  # seen inward from each end
         rate = corners.rates[:, side] * sense
         o, o_s, o_ss = axis_derivatives(curves, side)
@@ -84,10 +86,9 @@ def test_tool_axis_continues_to_the_second_derivative(septic):
 
 def test_deviations_are_bounds_and_within_tolerance():
     lengths, corners = random_corners(2, COUNT)
-    style = Style(HEIGHT, 2.0, True, 'exact', False)
-    _, outer, curves, deviation = fit(
-        corners, *first_lengths(corners, 0.5 * lengths, style), style, True
-    )
+    style, ratios = Style(HEIGHT, True, 'exact', False), ratios_at(corners, HEIGHT, None)
+    start = first_lengths(corners, 0.5 * lengths, ratios)
+    _, outer, curves, deviation = fit(corners, *start, style, ratios)
     assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
     allowed = deviation + 1e-12 + 1e-9 * outer.max(axis=1)[:, None]
     for u in np.linspace(0.01, 0.99, 49):

@@ -1,5 +1,7 @@
 """Corners and look-ahead: tolerances, continuity and special cases, by independent geometry."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,9 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.errors import BlockError, InterpError
+from cnc_interp.kinematics.axis_rates import jerk_rates
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
 from cnc_interp.smoothing.curves import Curves, poses
 from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
 from cnc_interp.smoothing.segments import (
@@ -21,6 +26,7 @@ from cnc_interp.smoothing.segments import (
 )
 from cnc_interp.units import DEG, MM
 
+AXIS_RATES = partial(jerk_rates, Transform.of(Machine.load('xyzac')))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]
 HEIGHT = 30 * MM
 
@@ -212,14 +218,14 @@ def test_deviations_are_bounds_within_tolerance_by_dense_sampling(blocks):
 
 @settings(max_examples=150, deadline=None)
 @given(
-    turn=st.floats(1.0, 160.0),
+    turn=st.floats(1.0, 175.9),
     lengths=st.tuples(st.floats(-5.5, -0.5), st.floats(-5.5, -0.5)),
     swings=st.tuples(st.floats(0.0, 40.0), st.floats(0.0, 40.0)),
     ways=st.tuples(st.floats(0.0, 6.28), st.floats(0.0, 6.28)),
     tolerance=st.floats(-6.0, -2.4),
 )
 def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, tolerance):
-    """Angles 1-160 deg, lengths 3 um - 0.3 m, rotations to 40 deg, tolerance 1 um - 4 mm."""
+    """Angles 1-176 deg, lengths 3 um - 0.3 m, rotations to 40 deg, tolerance 1 um - 4 mm."""
     a, b = 10.0 ** lengths[0], 10.0 ** lengths[1]
     corner_axis = np.array([0.3, -0.2, 0.9])
     corner_axis /= np.linalg.norm(corner_axis)
@@ -241,12 +247,13 @@ def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, t
     assert jumps(segments).max() < 1e-9
 
 
-def test_same_segments_however_the_blocks_arrive():
+@pytest.mark.parametrize('options', [{}, {'axis_rates': AXIS_RATES}, {'ratio': 1.75}])
+def test_same_segments_however_the_blocks_arrive(options):
     blocks = zigzag(8, count=60, step=2 * MM)
-    whole = smooth(blocks)
+    whole = smooth(blocks, **options)
     rng = np.random.default_rng(0)
     for _ in range(5):
-        lookahead, parts, row = LookAhead(SmoothingOptions(flank_height=HEIGHT)), [], 0
+        lookahead, parts, row = LookAhead(SmoothingOptions(HEIGHT, **options)), [], 0
         while row < len(blocks):
             count = int(rng.integers(1, 9))
             parts.append(lookahead.push(blocks[row : row + count]))
@@ -289,6 +296,18 @@ def test_pure_rotation_rests_before_and_after():
     assert list(segments.kind) == [LINE, ROTATION, LINE] and segments.stop.all()
     assert segments.length[1] == pytest.approx(HEIGHT * 0.3)
     assert np.isinf(segments.feed[1]).all()
+
+
+@pytest.mark.parametrize('swing, sharpest', [(0.0, 178.0), (0.1, 176.0)])
+def test_turns_up_to_almost_a_reversal_are_rounded(swing, sharpest):
+    """Beyond, a stop is as fast; a tool axis that turns makes it so earlier."""
+    for turn in (sharpest - 0.1, sharpest + 0.1):
+        far = [10 * MM * np.cos(turn * DEG), 10 * MM * np.sin(turn * DEG), 0]
+        axes = [[0, 0, 1], [0, 0, 1], [np.sin(swing), 0, np.cos(swing)]]
+        segments = smooth(blocks_of([[-10 * MM, 0, 0], [0, 0, 0], far], axes))
+        assert bool(segments.stop[0]) == (turn > sharpest)
+        assert (segments.kind == CORNER).any() == (turn < sharpest)
+        assert jumps(segments).max() < 1e-9 or turn > sharpest
 
 
 def test_inverse_time_gives_length_over_duration():

@@ -1,0 +1,76 @@
+"""
+Rounded corners against exact stops where the path almost reverses.
+
+    PYTHONPATH=. python benchmarks/sharp_turns.py
+
+prints the table of docs/corner_rounding.md: cycle time rounded / with a stop, for random pairs of
+lines, the tool axis at rest or turning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from paths import blocks_of
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.pipeline import Chain, ChainOptions
+from cnc_interp.program import Blocks
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.units import DEG, MM, MM_PER_MIN
+
+TURNS = (150, 160, 165, 170, 173, 175, 176, 177, 178, 179, 179.5)
+COUNT = 40
+MACHINE = Machine.load('xyzac')
+
+
+def two_lines(rng: np.random.Generator, turn: float, turning: bool) -> Blocks:
+    """Make two lines of 0.5 to 40 mm with a turn between them, tolerance 2 um to 1 mm."""
+
+    def spread(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    first = rng.normal(size=3)
+    first /= np.sqrt(first @ first)
+    side = np.cross(first, rng.normal(size=3))
+    side /= np.sqrt(side @ side)
+    second = np.cos(turn) * first + np.sin(turn) * side
+    corner = rng.uniform(-40.0, 40.0, 3) * MM
+    lengths = spread(0.5, 40.0) * MM, spread(0.5, 40.0) * MM
+    tip = np.array([corner - lengths[0] * first, corner, corner + lengths[1] * second])
+    swing = spread(0.02, 2.0) * DEG * turning
+    lean = 20.0 * DEG + swing * rng.uniform(-3.0, 3.0, 3)
+    way = rng.uniform(0.0, 6.28) + np.cumsum(swing * rng.uniform(-10.0, 10.0, 3))
+    axis = np.column_stack([np.sin(lean) * np.sin(way), np.sin(lean) * np.cos(way), np.cos(lean)])
+    feedrate = float(rng.choice([1000.0, 3000.0, 10000.0])) * MM_PER_MIN
+    return blocks_of(tip, axis, feedrate, spread(0.002, 1.0) * MM)
+
+
+def cycle_time(blocks: Blocks, sharpest: float) -> float:
+    """Plan blocks, turns up to the sharpest rounded, and return the time they take [s]."""
+    chain = Chain(MACHINE, ChainOptions())
+    options = replace(chain.lookahead.options, sharpest_turn=sharpest, sharpest_swing=sharpest)
+    chain.lookahead = LookAhead(options)
+    chain.push(blocks)
+    chain.finish()
+    return chain.pieces[-1].law.end_time
+
+
+def main() -> None:
+    """Print mean and worst for each turn."""
+    print('| turn, deg | axis rests: mean | worst | axis turns: mean | worst |')
+    print('|---' * 5 + '|')
+    rng = np.random.default_rng(5)
+    for turn in TURNS:
+        cells = []
+        for turning in (False, True):
+            programs = [two_lines(rng, turn * DEG, turning) for _ in range(COUNT)]
+            times = np.array([[cycle_time(p, x * DEG) for x in (179.9, 1.0)] for p in programs])
+            gain = 100.0 * (times[:, 0] / times[:, 1] - 1.0)
+            cells += [f'{gain.mean():+.1f} %', f'{gain.max():+.1f} %']
+        print(f'| {turn:g} | ' + ' | '.join(cells) + ' |', flush=True)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,69 @@
+"""How fast the axes move along a line: q_s of programmed poses, before any path is built."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from cnc_interp.kinematics.transform import Transform, linear_jets, rotary_jets
+from cnc_interp.program.blocks import FloatArray
+
+
+def jerk_rates(
+    transform: Transform, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
+) -> FloatArray:
+    """
+    Return how far the axes move per metre of tool tip path, each over its jerk limit.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's geometry.
+    tip, axis : ndarray, shape (n, 3)
+        Tool tips [m] and unit tool axes [-].
+    step, turn : ndarray, shape (n, 3)
+        Unit direction of the tip [-], rotation vector of the tool axis per metre [rad/m].
+
+    Returns
+    -------
+    ndarray, shape (n, n_axes)
+        q_s / J [s3/m] for one of the two branches; the other one differs by signs and by what
+        the offsets between the rotary axes add. Not finite at the pole and out of reach.
+
+    """
+    machine = transform.machine
+    if not machine.has_rotary:
+        return np.asarray(step / machine.max_jerk)
+    rows = (np.ascontiguousarray(column) for column in (tip, axis, step, turn))
+    return np.asarray(rates(transform.packed, transform.outer, *rows) / machine.max_jerk)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')  # at the pole they are not finite
+def rates(packed, outer, tip, axis, step, turn):  # type: ignore[no-untyped-def]
+    """Return q_s of the branch with the positive tilt, shape (n, 5)."""
+    found = np.full((len(tip), 5), np.nan)
+    for i in range(len(tip)):
+        o, w = axis[i], turn[i]
+        slope = (
+            w[1] * o[2] - w[2] * o[1],
+            w[2] * o[0] - w[0] * o[2],
+            w[0] * o[1] - w[1] * o[0],
+        )
+        tool = (
+            (o[0], slope[0], 0.0, 0.0),
+            (o[1], slope[1], 0.0, 0.0),
+            (o[2], slope[2], 0.0, 0.0),
+        )
+        tilt, turned, sine_squared = rotary_jets(packed, tool, 1.0, 0.0, 0.0)
+        if sine_squared <= 0.0:
+            continue
+        first, second = (tilt, turned) if outer == 1 else (turned, tilt)
+        point = (
+            (tip[i, 0], step[i, 0], 0.0, 0.0),
+            (tip[i, 1], step[i, 1], 0.0, 0.0),
+            (tip[i, 2], step[i, 2], 0.0, 0.0),
+        )
+        x, y, z = linear_jets(packed, point, first, second)
+        found[i, 0], found[i, 1], found[i, 2] = x[1], y[1], z[1]
+        found[i, 3], found[i, 4] = first[1], second[1]
+    return found

@@ -96,6 +96,14 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument(
         '--compare', type=Path, metavar='DIR2', help='another plan to set beside the first'
     )
+
+    urdf = command(
+        commands, 'urdf', urdf_command,
+        'write a machine as URDF, for robot_state_publisher, RViz and Foxglove',
+        'cnc-interp urdf xyzac --out xyzac.urdf',
+    )  # fmt: skip
+    urdf.add_argument('machine', metavar='M', help='bundled machine or YAML file')
+    urdf.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
     return top
 
 
@@ -238,6 +246,19 @@ def report_command(options: argparse.Namespace) -> int:
     machine = Machine.load(options.machine) if options.machine else None
     write_report(options.directory, page, machine, options.compare)
     print(f'report         {page}')
+    return FINE
+
+
+def urdf_command(options: argparse.Namespace) -> int:
+    """Write a machine as URDF."""
+    from cnc_interp.description.urdf import urdf_of
+    from cnc_interp.kinematics.machine import Machine
+
+    text = urdf_of(Machine.load(options.machine))
+    if options.out is None:
+        print(text, end='')
+    else:
+        options.out.write_text(text, encoding='utf-8')
     return FINE
 
 

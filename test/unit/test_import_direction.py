@@ -27,6 +27,7 @@ FLOW = (
     'pipeline',
     'cam',
     'report',
+    'description',
     'nodes',
     'cli',
     '__main__',

@@ -1,0 +1,1 @@
+"""A machine as links, joints and simple shapes: for URDF readers and for the operator page."""

@@ -1,0 +1,84 @@
+"""URDF of the machines, read by another library, against the machines' own forward kinematics."""
+
+import io
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+import yourdfpy
+
+from cnc_interp.description.links import TOOL_TIP, WORKPIECE, describe_machine
+from cnc_interp.description.urdf import urdf_of
+from cnc_interp.kinematics.machine import Machine, machines_directory
+from cnc_interp.kinematics.transform import Transform
+
+BUNDLED = sorted(path.stem for path in machines_directory().glob('*.yaml'))
+POSES = 50
+
+
+def with_rotary(on_head):
+    """Skew axes and offsets in all directions, so that no sign can hide."""
+    return replace(
+        Machine.load('xyzac'),
+        name=f'rotary on head: {on_head}',
+        rotary_direction=np.array([[0.8, 0.6, 0.0], [0.0, -0.6, 0.8]]),
+        rotary_on_head=on_head,
+        offsets=np.array([[0.04, -0.07, 0.06], [0.01, 0.15, 0.08], [-0.3, 0.2, 0.1]]),
+        tool_offset=np.array([[0.02, 0.03, 0.25], [-0.05, 0.07, 0.11]]),
+    )
+
+
+MACHINES = [Machine.load(name) for name in BUNDLED]
+MACHINES += [with_rotary(on_head) for on_head in product((False, True), repeat=2)]
+
+
+def read(text):
+    return yourdfpy.URDF.load(io.StringIO(text), load_meshes=False)
+
+
+def random_positions(machine, rng):
+    finite = np.isfinite(machine.travel).all(axis=1)
+    low, high = np.where(finite[:, None], machine.travel, [-9.0, 9.0]).T
+    return rng.uniform(low, high, (POSES, len(machine.axis_names)))
+
+
+@pytest.mark.parametrize('machine', MACHINES, ids=lambda machine: machine.name)
+def test_a_reader_of_urdf_finds_tip_and_tool_axis_of_the_forward_kinematics(machine):
+    robot = read(urdf_of(machine))
+    description = describe_machine(machine)
+    q = random_positions(machine, np.random.default_rng(5))
+    tips, axes = Transform.of(machine).forward(q)
+    for positions, tip, axis in zip(q, tips, axes):
+        by_name = dict(zip(machine.axis_names, positions))
+        robot.update_cfg(by_name)
+        pose = robot.get_transform(TOOL_TIP, WORKPIECE)
+        assert np.abs(pose[:3, 3] - tip).max() < 1e-9
+        assert np.abs(pose[:3, 2] - axis).max() < 1e-9
+        for link in (TOOL_TIP, WORKPIECE):  # the page draws with the description's own poses
+            rotation, place = description.pose(link, by_name)
+            found = robot.get_transform(link)
+            assert np.abs(found[:3, :3] - rotation).max() < 1e-9
+            assert np.abs(found[:3, 3] - place).max() < 1e-9
+
+
+@pytest.mark.parametrize('machine', MACHINES, ids=lambda machine: machine.name)
+def test_joints_have_names_and_limits_of_the_machine_file(machine):
+    joints = read(urdf_of(machine)).joint_map
+    moving = {name for name, joint in joints.items() if joint.type != 'fixed'}
+    assert moving == set(machine.axis_names)
+    for name, travel, speed in zip(machine.axis_names, machine.travel, machine.max_velocity):
+        limit = joints[name].limit
+        assert limit.velocity == pytest.approx(speed, rel=1e-12)
+        if np.isfinite(travel).all():
+            assert (limit.lower, limit.upper) == pytest.approx(tuple(travel), rel=1e-12)
+        else:
+            assert joints[name].type == ('prismatic' if name in 'XYZ' else 'continuous')
+
+
+@pytest.mark.parametrize('name', BUNDLED)
+def test_the_files_beside_the_machines_are_current(name):
+    text = (machines_directory() / f'{name}.urdf').read_text(encoding='utf-8')
+    assert text == urdf_of(Machine.load(name)), (
+        f'run: cnc-interp urdf {name} --out config/machines/{name}.urdf'
+    )

@@ -152,6 +152,8 @@ class Feedback:
         Distance of the actual tip from the commanded tip [m].
     contour_error : float
         Distance of the actual tip from the path of the latest commanded tips [m].
+    feedrate : float
+        Actual speed of the tip relative to the workpiece, over this period [m/s].
 
     """
 
@@ -165,6 +167,7 @@ class Feedback:
     axis: FloatArray
     tip_lag: float
     contour_error: float
+    feedrate: float
 
 
 @dataclass(frozen=True)
@@ -237,8 +240,10 @@ class SimulatedMachine:
         self._setpoints = np.tile(start, (4, 1))
         self._axes = np.stack([start, np.zeros_like(start)])
         self._velocity = np.zeros_like(start)
-        self._tips = np.tile(self._transform.forward(start[None, :])[0], (self._memory, 1))
+        self._tip = self._transform.forward(start[None, :])[0][0]
+        self._tips = np.tile(self._tip, (self._memory, 1))
         self.largest_use = np.zeros_like(self._limits)
+        self._recent_use = np.zeros_like(self._limits)
 
     def handle(self, event: Event, message: str = '') -> State:
         """
@@ -322,14 +327,23 @@ class SimulatedMachine:
         for k in range(3):
             change = np.abs(np.diff(self._setpoints[2 - k :], k + 1, axis=0)[0]) / self._limits[k]
             self.largest_use[k] = np.maximum(self.largest_use[k], change)
+            self._recent_use[k] = np.maximum(self._recent_use[k], change)
         tips, axes = self._transform.forward(np.stack([x[0], setpoint]))
         self._tips = np.concatenate([self._tips[1:], tips[1:]])
         lag = float(np.sqrt(np.sum((tips[0] - tips[1]) ** 2)))
         error = float(_path_errors(self._tips, tips[:1], self._memory)[0])
+        feedrate = float(np.sqrt(np.sum((tips[0] - self._tip) ** 2))) / self.period
+        self._tip = tips[0]
         return Feedback(
             self.state, self.message, setpoint, x[0], v[0], setpoint - x[0], tips[0], axes[0],
-            lag, error,
+            lag, error, feedrate,
         )  # fmt: skip
+
+    def take_recent_use(self) -> FloatArray:
+        """Return the largest use of each limit since the last call, shape (3, n_axes) [-]."""
+        recent: FloatArray = self._recent_use
+        self._recent_use = np.zeros_like(recent)
+        return recent
 
     def _fault_of_position(self, wanted: FloatArray) -> str:
         names, travel = self.machine.axis_names, self.machine.travel

@@ -3,7 +3,7 @@ Links and joints of a machine file, with simple shapes around them.
 
 One tree from ``base_link``, which is the machine frame M: to one side X, Y, Z and what carries
 the tool, down to ``tool_tip``; to the other what carries the workpiece, down to ``workpiece``, the
-frame of programs and markers. Joints are named like the axes; at rest all frames are parallel to M.
+frame of programs and markers. Joints are named like the axes; at rest all frames lie like M.
 """
 
 from __future__ import annotations

@@ -38,6 +38,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
     """Return state and figures of the run; the caller stamps it."""
     machine, feedback, last = playback.machine, playback.feedback, playback.last
     least = playback.least_buffered
+    recent = machine.take_recent_use()
     message = MachineState(
         state=STATES[machine.state],
         program_id=playback.program_id,
@@ -59,6 +60,10 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         velocity_use=machine.largest_use[0].tolist(),
         acceleration_use=machine.largest_use[1].tolist(),
         jerk_use=machine.largest_use[2].tolist(),
+        feedrate=feedback.feedrate,
+        recent_velocity_use=recent[0].tolist(),
+        recent_acceleration_use=recent[1].tolist(),
+        recent_jerk_use=recent[2].tolist(),
         buffered_time=playback.buffered * period,
         least_buffered_time=least * period if np.isfinite(least) else np.nan,
         starvations=playback.starvations,

@@ -16,8 +16,8 @@ from cnc_interp.program import Program, ReadOptions, read_program, read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.lookahead import LookAhead
 
-#: Blocks checked together.
-BATCH = 512
+#: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
+BATCH, LONGEST_TEXT = 512, 16 << 20
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,10 @@ class Prepared:
         Start pose, then the program.
     notices : tuple of str
         What was passed on or simplified.
-    flank_height : float
-        Height at which the orientation tolerance counts [m].
+    text : str
+        The program's text; empty when it is very long.
+    options : ReadOptions
+        The choices it was read with.
     path_length : float
         Length of the smoothed path [m].
 
@@ -40,7 +42,8 @@ class Prepared:
 
     blocks: Blocks
     notices: tuple[str, ...]
-    flank_height: float
+    text: str
+    options: ReadOptions
     path_length: float
 
 
@@ -88,14 +91,23 @@ def prepare(
         )
     options = read_options(goal, defaults)
     program: Program
+    text = goal.text
     if goal.program:
         program = read_program(Path(goal.program), transform, options)
+        text = text_of(Path(goal.program))
     else:
         program = read_text(goal.text, '<text>', transform, options)
     length = checked_length(program.blocks, transform, options.flank_height, abandoned)
     if not length > 0.0:
         raise ProgramError('holds no motion; add blocks after the start pose', program.source)
-    return Prepared(program.blocks, program.notices, options.flank_height, length)
+    return Prepared(program.blocks, program.notices, text, options, length)
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a program as the reader saw it; nothing when it is very long."""
+    if path.stat().st_size > LONGEST_TEXT:
+        return ''
+    return path.read_text(encoding='utf-8-sig', errors='replace')
 
 
 def checked_length(

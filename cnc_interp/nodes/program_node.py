@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1Block
+from cnc_interp_msgs.msg import G1Block, LoadedProgram
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
@@ -23,6 +23,7 @@ from cnc_interp.nodes.messages import block_messages
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.preparing import prepare
 from cnc_interp.nodes.program_run import ProgramRun
+from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.running import run_node
 from cnc_interp.nodes.warming import warm_kinematics
 
@@ -44,6 +45,7 @@ class ProgramNode(Node):
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self)
         self._outlet = Outlet(self, 'blocks', G1Block, self._values['resend_after'], self._encode)
+        self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
         self._feedback_at = 0.0
         self._server = ActionServer(
             self, RunProgram, 'run_program', lambda _: Result(),
@@ -99,6 +101,7 @@ class ProgramNode(Node):
             outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
             if run.started:
                 self._outlet.sender.begin(run.program_id)
+                self._loaded.publish(run.loaded())
                 self._diagnostics.say('program', OK, f'running {run.name}')
         else:
             run.fill(self._outlet.sender, QUEUE)
@@ -115,7 +118,7 @@ class ProgramNode(Node):
             raise StreamError('a block was asked for after its run')
         blocks = run.prepared.blocks
         (message,) = block_messages(
-            blocks[row : row + 1], run.program_id, sequence, run.prepared.flank_height,
+            blocks[row : row + 1], run.program_id, sequence, run.prepared.options.flank_height,
             end=sequence == run.last_sequence,
         )  # fmt: skip
         return message

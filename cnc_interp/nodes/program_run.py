@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import LoadedProgram, MachineState
 
 from cnc_interp.errors import InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
@@ -75,6 +75,23 @@ class ProgramRun:
             what = f'{missing} does not answer' if missing else 'the machine is moving'
             return Result.STREAM_LOST, f'{what}; start all four nodes and try again'
         return None
+
+    def loaded(self) -> LoadedProgram:
+        """Tell everybody what is about to run."""
+        assert self.prepared is not None
+        options = self.prepared.options
+        return LoadedProgram(
+            program_id=self.program_id,
+            name=self.name,
+            text=self.prepared.text,
+            contour_tolerance=options.contour_tolerance,
+            orientation_tolerance=options.orientation_tolerance,
+            force_tolerances=options.force_tolerances,
+            flank_height=options.flank_height,
+            feedrate=options.feedrate or 0.0,
+            interpolation=options.interpolation,
+            path_length=self.prepared.path_length,
+        )
 
     def fill(self, sender: WindowedSender[int], most: int) -> None:
         """Queue the next rows; not the whole program at once."""

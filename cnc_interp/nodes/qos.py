@@ -6,6 +6,7 @@ Quality of service of every topic, in one table.
 | ``blocks``, ``segments``, ``setpoints`` | reliable | volatile | last 4096 | deeper than any window, so nothing is overwritten; nothing old is replayed |
 | ``stream_status`` | reliable | volatile | last 64 | an acknowledgement supersedes the one before |
 | ``machine_state`` | reliable | volatile | last 64 | changes of state must arrive |
+| ``loaded_program`` | reliable | transient local | last 1 | for those who join during a run |
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
 | ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
 | ``run_program`` | rclpy's defaults for actions | | | |
@@ -33,3 +34,9 @@ STATUS = _reliable(64)
 STATE = _reliable(64)
 JOINTS = _reliable(10)
 DIAGNOSTICS = _reliable(64)
+LOADED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)

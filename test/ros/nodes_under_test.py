@@ -6,7 +6,7 @@ import uuid
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1Block, MachineState
+from cnc_interp_msgs.msg import G1Block, LoadedProgram, MachineState
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
@@ -37,6 +37,10 @@ class NodesUnderTest:
         self.states = []
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, qos.DIAGNOSTICS)
         self.node.create_subscription(MachineState, 'machine_state', self.states.append, qos.STATE)
+        self.loaded = []
+        self.node.create_subscription(
+            LoadedProgram, 'loaded_program', self.loaded.append, qos.LOADED
+        )
         self.blocks = self.node.create_publisher(G1Block, 'blocks', qos.STREAM)
         self.action = ActionClient(self.node, RunProgram, 'run_program')
         self.reset = self.node.create_client(Trigger, 'reset')

@@ -99,9 +99,16 @@ def test_programs_run_one_after_the_other_without_restart(nodes):
     state = nodes.next_state()
     assert state.completed and state.state == MachineState.IDLE
     assert_at_the_last_pose(state.positions)
+    loaded = nodes.loaded[-1]
+    assert (loaded.program_id, loaded.text) == (first.program_id, PROGRAM)
+    assert loaded.path_length == pytest.approx(first.path_length, rel=1e-6)
     second = nodes.run(text=PROGRAM)
     assert second.code == Result.SUCCEEDED
     assert second.program_id != first.program_id
+    moving = [state for state in nodes.states if state.state == MachineState.RUNNING]
+    assert max(state.feedrate for state in moving) > 0.01
+    recent = np.max([state.recent_jerk_use for state in nodes.states], axis=0)
+    assert 0.1 < recent.max() <= 1.001
     for result in (first, second):
         assert result.blocks_sent == result.blocks_executed == 3
         assert result.starvations == 0

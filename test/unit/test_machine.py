@@ -237,3 +237,37 @@ def test_hold_and_starvation_follow_their_stop():
 def test_drives_that_cannot_be_are_refused(wrong):
     with pytest.raises(StreamError, match=next(iter(wrong))):
         Drives(**wrong)
+
+
+def test_feedrate_is_the_speed_of_the_tip_in_the_workpiece_not_of_the_axes():
+    """The C axis turns and X Y carry the tool along: in the workpiece nothing moves."""
+    turn, rate = 0.5 * np.arange(800) * PERIOD, 0.5
+    q = np.zeros((800, 5))
+    q[:, 4] = turn
+    transform = Transform.of(MACHINE)
+    q[:, :3] = transform.linear(np.tile([0.0, 0.0, 0.02], (800, 1)), q[:, 3:])
+    velocity = np.gradient(q, PERIOD, axis=0)
+    still = running(Drives(feed_forward=1.0), position=q[0])
+    for position, speed in zip(q, velocity, strict=True):
+        feedback = still.step(position, speed)
+    assert np.abs(feedback.velocity[:2]).max() > 0.02
+    assert feedback.feedrate < 1e-4
+    alone = running(position=np.array([*q[0, :3], 0.0, 0.0]))
+    for angle in turn:
+        feedback = alone.step(np.array([*q[0, :3], 0.0, angle]), np.array([0, 0, 0, 0, rate]))
+    arm = np.linalg.norm(MACHINE.offsets[0, :2])
+    assert feedback.feedrate == pytest.approx(rate * arm, rel=1e-3)
+
+
+def test_recent_use_holds_every_peak_once():
+    machine = running()
+    positions, velocities = five_axis_move()
+    taken = []
+    for i, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
+        machine.step(position, velocity)
+        if i % 50 == 49:
+            taken.append(machine.take_recent_use())
+    taken.append(machine.take_recent_use())
+    assert np.array_equal(np.max(taken, axis=0), machine.largest_use)
+    assert np.ptp([use.max() for use in taken]) > 0.05
+    assert not machine.take_recent_use().any()

@@ -12,8 +12,10 @@ from collections.abc import Iterable, Iterator
 from math import inf, nan, sqrt
 
 from cnc_interp.errors import ProgramError
-from cnc_interp.program.columns import TargetColumns
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
+from cnc_interp.program.source import Place, Source
 from cnc_interp.units import INCH, MINUTE, MM
 
 _FARTHEST = 1e5 * MM
@@ -54,7 +56,7 @@ _NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_P
 
 class ClReader:
     """
-    State of a CL file; ``read`` runs it over the lines.
+    State of a CL file; ``blocks`` runs it over the statements.
 
     Parameters
     ----------
@@ -62,37 +64,52 @@ class ClReader:
         Of the machine; CL data name no rotary axes, so only its presence matters here.
     options : ReadOptions
         Tolerances, and the feedrate of files without FEDRAT.
-    source : str
-        File name for errors.
+    source : Source
+        The text.
     notices : Notices
         Collects what is harmless.
 
     """
 
     def __init__(
-        self, geometry: RotaryGeometry, options: ReadOptions, source: str, notices: Notices
+        self, geometry: RotaryGeometry, options: ReadOptions, source: Source, notices: Notices
     ):
         self.options, self.source, self.notices = options, source, notices
-        self.targets = TargetColumns(geometry, options, source)
+        self.targets = TargetColumns(geometry, options, source.name)
+        self.place = source.start
         self.line_number = 0
         self.unit = MM
         self.feedrate = options.feedrate
         self.rapid = False
         self.axis = (0.0, 0.0, 1.0)
 
-    def read(self, lines: Iterable[str]) -> None:
-        """Read all statements up to FINI."""
+    @property
+    def share(self) -> float:
+        """Share of the text that has been read, 0 to 1."""
+        return self.source.share(self.place)
+
+    def blocks(self) -> Iterator[Blocks]:
+        """Read all statements up to FINI and hand out the blocks, batch by batch."""
         if self.options.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
-        for line_number, statement in self._statements(lines):
+        for line_number, statement in self._statements(self._lines()):
             self.line_number = line_number
             match = _GOTO.fullmatch(statement)
             if match:
                 self._goto(match.groups())
             elif statement.startswith('FINI'):
-                return
+                break
             else:
                 self._other(statement)
+            yield from self.targets.take()
+        yield from self.targets.finish()
+
+    def _lines(self) -> Iterator[str]:
+        """Read the lines of the source, window by window."""
+        while text := self.source.lines(self.place):
+            yield from text.decode('utf-8', 'replace').splitlines()
+            offset = self.place.offset + len(text)
+            self.place = Place(offset, self.place.line + text.count(b'\n'))
 
     def _statements(self, lines: Iterable[str]) -> Iterator[tuple[int, str]]:
         """Join continued lines; yield the number of the first line and the statement."""
@@ -118,7 +135,7 @@ class ClReader:
             raise self._fault('the file ends inside a continued statement ($)')
 
     def _fault(self, message: str, word: str = '') -> ProgramError:
-        return ProgramError(message, self.source, self.line_number, word[:40])
+        return ProgramError(message, self.source.name, self.line_number, word[:40])
 
     def _notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.line_number, f'{key}: {text}')
@@ -140,8 +157,11 @@ class ClReader:
         tolerances = (self.options.contour_tolerance, self.options.orientation_tolerance)
         speed = (feedrate, nan, rapid, 0.0)
         self.targets.add(
-            (x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *tolerances, self.line_number)
-        )
+            (
+                x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *tolerances, self.line_number,
+                0.0, nan, *NO_ARC,
+            )
+        )  # fmt: skip
 
     def _unit_vector(self, i: float, j: float, k: float) -> tuple[float, float, float]:
         length = sqrt(i * i + j * j + k * k)

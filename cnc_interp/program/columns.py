@@ -1,38 +1,47 @@
 """
 Targets -> Blocks: the readers' motion targets, collected in growing columns, made into blocks.
 
-Readers append one row of numbers per motion statement. Whenever a batch is full its rows are
-turned into blocks together (tool axes, merging of repeated points, subdivision), so the working
-memory does not depend on the program's length and no row is looked at in Python twice.
+Readers append rows of numbers, one per motion statement. Whenever a batch is full its rows are
+turned into blocks together (axis positions into poses, arcs into chords, merging of repeated
+points, subdivision), so the working memory does not depend on the program's length and no row is
+looked at in Python twice.
 """
 
 from __future__ import annotations
 
 from array import array
+from itertools import pairwise
 from math import inf, nan
 
 import numpy as np
 
 from cnc_interp.errors import ProgramError
+from cnc_interp.program import arcs
 from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray, IntArray
 from cnc_interp.program.options import ReadOptions, RotaryGeometry
 from cnc_interp.program.subdivide import (
+    MOST_PIECES,
     angle_between,
     great_circle,
+    piece_counts,
     ragged,
-    rotary_piece_counts,
 )
 from cnc_interp.units import DEG
 
-# A target row: tip, tool axis (NaN: given by the rotary words), rotary words, and
-_TIP, _AXIS, _ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
-_NAMED, _GREAT_CIRCLE, _FEEDRATE, _DURATION, _RAPID, _EXACT_STOP = 8, 9, 10, 11, 12, 13
-_CONTOUR, _ORIENTATION, _LINE, _WIDTH = 14, 15, 16, 17
+# Columns of a target row.
+POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
+NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
+CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
+CENTRE, NORMAL, SWEEP, WIDTH = slice(19, 22), slice(22, 25), 25, 26
+#: The columns of a line that is no arc.
+NO_ARC = (nan,) * 7
 
-_BATCH_ROWS = 4096
+_FIRST_BATCH, _BATCH_ROWS = 64, 4096
 _SAME = 1e-12  # [m], [-], [rad]
 _ANTIPARALLEL = 1e-4  # [rad]
-_CHORD_SHARE = 0.1  # of the orientation tolerance, for the departure from linear rotary axes
+#: Share of the tolerances for the departure of chords and great circles from what is programmed.
+CHORD_SHARE = 0.1
+_MOST_TURN = 500.0 * 360.0 * DEG
 
 
 class TargetColumns:
@@ -42,7 +51,7 @@ class TargetColumns:
     Parameters
     ----------
     geometry : RotaryGeometry
-        Gives the tool axis of rotary words.
+        Gives the poses of axis positions.
     options : ReadOptions
         Flank height, for the subdivision.
     source : str
@@ -53,9 +62,10 @@ class TargetColumns:
     def __init__(self, geometry: RotaryGeometry, options: ReadOptions, source: str):
         self._geometry, self._options, self._source = geometry, options, source
         self._rows = array('d')
-        self._full = _BATCH_ROWS * _WIDTH
+        self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
         self._before: FloatArray | None = None  # the last target already made into blocks
         self._parts: list[Blocks] = []
+        self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
 
     def add(self, row: tuple[float, ...]) -> None:
         """
@@ -63,108 +73,275 @@ class TargetColumns:
 
         Parameters
         ----------
-        row : tuple of 17 floats
-            Tip [m]; tool axis, NaN where the rotary words give it; rotary words [rad]; 1 if the
-            program has named rotary words so far; 1 for orientation on the great circle, 0 for
-            linear rotary axes; feedrate [m/s]; duration [s]; rapid; exact stop; contour and
-            orientation tolerance [m]; line number.
+        row : tuple of 26 floats
+            Point: tool tip, or axis positions less those of the workpiece zero [m]; tool axis,
+            NaN where the rotary words give it; rotary positions [rad]; 1 if the program has named
+            rotary words so far; 1 for orientation on the great circle, 0 for linear rotary axes;
+            feedrate [m/s]; duration [s]; rapid; exact stop; contour and orientation tolerance
+            [m]; line number; 1 if the point is axis positions; feedrate of rotary axes [rad/s];
+            centre [m], normal and sweep [rad] of an arc, else NaN.
 
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)
         self._rows.extend(row)
 
+    def extend(self, rows: FloatArray) -> None:
+        """Append targets, shape (n, 26)."""
+        if len(self._rows) >= self._full:
+            self._convert(last=False)
+        self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
+
     def stop_here(self) -> None:
         """Make the tool come to rest at the end of the last target, if there is one."""
         if self._rows:
-            self._rows[_EXACT_STOP - _WIDTH] = 1.0
+            self._rows[EXACT_STOP - WIDTH] = 1.0
 
     @property
     def empty(self) -> bool:
         """True before the first target."""
         return not self._rows
 
-    def finish(self) -> Blocks:
-        """Close the program with a stop and return all blocks, the start pose first."""
+    def take(self) -> list[Blocks]:
+        """Hand over the blocks that are final."""
+        parts, self._parts = self._parts, []
+        return parts
+
+    def finish(self) -> list[Blocks]:
+        """Close the program with a stop and hand over the last blocks."""
         if self.empty:
             raise ProgramError('no motion found; is this a part program?', self._source)
         self.stop_here()
         self._convert(last=True)
-        return self._parts[0] if len(self._parts) == 1 else Blocks.concatenate(self._parts)
+        return self.take()
 
     def _convert(self, last: bool) -> None:
         """Turn the collected rows into blocks; the last one waits for rows that repeat it."""
-        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, _WIDTH).copy()
-        by_rotary = np.isnan(rows[:, _AXIS.start])
+        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, WIDTH).copy()
+        by_rotary = np.isnan(rows[:, AXIS.start])
         if by_rotary.any():
-            rows[by_rotary, _AXIS] = self._geometry.tool_axis(rows[by_rotary, _ROTARY])
+            rows[by_rotary, AXIS] = self._geometry.tool_axis(rows[by_rotary, ROTARY])
         rows = _merge_repeated(rows)
         held = rows[:0] if last else rows[-1:]
         rows = rows[: len(rows) - len(held)]
         self._rows = array('d', held.tobytes())
+        self._full = min(4 * self._full, _BATCH_ROWS * WIDTH)
         if self._before is None and len(rows):
-            self._parts.append(_start_pose(rows[:1]))
+            self._parts.append(self._start_pose(rows[:1]))
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
             before = np.vstack([self._before, rows[:-1]])
             self._before = rows[-1]
-            self._parts.append(self._blocks(before, rows))
+            for part in _portions(before, rows):
+                self._parts.append(self._blocks(before[part], rows[part]))
 
     def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
-        counts = self._piece_counts(before, rows)
+        moves = Moves(self._geometry, self._zero, before, rows)
+        counts = self._piece_counts(moves)
         row, piece = ragged(counts)
         u = (piece + 1.0) / counts[row]
         final = piece + 1 == counts[row]
-        begin, end = before[row], rows[row]
-        tip = begin[:, _TIP] + u[:, None] * (end[:, _TIP] - begin[:, _TIP])
-        tip[final] = rows[:, _TIP]
-        rotary = begin[:, _ROTARY] + u[:, None] * (end[:, _ROTARY] - begin[:, _ROTARY])
-        rotary[final] = rows[:, _ROTARY]
-        axis = end[:, _AXIS].copy()
-        on_circle = end[:, _GREAT_CIRCLE] != 0.0
-        cut = on_circle & ~final
-        axis[cut] = great_circle(begin[cut, _AXIS], end[cut, _AXIS], u[cut])
-        cut = ~on_circle & ~final
-        if cut.any():
-            axis[cut] = self._geometry.tool_axis(rotary[cut])
-        rotary[on_circle | (end[:, _NAMED] == 0.0)] = nan
+        rotary = moves.rotary(row, u)
+        tip, axis = moves.poses(row, u)
+        end = rows[row]
+        on_circle = end[:, GREAT_CIRCLE] != 0.0
+        rotary[on_circle | (end[:, NAMED] == 0.0)] = nan
+        curved = np.isfinite(end[:, SWEEP]) & (counts[row] > 1)
+        # What the chords take of the tolerance is not there for the smoothing.
+        share = np.where(curved, 1.0 - CHORD_SHARE, 1.0)
+        feedrate, duration = moves.speeds()
         return Blocks(
             tip=tip,
             axis=axis,
             rotary=rotary,
-            feedrate=end[:, _FEEDRATE].copy(),
-            duration=end[:, _DURATION] / counts[row],
-            rapid=end[:, _RAPID] != 0.0,
-            exact_stop=(end[:, _EXACT_STOP] != 0.0) & final,
-            contour_tolerance=end[:, _CONTOUR].copy(),
-            orientation_tolerance=end[:, _ORIENTATION].copy(),
-            line_number=end[:, _LINE].astype(np.int64),
+            feedrate=feedrate[row],
+            duration=duration[row] / counts[row],
+            rapid=end[:, RAPID] != 0.0,
+            exact_stop=(end[:, EXACT_STOP] != 0.0) & final,
+            contour_tolerance=share * end[:, CONTOUR],
+            orientation_tolerance=end[:, ORIENTATION].copy(),
+            line_number=end[:, LINE].astype(np.int64),
         )
 
-    def _piece_counts(self, before: FloatArray, rows: FloatArray) -> IntArray:
+    def _piece_counts(self, moves: Moves) -> IntArray:
+        rows = moves.rows
         counts = np.ones(len(rows), dtype=np.int64)
-        on_circle = rows[:, _GREAT_CIRCLE] != 0.0
+        on_circle = rows[:, GREAT_CIRCLE] != 0.0
         if on_circle.any():
-            angle = angle_between(before[on_circle, _AXIS], rows[on_circle, _AXIS])
+            angle = angle_between(moves.axis_before[on_circle], rows[on_circle, AXIS])
             if (angle > np.pi - _ANTIPARALLEL).any():
                 worst = rows[on_circle][np.argmax(angle)]
                 raise ProgramError(
                     'the tool axis turns by 180 deg in one block, so its plane of rotation is '
                     'undefined; add a block between',
                     self._source,
-                    int(worst[_LINE]),
+                    int(worst[LINE]),
                 )
             counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
-        # A rotation with the tip at rest is left whole: it is a motion of the rotary axes alone.
-        sweep = rows[:, _ROTARY] - before[:, _ROTARY]
-        travels = np.abs(rows[:, _TIP] - before[:, _TIP]).max(axis=1) > _SAME
-        cut = ~on_circle & travels & (np.abs(sweep).max(axis=1) > _SAME)
-        if cut.any():
-            allowed = _CHORD_SHARE * rows[cut, _ORIENTATION] / self._options.flank_height
-            counts[cut] = rotary_piece_counts(
-                self._geometry.tool_axis, before[cut, _ROTARY], sweep[cut], allowed
+        curved = np.flatnonzero(moves.curved())
+        if len(curved):
+            turned = np.abs(moves.sweep[curved]).sum(axis=1) + np.nan_to_num(
+                np.abs(rows[curved, SWEEP])
             )
+            if (turned > _MOST_TURN).any():
+                raise ProgramError(
+                    'more than 500 turns in one block; correct it or cut it into blocks',
+                    self._source,
+                    int(rows[curved[np.argmax(turned)], LINE]),
+                )
+            pieces = piece_counts(
+                lambda block, u: moves.poses(curved[block], u),
+                turned,
+                CHORD_SHARE * rows[curved, CONTOUR],
+                CHORD_SHARE * rows[curved, ORIENTATION] / self._options.flank_height,
+            )
+            if pieces.max() > MOST_PIECES:
+                raise ProgramError(
+                    f'more than {MOST_PIECES:,} chords in one block; widen the tolerances',
+                    self._source,
+                    int(rows[curved[np.argmax(pieces)], LINE]),
+                )
+            counts[curved] = np.maximum(counts[curved], pieces)
         return counts
+
+    def _start_pose(self, row: FloatArray) -> Blocks:
+        """Row 0: where the tool stands; it has no motion, so neither feed nor duration."""
+        here = Moves(self._geometry, self._zero, row, row)
+        tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
+        return Blocks(
+            tip=tip,
+            axis=row[:, AXIS].copy(),
+            rotary=row[:, ROTARY].copy(),
+            feedrate=np.full(1, inf),
+            duration=np.full(1, nan),
+            rapid=row[:, RAPID] != 0.0,
+            exact_stop=row[:, EXACT_STOP] != 0.0,
+            contour_tolerance=row[:, CONTOUR].copy(),
+            orientation_tolerance=row[:, ORIENTATION].copy(),
+            line_number=row[:, LINE].astype(np.int64),
+        )
+
+
+class Moves:
+    """
+    Motions between consecutive targets, evaluated anywhere.
+
+    Parameters
+    ----------
+    geometry : RotaryGeometry
+        Gives the poses of axis positions.
+    zero : ndarray, shape (3,)
+        Axis positions of the workpiece zero, the rotary axes at zero [m].
+    before, rows : ndarray, shape (n, 26)
+        Targets at the beginning and at the end of each motion.
+
+    """
+
+    def __init__(
+        self, geometry: RotaryGeometry, zero: FloatArray, before: FloatArray, rows: FloatArray
+    ):
+        self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
+        self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
+        self.axis_before = before[:, AXIS]
+        self._start = self._starts()
+        self._arc = np.isfinite(rows[:, SWEEP])
+        # Axis positions differ from tool tips only where the rotary axes are off zero.
+        turned = (np.abs(rows[:, ROTARY]) > 0.0) | (np.abs(before[:, ROTARY]) > 0.0)
+        self._by_axes = (rows[:, AXES] != 0.0) & turned.any(axis=1)
+
+    def _starts(self) -> FloatArray:
+        """Points at the beginning of the motions, in the terms of their ends."""
+        points = self._before[:, POINT].copy()
+        was, now = self._before[:, AXES] != 0.0, self.rows[:, AXES] != 0.0
+        to_tips, to_axes = was & ~now, ~was & now
+        if to_tips.any():
+            points[to_tips] = self._tips(points[to_tips], self._before[to_tips, ROTARY])
+        if to_axes.any():
+            linear = self._geometry.linear(points[to_axes], self._before[to_axes, ROTARY])
+            points[to_axes] = linear - self._zero
+        return points
+
+    def _tips(self, points: FloatArray, rotary: FloatArray) -> FloatArray:
+        """Tool tips of axis positions."""
+        return self._geometry.forward(np.concatenate([points + self._zero, rotary], axis=1))[0]
+
+    def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
+        """Return rotary positions at shares of motions, shape (m, 2) [rad]."""
+        at = self._before[row, ROTARY] + u[:, None] * self.sweep[row]
+        return np.where((u == 1.0)[:, None], self.rows[row, ROTARY], at)
+
+    def poses(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return tool tips [m] and tool axes, shape (m, 3), at shares of motions."""
+        end = self.rows[row]
+        start = self._start[row]
+        point = start + u[:, None] * (end[:, POINT] - start)
+        arc = self._arc[row]
+        if arc.any():
+            on_arc = end[arc]
+            point[arc] = arcs.points_on(
+                start[arc], on_arc[:, POINT], on_arc[:, CENTRE], on_arc[:, NORMAL],
+                on_arc[:, SWEEP], u[arc],
+            )  # fmt: skip
+        final = u == 1.0
+        point[final] = end[final, POINT]
+        rotary = self.rotary(row, u)
+        by_axes = self._by_axes[row]
+        if by_axes.any():
+            point[by_axes] = self._tips(point[by_axes], rotary[by_axes])
+        axis = end[:, AXIS].copy()
+        between = ~final
+        circle = between & (end[:, GREAT_CIRCLE] != 0.0)
+        axis[circle] = great_circle(self.axis_before[row[circle]], end[circle, AXIS], u[circle])
+        linear = between & (end[:, GREAT_CIRCLE] == 0.0)
+        if linear.any():
+            axis[linear] = self._geometry.tool_axis(rotary[linear])
+        return point, axis
+
+    def curved(self) -> BoolArray:
+        """Tell which motions are not along one line and one great circle, shape (n,)."""
+        turns = (np.abs(self.sweep).max(axis=1) > _SAME) & (self.rows[:, GREAT_CIRCLE] == 0.0)
+        # A rotation with the tip at rest is left whole: it is a motion of the rotary axes alone.
+        travels = np.abs(self.rows[:, POINT] - self._start).max(axis=1) > _SAME
+        moved = turns & self._by_axes & ~travels
+        if moved.any():
+            rows = np.flatnonzero(moved)
+            begin = self.poses(rows, np.zeros(len(rows)))[0]
+            for u in (0.25, 0.5, 0.75, 1.0):
+                gone = np.abs(self.poses(rows, np.full(len(rows), u))[0] - begin).max(axis=1)
+                travels[rows] |= gone > _SAME
+        return np.asarray(self._arc | (turns & travels))
+
+    def speeds(self) -> tuple[FloatArray, FloatArray]:
+        """
+        Return feedrate and duration, shape (n,) [m/s, s], one of them NaN.
+
+        Where axis positions are programmed and rotary axes turn, F is the speed of X Y Z, or of
+        the rotary axes where they turn alone; the tip's speed follows from it.
+        """
+        feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
+        turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > _SAME)
+        row = np.flatnonzero(turning & np.isfinite(feedrate))
+        if len(row):
+            way = np.linalg.norm(self.rows[row, POINT] - self._start[row], axis=1)
+            arc = row[self._arc[row]]
+            rows = self.rows[arc]
+            way[self._arc[row]] = arcs.lengths(
+                self._start[arc], rows[:, POINT], rows[:, CENTRE], rows[:, NORMAL], rows[:, SWEEP]
+            )
+            angle = np.linalg.norm(self.sweep[row], axis=1)
+            alone = way <= _SAME
+            duration[row] = np.where(alone, angle / self.rows[row, TURN_RATE], way / feedrate[row])
+            feedrate[row] = nan
+        return feedrate, duration
+
+
+def _portions(before: FloatArray, rows: FloatArray) -> list[slice]:
+    """Cut a batch where the blocks of its portions would become too many."""
+    turned = np.nan_to_num(np.abs(rows[:, SWEEP]))
+    turned += np.nan_to_num(np.abs(rows[:, ROTARY] - before[:, ROTARY])).sum(axis=1)
+    portion = np.floor(np.cumsum(turned) / _MOST_TURN)
+    edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(rows)]
+    return [slice(first, last) for first, last in pairwise(edges)]
 
 
 def _merge_repeated(rows: FloatArray) -> FloatArray:
@@ -176,28 +353,16 @@ def _merge_repeated(rows: FloatArray) -> FloatArray:
         return rows
     first = np.flatnonzero(~same)
     kept = rows[first]
-    kept[:, _EXACT_STOP] = np.maximum.reduceat(rows[:, _EXACT_STOP], first)
+    kept[:, EXACT_STOP] = np.maximum.reduceat(rows[:, EXACT_STOP], first)
     return kept
 
 
 def _moves_nothing(rows: FloatArray, following: FloatArray) -> BoolArray:
-    change = np.abs(following[:, : _ROTARY.stop] - rows[:, : _ROTARY.stop])
-    still = (change[:, _TIP].max(axis=1) <= _SAME) & (change[:, _AXIS].max(axis=1) <= _SAME)
-    on_circle = following[:, _GREAT_CIRCLE] != 0.0
-    return np.asarray(still & (on_circle | (change[:, _ROTARY].max(axis=1) <= _SAME)))
-
-
-def _start_pose(row: FloatArray) -> Blocks:
-    """Row 0: where the tool stands; it has no motion, so neither feed nor duration."""
-    return Blocks(
-        tip=row[:, _TIP].copy(),
-        axis=row[:, _AXIS].copy(),
-        rotary=row[:, _ROTARY].copy(),
-        feedrate=np.full(1, inf),
-        duration=np.full(1, nan),
-        rapid=row[:, _RAPID] != 0.0,
-        exact_stop=row[:, _EXACT_STOP] != 0.0,
-        contour_tolerance=row[:, _CONTOUR].copy(),
-        orientation_tolerance=row[:, _ORIENTATION].copy(),
-        line_number=row[:, _LINE].astype(np.int64),
-    )
+    change = np.abs(following[:, : ROTARY.stop] - rows[:, : ROTARY.stop])
+    still = (change[:, POINT].max(axis=1) <= _SAME) & (change[:, AXIS].max(axis=1) <= _SAME)
+    on_circle = following[:, GREAT_CIRCLE] != 0.0
+    still &= on_circle | ~(change[:, ROTARY].max(axis=1) > _SAME)
+    still &= np.isnan(following[:, SWEEP])
+    # Tool tips and axis positions are the same numbers at most by chance.
+    same_terms = following[:, AXES] == rows[:, AXES]
+    return np.asarray(still & (same_terms | (np.abs(rows[:, ROTARY]).max(axis=1) == 0.0)))

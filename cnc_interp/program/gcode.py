@@ -1,360 +1,524 @@
 """
-G-code -> targets: the modal state of a program, line by line.
+G-code -> targets: the codes of a program, line by line.
 
-Plain motion lines, nearly all of a program, are matched by one expression and go straight to
-``_move``; every other line is split into words, its settings are applied, then it moves, then it
-stops or ends.
+Runs of plain motion lines, nearly all of a program, go to ``runs.py`` together. Every other line
+is split into words: flow first, then settings, then motion, then stops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from math import inf, nan
+import re
+from collections.abc import Iterator
+from math import inf
 
-from cnc_interp.errors import ProgramError
-from cnc_interp.program import codes
-from cnc_interp.program.columns import TargetColumns
+import numpy as np
+
+from cnc_interp.program import codes, scan
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.cycles import CannedCycle
+from cnc_interp.program.expressions import ExpressionError
+from cnc_interp.program.flow import G65_ARGUMENTS, Flow
+from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
-from cnc_interp.program.words import PLAIN_MOTION, BlockWords, split_words
-from cnc_interp.units import DEG, MINUTE, MM
+from cnc_interp.program.runs import SHORTEST, move_along
+from cnc_interp.program.source import Source
+from cnc_interp.program.variables import ProgramVariables
+from cnc_interp.program.words import BlockWords, split_words, without_comments
+from cnc_interp.units import DEG
 
-_FARTHEST = 1e5 * MM
-_MOST_TURN = 1e3 * 360.0 * DEG
-_NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
+_NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
+_SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}
+_MACHINE_KEYS = {'SUPA', 'G153'}
 
 
 class GcodeReader:
     """
-    Modal state of a G-code program; ``read`` runs it over the lines.
+    A G-code program; ``blocks`` runs it.
 
     Parameters
     ----------
     geometry : RotaryGeometry
-        Names the rotary axes.
+        Names the rotary axes and gives their poses.
     options : ReadOptions
         Tolerances, feedrate and interpolation where the program gives none.
-    source : str
-        File name for errors.
+    source : Source
+        The text.
     notices : Notices
         Collects what is harmless.
 
     """
 
     def __init__(
-        self, geometry: RotaryGeometry, options: ReadOptions, source: str, notices: Notices
+        self, geometry: RotaryGeometry, options: ReadOptions, source: Source, notices: Notices
     ):
-        self.geometry, self.options, self.source = geometry, options, source
-        self.notices, self.line_number = notices, 0
-        self.targets = TargetColumns(geometry, options, source)
-        self.rotary_letters = tuple(geometry.axis_names[3:5])
-        # Modal settings; the names are those of codes.SETTINGS.
-        self.rapid: bool | None = None
-        self.unit, self.incremental, self.inverse_time = MM, False, False
-        self.stop_always = self.stop_once = False
-        self.great_circle = options.interpolation == 'vector' or not self.rotary_letters
-        self.tcp, self.work_offset = '', ''
-        self.feedrate = options.feedrate
-        self.blocks_per_minute: float | None = None
-        self.contour = options.contour_tolerance
-        self.orientation = options.orientation_tolerance
-        # Position: X Y Z [m], rotary axes [rad], whether rotary words have been named.
-        self.tip = (0.0, 0.0, 0.0)
-        self.rotary = (0.0, 0.0) if self.rotary_letters else (nan, nan)
-        self.named = 0.0
-        self.axis = (nan, nan, nan) if self.rotary_letters else (0.0, 0.0, 1.0)
-        self.ended = False
+        self.options, self.notices = options, notices
+        self.variables = ProgramVariables(self._system_variables)
+        self.flow = Flow(source, self.variables, options.most_jumps)
+        self.mover = Mover(geometry, options, self.flow, notices)
+        self.fault, self.notice = self.mover.fault, self.mover.notice
+        self._cycle: CannedCycle | None = None
+        self._tool = 0
+        self._percent_seen = False
+        self._references = {
+            code: dict(options.setup.reference_points.get(code, {})) for code in ('G28', 'G30')
+        }
 
-    def read(self, lines: Iterable[str]) -> None:
-        """Read all lines up to the end of the program."""
-        percent_seen = False
-        plain = PLAIN_MOTION.fullmatch
-        for self.line_number, raw in enumerate(lines, start=1):
-            line = raw.strip().upper()
-            if match := plain(line):
-                g, x, y, z, a, b, c, f = match.groups()
-                if g:
-                    self.rapid = g == '0'
-                if f:
-                    self._set_feed(float(f), 'F' + f)
-                rotary = self._rotary_words(a, b, c) if a or b or c else None
-                if x or y or z or rotary:
-                    self._move(
-                        float(x) if x else None,
-                        float(y) if y else None,
-                        float(z) if z else None,
-                        rotary,
-                        bool(f),
-                    )
-            elif line[0] == '%':
-                if percent_seen or not self.targets.empty:
-                    return
-                percent_seen = True
+    @property
+    def share(self) -> float:
+        """Share of the text that has been read, 0 to 1."""
+        return self.flow.share
+
+    def blocks(self) -> Iterator[Blocks]:
+        """Read the program and hand out its blocks, batch by batch."""
+        flow, targets = self.flow, self.mover.targets
+        while flow.here():
+            window, row = flow.window, flow.row
+            end = window.next_rare(row)
+            if end > row:
+                self._run(row, end)
             else:
-                self._execute(split_words(self._strip_skip(line), self.source, self.line_number))
-                if self.ended:
+                flow.jumped = False
+                self._line(window.line(row))
+                if not flow.jumped:
+                    flow.row = row + 1
+            yield from targets.take()
+        yield from targets.finish()
+
+    def _run(self, first: int, end: int) -> None:
+        """Execute lines none of which is rare."""
+        window = self.flow.window
+        rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
+        in_main = self.flow.source is self.flow.main
+        if len(rows) >= SHORTEST and self._cycle is None and in_main:
+            lines = window.start.line + rows
+            if move_along(self.mover, window.code[rows], window.values[rows], lines):
+                self.flow.row = end
+                return
+        for row in rows:
+            self.flow.row = int(row)
+            self._line(window.line(row))
+            if self.flow.ended:
+                return
+        self.flow.row = end
+
+    def _line(self, raw: str) -> None:
+        """Execute one line, as the general reader does."""
+        line = without_comments(raw.upper(), self.fault)
+        if not line:
+            return
+        if line[0] == '%':
+            if self._percent_seen or not self.mover.targets.empty:
+                self.flow.ended = True
+            self._percent_seen = True
+            return
+        head = _NUMBER_AND_SKIP.match(line)
+        if head and head.end():
+            if head[1]:
+                if self.options.skip_blocks:
                     return
+                self.notice('/', 'lines that can be skipped are executed')
+            line = line[head.end() :]
+        rest = self.flow.execute(line) if line else None
+        if rest:
+            self._execute(split_words(rest, self.variables, self.fault))
 
-    def _fault(self, message: str, word: str = '') -> ProgramError:
-        return ProgramError(message, self.source, self.line_number, word[:40])
-
-    def _notice(self, key: str, text: str) -> None:
-        self.notices.once(key, self.line_number, f'{key}: {text}')
-
-    def _strip_skip(self, line: str) -> str:
-        """Remove the block-skip slash and the program-name colon from the beginning of a line."""
-        head = line.lstrip('N0123456789 \t') if line[0] == 'N' else line
-        if head.startswith('/'):
-            self._notice('/', 'lines that can be skipped are executed')
-            return head[1:].lstrip('123456789') if head[1:2].isdigit() else head[1:]
-        return 'O' + line[1:] if line[0] == ':' else line
+    # --- one block -----------------------------------------------------------------------------
 
     def _execute(self, words: BlockWords) -> None:
-        values = words.values
+        values, mover = words.values, self.mover
         for letter in ('N', 'O'):
             values.pop(letter, None)
-        for key in words.keys:
-            self._key_word(key)
-        if 'G4' in words.g:
-            self._dwell(words)
+        for key, given in words.keys:
+            self._key_word(key, given, words)
+        self._assign(words)
+        if 'S' in values:
+            mover.spindle_speed = values['S']
         self._settings(words)
         for code in words.m:
             self._machine_function(code)
-        f = values.pop('F', None)
+        f = values.pop('F', None) if 'G4' not in words.g and 'G65' not in words.g else None
         if f is not None:
-            self._set_feed(f, words.texts['F'])
-        self._move_words(words, f is not None)
-        self.stop_once = False
+            mover.set_feed(f, words.texts['F'])
+        taking = [code for code in words.g if code in codes.TAKE_AXES]
+        if len(taking) > 1:
+            raise self.fault(f'{taking[0]} stands in the same block; keep one of them', taking[1])
+        calling = self._calling(words)
+        if taking:
+            self._take_axes(taking[0], words)
+        self._move(words, f is not None)
+        mover.stop_once = False
         if codes.STOP_M & set(words.m):
-            self.targets.stop_here()
-        self.ended = bool(codes.END_M & set(words.m))
+            mover.targets.stop_here()
+        if codes.END_M & set(words.m):
+            self.flow.ended = True
+        elif calling:
+            self.flow.call_number(*calling)
+        elif 'M99' in words.m:
+            self._return()
 
     def _settings(self, words: BlockWords) -> None:
         """Apply the G codes of a block."""
-        was_inverse = self.inverse_time
+        mover = self.mover
+        was = mover.feed_mode
         set_here: dict[str, str] = {}
         for code in words.g:
             if code in codes.REFUSED_G:
-                raise self._fault(codes.REFUSED_G[code], code)
+                raise self.fault(codes.REFUSED_G[code], code)
             if code in codes.SETTINGS:
                 attribute, value = codes.SETTINGS[code]
                 if attribute in set_here:
-                    raise self._fault(
+                    raise self.fault(
                         f'{set_here[attribute]} stands in the same block; keep one of them', code
                     )
                 set_here[attribute] = code
-                setattr(self, attribute, value)
+                setattr(mover, attribute, value)
+                if attribute == 'motion':
+                    self._cycle = None
             elif code in codes.WORK_OFFSETS:
                 self._choose_work_offset(code)
-            elif code in codes.TCP_SWITCHES or code in codes.HARMLESS_G:
-                self._switch_tcp(code)
-            elif code != 'G4':
-                raise self._fault('this G code is not supported; remove it or post without', code)
+            elif code in codes.LENGTH or code in codes.TCP_ON or code in codes.TCP_OFF:
+                self._tool_length(code, words)
+            elif code in codes.CYCLES:
+                if self._cycle is None:
+                    along = 'XYZ'.index({'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane])
+                    self._cycle = CannedCycle(code, float(mover.here()[along]))
+                self._cycle.code = code
+                if code in ('G74', 'G84'):
+                    self.notice(code, 'feed in, feed out; the spindle is not part of the motion')
+            elif code == 'G80':
+                self._cycle = None
+            elif code in codes.HARMLESS_G:
+                self.notice(code, codes.HARMLESS_G[code])
+            elif code not in codes.TAKE_AXES and code != 'G53':
+                raise self.fault('this G code is not supported; remove it or post without', code)
         if 'G64' in words.g:
             self._path_tolerance(words)
-        if was_inverse != self.inverse_time:
+        if was != mover.feed_mode:
             # A number that meant mm/min must not be taken for 1/min, nor the reverse.
-            self.feedrate, self.blocks_per_minute = self.options.feedrate, None
+            mover.feedrate, mover.blocks_per_minute = self.options.feedrate, None
+
+    def _tool_length(self, code: str, words: BlockWords) -> None:
+        """G43, G44, G43.1, G49 and the tool-tip modes that are a kind of tool length."""
+        mover, frames = self.mover, self.mover.frames
+        tool = words.values.get('H')
+        if code in codes.TCP_ON:
+            self._switch_tcp(code)
+            return
+        if mover.tcp in codes.TCP_BY_LENGTH or (mover.tcp and code == 'G49'):
+            mover.switch_tcp('')
+        length = 0.0
+        if code == 'G43.1':
+            length = words.values.pop('Z', 0.0) * mover.unit
+        elif code in ('G43', 'G44'):
+            number = self._tool if tool is None else round(tool)
+            lengths = self.options.setup.tool_lengths
+            if not lengths:
+                self.notice(code, 'no tool lengths are set (--setup); taken as zero')
+            elif number and number not in lengths:
+                raise self.fault('the setup has no length of this tool; add it', f'H{number}')
+            length = lengths.get(number, 0.0) * (1.0 if code == 'G43' else -1.0)
+        if mover.tcp and length:
+            raise self.fault(
+                'a tool length while tool-tip programming is on; switch it off before', code
+            )
+        # The axes stand still; from here on the same position has other program coordinates.
+        frames.length = length
+        frames.update()
 
     def _switch_tcp(self, word: str) -> None:
-        """Turn tool-tip programming on or off by any control's word; tell of harmless codes."""
-        if word in codes.TCP_ON:
-            if not self.rotary_letters:
-                raise self._fault('tool-tip programming needs a machine with rotary axes', word)
-            self.tcp = word
-            return
-        by_length = self.tcp in codes.TCP_BY_LENGTH and word in codes.LENGTH
-        if word in codes.HARMLESS_G and not (by_length or (self.tcp and word in codes.TCP_OFF)):
-            self._notice(word, codes.HARMLESS_G[word])
-        if by_length or word in codes.TCP_OFF:
-            self.tcp = ''
+        if not self.mover.rotary_letters:
+            raise self.fault('tool-tip programming needs a machine with rotary axes', word)
+        self.mover.switch_tcp(word)
 
     def _choose_work_offset(self, code: str) -> None:
-        if self.work_offset and code != self.work_offset:
-            raise self._fault(
-                f'the program began with {self.work_offset}; changing the workpiece zero is not '
-                f'supported yet; split the program',
+        frames = self.mover.frames
+        if not frames.known(code) and frames.work_offset not in ('', code):
+            raise self.fault(
+                f'the program began with {frames.work_offset}; set where {code} lies in a setup '
+                'file (--setup)',
                 code,
             )
-        self.work_offset = code
-        self._notice(code, 'taken as the workpiece zero')
+        if not frames.known(code):
+            self.notice(code, 'taken as the workpiece zero')
+        frames.choose(code)
 
     def _path_tolerance(self, words: BlockWords) -> None:
         """G64 P: both tolerances from here on; without P, the user's."""
         tolerance = words.values.pop('P', None)
         if words.values.pop('Q', None) is not None:
-            self._notice('Q', 'the tolerance of G64 is taken from P alone')
-        if tolerance is not None and not 0.0 < tolerance * self.unit < _FARTHEST:
-            raise self._fault('the tolerance must be greater than zero', words.texts['P'])
-        if tolerance is None or self.options.force_tolerances:
-            self.contour = self.options.contour_tolerance
-            self.orientation = self.options.orientation_tolerance
-            if tolerance is not None:
-                self._notice('G64 P', "ignored, the command's tolerances are forced")
+            self.notice('Q', 'the tolerance of G64 is taken from P alone')
+        if tolerance is not None and not 0.0 < tolerance * self.mover.unit < FARTHEST:
+            raise self.fault('the tolerance must be greater than zero', words.texts['P'])
+        self._tolerances('G64 P', tolerance, tolerance)
+
+    def _tolerances(self, word: str, contour: float | None, orientation: float | None) -> None:
+        """Set tolerances in program units; None restores the user's."""
+        mover, options = self.mover, self.options
+        if options.force_tolerances:
+            if contour is not None or orientation is not None:
+                self.notice(word, "ignored, the command's tolerances are forced")
+            return
+        mover.contour = options.contour_tolerance if contour is None else contour * mover.unit
+        mover.orientation = (
+            options.orientation_tolerance if orientation is None else orientation * mover.unit
+        )
+
+    def _machine_function(self, code: str) -> None:
+        if code in codes.REFUSED_M:
+            raise self.fault(codes.REFUSED_M[code], code)
+        if code in codes.TCP_ON:
+            self._switch_tcp(code)
+        elif code in codes.TCP_OFF:
+            self.mover.switch_tcp('')
+        elif code in codes.STOP_M:
+            self.notice(code, 'exact stop; the program goes on by itself')
+        elif code not in codes.END_M and code not in ('M98', 'M99'):
+            self.notice(code, 'passed on, it does not move the tool')
+
+    # --- key words and assignments -------------------------------------------------------------
+
+    def _key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
+        mover = self.mover
+        if key in codes.INTERPOLATION_KEYS:
+            if self.options.interpolation == 'auto' and mover.rotary_letters:
+                mover.great_circle = codes.INTERPOLATION_KEYS[key]
+            else:
+                self.notice(key, 'ignored, the interpolation is fixed')
+        elif key in codes.TCP_ON:
+            self._switch_tcp(key)
+        elif key in codes.TCP_OFF:
+            mover.switch_tcp('')
+        elif key in _SIEMENS_FRAMES:
+            self._frame(key, words)
+        elif key in _MACHINE_KEYS:
+            words.g.append('G53')
+        elif key == 'CYCLE832':
+            # High-speed settings: a tolerance, and the smoothing that goes with it.
+            tolerance = given[0] if given and given[0] else None
+            if tolerance is not None and not 0.0 < tolerance * mover.unit < FARTHEST:
+                raise self.fault('the tolerance must be greater than zero', key)
+            self._tolerances(key, tolerance, tolerance)
+            mover.stop_always = mover.stop_always and tolerance is None
+        elif key == 'CYCLE800' and not any(given):
+            mover.frames.reset_frame()
+            mover.frames.update()
+        elif key in codes.HARMLESS_KEYS:
+            self.notice(key, 'passed on, it does not move the tool')
         else:
-            self.contour = self.orientation = tolerance * self.unit
+            unknown = 'unknown word; remove it, or write a letter and a number as X10'
+            cycle = 'swivelling frames are not supported; post with TRAORI'
+            why = cycle if key == 'CYCLE800' else codes.refused_key(key)
+            raise self.fault(why or unknown, key)
+
+    def _frame(self, key: str, words: BlockWords) -> None:
+        """TRANS, ATRANS, ROT, AROT: shift or turn the program's coordinates."""
+        mover = self.mover
+        frames = mover.frames
+        if not key.startswith('A'):
+            frames.reset_frame()
+        taken = {letter: words.values.pop(letter, 0.0) for letter in 'XYZ'}
+        if key.endswith('TRANS'):
+            frames.move(np.array([taken[letter] * mover.unit for letter in 'XYZ']))
+        else:
+            if 'RPL' in dict(words.sets):
+                normal = {'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane]
+                taken[normal] = dict(words.sets)['RPL']
+            frames.rotate({letter: angle * DEG for letter, angle in taken.items() if angle})
+        frames.update()
+
+    def _assign(self, words: BlockWords) -> None:
+        """Carry out the assignments of a block; some names are words with a meaning."""
+        mover = self.mover
+        for name, value in words.sets:
+            if name in ('A3', 'B3', 'C3', 'RPL'):
+                continue
+            if name == 'CR':
+                words.values['R'], words.texts['R'] = value, f'CR={value:g}'
+            elif name == 'TURN':
+                words.values['P'], words.texts['P'] = value + 1.0, f'TURN={value:g}'
+            elif name in ('CTOL', 'OTOL'):
+                if not 0.0 < value * mover.unit < FARTHEST:
+                    raise self.fault('the tolerance must be greater than zero', str(name))
+                if self.options.force_tolerances:
+                    self.notice(str(name), "ignored, the command's tolerances are forced")
+                elif name == 'CTOL':
+                    mover.contour = value * mover.unit
+                else:  # an angle: the deviation that it makes at flank height
+                    mover.orientation = min(value, 90.0) * DEG * self.options.flank_height
+            elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2', 'XH', 'YH', 'ZH'):
+                raise self.fault('this word is not supported; give the end point and I, J, K',
+                                 str(name))  # fmt: skip
+            elif isinstance(name, int):
+                self._set_number(name, value)
+            else:
+                self.variables.set_name(name, value)
+
+    def _set_number(self, index: int, value: float) -> None:
+        try:
+            self.variables.set_number(index, value)
+        except ExpressionError as problem:
+            raise self.fault(str(problem), f'#{index}') from None
+
+    def _system_variables(self) -> dict[int, float]:
+        """Positions and the work offset: LinuxCNC's #5420 ..., Fanuc's #5001 ... and #5041 ..."""
+        mover = self.mover
+        found = {5400: float(self._tool), 5220: 1.0}
+        if mover.frames.work_offset:
+            found[5220] = 1.0 + sorted(codes.WORK_OFFSETS).index(mover.frames.work_offset)
+        letters = ('X', 'Y', 'Z', *mover.rotary_letters)
+        for letter, value in zip(letters, mover.here().tolist(), strict=False):
+            number = 'XYZABC'.index(letter)
+            shown = value / (mover.unit if number < 3 else DEG)
+            for base in (5420, 5001, 5041):
+                found[base + number] = shown
+        return found
+
+    # --- motion --------------------------------------------------------------------------------
+
+    def _move(self, words: BlockWords, feed_given: bool) -> None:
+        """Move to the axis words of a block; every other word is harmless or refused."""
+        mover, values = self.mover, words.values
+        machine = 'G53' in words.g
+        axes = {'X', 'Y', 'Z', *mover.rotary_letters} & set(values)
+        if self._cycle is not None and axes:
+            if machine:
+                raise self.fault('machine coordinates in a canned cycle; write G80 before', 'G53')
+            self._cycle.drill(mover, words, feed_given)
+        elif self._cycle is None:
+            mover.move(words, feed_given, machine)
+        for letter in list(values):
+            if letter == 'T':
+                self._tool = round(min(abs(values[letter]), 1e6))
+            if letter in 'STDH':
+                self.notice(letter, 'passed on, it does not move the tool')
+            elif letter in 'ABCUVW':
+                raise self.fault(f'the machine has no axis {letter}', words.texts[letter])
+            elif letter == 'L' and len(values) == 1:
+                raise self.fault(
+                    f'the subprogram L{values[letter]:g} is not supported; put it into this file',
+                    words.texts[letter],
+                )
+            elif self._cycle is None or letter not in 'QRPKL':
+                raise self.fault('this word has no meaning here', words.texts[letter])
+
+    def _take_axes(self, code: str, words: BlockWords) -> None:
+        """Carry out a code that takes the axis words for itself."""
+        mover, values = self.mover, words.values
+        frames = mover.frames
+        if code == 'G4':
+            self._dwell(words)
+        elif code == 'G10':
+            self._write_offset(words)
+        elif code in ('G28', 'G30'):
+            self._reference(code, words)
+        elif code in ('G28.1', 'G30.1'):
+            machine = np.concatenate([mover.point + mover.zero, mover.rotary])
+            letters = ('X', 'Y', 'Z', *mover.rotary_letters)
+            self._references[code[:3]] = dict(zip(letters, machine.tolist(), strict=False))
+        elif code == 'G52':
+            # The frame moves, the tool does not.
+            for i, value in self._offset_words(values).items():
+                frames.local[i] = value
+        elif code == 'G92':
+            frames.g92_on = True
+            frames.update()
+            here = mover.here()
+            for i, value in self._offset_words(values).items():
+                turned = frames.turn[:, i] if i < 3 else None
+                if turned is None:
+                    frames.g92[i] += here[i] - value
+                else:
+                    frames.g92[:3] += turned * (here[i] - value)
+        elif code != 'G65':
+            frames.g92_on = code == 'G92.3'
+            if code == 'G92.1':
+                frames.g92 = np.zeros(5)
+        frames.update()
+
+    def _offset_words(self, values: dict[str, float]) -> dict[int, float]:
+        """Take axis words out as offsets by axis number [m, rad]."""
+        found = {}
+        for i, letter in enumerate(('X', 'Y', 'Z', *self.mover.rotary_letters)):
+            if letter in values:
+                found[i] = values.pop(letter) * (self.mover.unit if i < 3 else DEG)
+                if not abs(found[i]) <= FARTHEST:
+                    raise self.fault('an offset beyond 100,000 mm', letter)
+        return found
+
+    def _write_offset(self, words: BlockWords) -> None:
+        """G10 L2 and L20: set a work offset."""
+        kind, index = words.values.pop('L', 0.0), words.values.pop('P', 0.0)
+        if kind not in (2.0, 20.0) or index not in range(10) or 'R' in words.values:
+            raise self.fault('only G10 L2 and L20 with P0 to P9 are supported', 'G10')
+        mover = self.mover
+        position = None
+        if kind == 20.0:
+            work = mover.frames
+            base = np.concatenate([mover.point, mover.rotary])
+            position = base - (work.local + (work.g92 if work.g92_on else 0.0))
+            position[2] -= work.length
+        mover.frames.set_work(int(index), self._offset_words(words.values), position)
+
+    def _reference(self, code: str, words: BlockWords) -> None:
+        """G28 and G30: by rapid through the point of the block to the reference point."""
+        mover = self.mover
+        mover._refuse_machine_words()
+        letters = ('X', 'Y', 'Z', *mover.rotary_letters)
+        named = [letter for letter in letters if letter in words.values]
+        if named:
+            target = mover.target(words)
+            rotary = (
+                target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
+            )
+            mover.go(mover.frames.point(target[:3]), rotary, rapid=True)
+        point, rotary = mover.point.copy(), mover.rotary.copy()
+        for letter in named or letters:
+            home = self._references[code].get(letter, 0.0)
+            if letter in 'XYZ':
+                i = 'XYZ'.index(letter)
+                point[i] = mover.frames.machine_point(i, home)
+            else:
+                rotary[mover.rotary_letters.index(letter)] = home
+                mover.named = 1.0
+        mover.go(point, rotary, rapid=True)
 
     def _dwell(self, words: BlockWords) -> None:
         """G4: its P, X, F, S or U is a time, no motion."""
         for letter in 'PXFSU':
             words.values.pop(letter, None)
-        if {'X', 'Y', 'Z', *self.rotary_letters} & set(words.values):
-            raise self._fault('a dwell and a motion in one block; write two lines', 'G4')
-        self._notice('G4', 'exact stop; the dwell time is not kept')
-        self.targets.stop_here()
+        if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):
+            raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
+        self.notice('G4', 'exact stop; the dwell time is not kept')
+        self.mover.targets.stop_here()
 
-    def _machine_function(self, code: str) -> None:
-        if code in codes.REFUSED_M:
-            raise self._fault(codes.REFUSED_M[code], code)
-        if code in codes.TCP_SWITCHES:
-            self._switch_tcp(code)
-        elif code in codes.STOP_M:
-            self._notice(code, 'exact stop; the program goes on by itself')
-        elif code not in codes.END_M:
-            self._notice(code, 'passed on, it does not move the tool')
+    # --- subprograms ---------------------------------------------------------------------------
 
-    def _key_word(self, key: str) -> None:
-        if key in codes.INTERPOLATION_KEYS:
-            if self.options.interpolation == 'auto' and self.rotary_letters:
-                self.great_circle = codes.INTERPOLATION_KEYS[key]
-            else:
-                self._notice(key, 'ignored, the interpolation is fixed')
-        elif key in codes.TCP_SWITCHES:
-            self._switch_tcp(key)
-        elif key in codes.HARMLESS_KEYS:
-            self._notice(key, 'passed on, it does not move the tool')
-        else:
-            unknown = 'unknown word; remove it, or write a letter and a number as X10'
-            raise self._fault(codes.refused_key(key) or unknown, key)
-
-    def _set_feed(self, value: float, word: str) -> None:
-        if not 0.0 < value < inf:
-            raise self._fault('the feedrate must be greater than zero', word)
-        if self.inverse_time:
-            self.blocks_per_minute = value
-        else:
-            self.feedrate = value * self.unit / MINUTE
-
-    def _move_words(self, words: BlockWords, feed_given: bool) -> None:
-        """Move to the axis words of a block; every other word is harmless or refused."""
+    def _calling(self, words: BlockWords) -> tuple[int, int, dict[int, float] | None] | None:
+        """M98 P and G65 P: which subprogram, how often, with which arguments."""
         values = words.values
-        x, y, z = values.pop('X', None), values.pop('Y', None), values.pop('Z', None)
-        rotary = None
-        if {'A', 'B', 'C'} & set(values):
-            abc = (words.texts[k][1:].lstrip(' =') if k in values else None for k in 'ABC')
-            rotary = self._rotary_words(*abc)
-        for letter in values.keys() - {'A', 'B', 'C'}:
-            if letter in 'STDH':
-                self._notice(letter, 'passed on, it does not move the tool')
-            elif letter in 'UVW':
-                raise self._fault('this axis is not supported', words.texts[letter])
-            else:
-                raise self._fault('this word has no meaning here', words.texts[letter])
-        if not (x is None and y is None and z is None and rotary is None):
-            self._move(x, y, z, rotary, feed_given)
+        if 'G65' not in words.g and 'M98' not in words.m:
+            return None
+        word = 'G65' if 'G65' in words.g else 'M98'
+        number, rounds = values.pop('P', inf), values.pop('L', None)
+        if number != np.floor(number) or not 0 <= number < 1e8:
+            raise self.fault('the number of the subprogram is missing; write P1000', word)
+        if rounds is None:  # Fanuc: P21000 is O1000 twice
+            rounds, number = divmod(number, 10000) if number > 9999 else (1, number)
+        if not 0 <= rounds <= 9999:
+            raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
+        arguments = None
+        if word == 'G65':
+            arguments = {
+                G65_ARGUMENTS[letter]: values.pop(letter)
+                for letter in list(values)
+                if letter in G65_ARGUMENTS
+            }
+        return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
-    def _rotary_words(
-        self, a: str | None, b: str | None, c: str | None
-    ) -> tuple[float | None, float | None]:
-        """Rotary words of a block as angles of the machine's two rotary axes [deg]."""
-        angles: list[float | None] = [None, None]
-        for letter, text in zip('ABC', (a, b, c), strict=True):
-            if text is None:
-                continue
-            if letter not in self.rotary_letters:
-                raise self._fault(
-                    f'the machine has no axis {letter}, only {" ".join(self.geometry.axis_names)}',
-                    letter + text,
-                )
-            angles[self.rotary_letters.index(letter)] = float(text)
-        return angles[0], angles[1]
-
-    def _move(
-        self,
-        x: float | None,
-        y: float | None,
-        z: float | None,
-        rotary: tuple[float | None, float | None] | None,
-        feed_given: bool,
-    ) -> None:
-        """Add the target of one block; words not given keep their value."""
-        if self.rapid is None:
-            raise self._fault('axis words before G0 or G1; write G0 or G1 first')
-        unit = self.unit
-        here_x, here_y, here_z = self.tip
-        if self.incremental:
-            here_x += 0.0 if x is None else x * unit
-            here_y += 0.0 if y is None else y * unit
-            here_z += 0.0 if z is None else z * unit
+    def _return(self) -> None:
+        """M99: return from a subprogram; in a main program, its end."""
+        if self.flow.in_subprogram:
+            self.flow.leave()
         else:
-            here_x = here_x if x is None else x * unit
-            here_y = here_y if y is None else y * unit
-            here_z = here_z if z is None else z * unit
-        if max(abs(here_x), abs(here_y), abs(here_z)) > _FARTHEST:
-            value, letter = max(zip(map(abs, (here_x, here_y, here_z)), 'XYZ', strict=True))
-            raise self._fault(
-                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
-                f'{letter} {value / unit:g}',
-            )
-        self.tip = (here_x, here_y, here_z)
-        if rotary is not None or not self.tcp:
-            self._turn(rotary)
-        rapid, exact = self.rapid, self.stop_always or self.stop_once
-        feedrate, duration = (inf, nan) if rapid else self._feed(feed_given)
-        self.targets.add(
-            (
-                *self.tip,
-                *self.axis,
-                *self.rotary,
-                self.named,
-                self.great_circle,
-                feedrate,
-                duration,
-                rapid,
-                exact,
-                self.contour,
-                self.orientation,
-                self.line_number,
-            )
-        )
-
-    def _feed(self, given: bool) -> tuple[float, float]:
-        """Feedrate [m/s] and duration [s] of a G1 block, one of them NaN."""
-        if self.targets.empty:
-            return inf, nan
-        if not self.inverse_time:
-            if self.feedrate is None:
-                raise self._fault(_NO_F)
-            return self.feedrate, nan
-        if self.blocks_per_minute is None:
-            raise self._fault('no F in inverse-time feed (G93); give F in 1/min in each G1 block')
-        if not given:
-            self._notice('G93', 'a block without F keeps the last one')
-        return nan, MINUTE / self.blocks_per_minute
-
-    def _turn(self, rotary: tuple[float | None, float | None] | None) -> None:
-        """Take over rotary words; without tool-tip programming they must stay at zero."""
-        before = self.rotary
-        if rotary is not None:
-            base = before if self.incremental else (0.0, 0.0)
-            self.rotary = tuple(  # type: ignore[assignment]
-                now if word is None else start + word * DEG
-                for word, start, now in zip(rotary, base, before, strict=True)
-            )
-            self.named = 1.0
-            if max(abs(self.rotary[0]), abs(self.rotary[1])) > _MOST_TURN:
-                raise self._fault(
-                    'a rotary axis beyond 1000 turns; correct the angle', self._spelled(rotary)
-                )
-        if self.tcp or not self.rotary_letters:
-            return
-        if any(before) or any(self.rotary):
-            raise self._fault(
-                'motion with turned rotary axes needs tool-tip programming; switch it on with '
-                f'{codes.TCP_ON_WORDS} before this line (axis coordinates are not supported yet)',
-                self._spelled(rotary),
-            )
-
-    def _spelled(self, rotary: tuple[float | None, float | None] | None) -> str:
-        """Rotary words as they were meant, for errors."""
-        pairs = zip(self.rotary_letters, rotary or (), strict=False)
-        return ' '.join(f'{letter}{angle:g}' for letter, angle in pairs if angle is not None)
+            self.notice('M99', 'in the main program: its end')
+            self.flow.ended = True

@@ -8,9 +8,11 @@ from typing import Literal, Protocol
 
 from cnc_interp.errors import ProgramError
 from cnc_interp.program.blocks import FloatArray
+from cnc_interp.program.job import JobSetup
 from cnc_interp.units import MM
 
 Interpolation = Literal['auto', 'vector', 'axes']
+RotarySense = Literal['programmed', 'shortest']
 
 
 class RotaryGeometry(Protocol):
@@ -22,6 +24,15 @@ class RotaryGeometry(Protocol):
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """Turn rotary positions, shape (n, 2) [rad], into unit tool axes in W, shape (n, 3)."""
+
+    def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Turn axis positions, shape (n, 5) [m, rad], into tool tips in W [m] and tool axes."""
+
+    def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
+        """Give X Y Z [m], shape (n, 3), of tool tips [m] at rotary positions, shape (n, 2)."""
+
+    def rotary_solutions(self, axis: FloatArray) -> list[FloatArray]:
+        """Give the rotary positions, shape (2,) [rad], that reach a tool axis, shape (3,)."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +54,15 @@ class ReadOptions:
         Orientation between blocks: on the great circle, or with rotary axes running linearly.
         'auto' takes 'axes' for rotary words and 'vector' for direction vectors, and follows the
         program's ORIVECT and ORIAXES.
+    rotary_sense : {'programmed', 'shortest'}
+        How an absolute rotary word is taken: as the position it says, or as the nearest position
+        that differs from it by whole turns.
+    skip_blocks : bool
+        Leave out the lines that begin with a slash (block delete).
+    setup : JobSetup
+        Work offsets, tool lengths and reference points.
+    most_jumps : int
+        Backward jumps (loops, calls) after which a program counts as endless.
 
     """
 
@@ -52,6 +72,10 @@ class ReadOptions:
     flank_height: float = 30.0 * MM
     feedrate: float | None = None
     interpolation: Interpolation = 'auto'
+    rotary_sense: RotarySense = 'programmed'
+    skip_blocks: bool = False
+    setup: JobSetup = JobSetup()  # noqa: RUF009 (frozen)
+    most_jumps: int = 1_000_000
 
     def __post_init__(self) -> None:
         for name in ('contour_tolerance', 'orientation_tolerance', 'flank_height', 'feedrate'):
@@ -61,6 +85,10 @@ class ReadOptions:
         if self.interpolation not in ('auto', 'vector', 'axes'):
             raise ProgramError(
                 f"interpolation is {self.interpolation!r}; choose 'auto', 'vector' or 'axes'"
+            )
+        if self.rotary_sense not in ('programmed', 'shortest'):
+            raise ProgramError(
+                f"rotary_sense is {self.rotary_sense!r}; choose 'programmed' or 'shortest'"
             )
 
 

@@ -1,12 +1,10 @@
-"""Part program -> Program: finds the dialect, reads the lines, hands out blocks and notices."""
+"""Part program -> blocks: finds the dialect, reads the text, hands out blocks and notices."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from io import StringIO
-from itertools import chain, islice
 from pathlib import Path
 
 from cnc_interp.errors import ProgramError
@@ -14,6 +12,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
+from cnc_interp.program.source import Source
 
 _HEAD_LINES = 2000
 _CL_SUFFIXES = {'.apt', '.cl', '.cls', '.ncl', '.aptsource'}
@@ -52,9 +51,77 @@ class Program:
     dialect: str
 
 
+class ProgramStream:
+    """
+    A part program that is read while its blocks are taken; its length does not matter.
+
+    Iterating hands out batches of blocks: their first row is the start pose, the others are pieces
+    of motion, in order, as if they were cut out of ``Program.blocks``.
+
+    Parameters
+    ----------
+    source : Source
+        The text.
+    geometry : RotaryGeometry
+        The machine.
+    options : ReadOptions
+        The user's choices.
+
+    Raises
+    ------
+    ProgramError
+        While iterating, as soon as something cannot be read; nothing is skipped silently.
+
+    """
+
+    def __init__(self, source: Source, geometry: RotaryGeometry, options: ReadOptions):
+        self._source, self.source = source, source.name
+        self.dialect = _dialect(source)
+        self._notices = Notices()
+        reader_class = ClReader if self.dialect == 'cl' else GcodeReader
+        self._reader: ClReader | GcodeReader = reader_class(
+            geometry, options, source, self._notices
+        )
+
+    def __iter__(self) -> Iterator[Blocks]:
+        """Read on; the text is closed at the end."""
+        try:
+            yield from self._reader.blocks()
+        finally:
+            self._source.close()
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Harmless things that were passed on or simplified so far."""
+        return self._notices.texts()
+
+    @property
+    def share(self) -> float:
+        """Share of the text that has been read, 0 to 1."""
+        return self._reader.share
+
+    def read(self) -> Program:
+        """Read to the end."""
+        blocks = Blocks.concatenate(list(self))
+        return Program(blocks, self.notices, self.source, self.dialect)
+
+
+def open_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> ProgramStream:
+    """
+    Open a part program for reading block by block.
+
+    Raises
+    ------
+    ProgramError
+        If the file cannot be opened, or is of an unsupported kind.
+
+    """
+    return ProgramStream(Source.of_file(path), geometry, options)
+
+
 def read_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> Program:
     """
-    Read a part program from a file, line by line.
+    Read a part program from a file.
 
     Raises
     ------
@@ -62,11 +129,7 @@ def read_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> 
         If the file cannot be opened or its text cannot be read; nothing is skipped silently.
 
     """
-    try:
-        with path.open(encoding='utf-8-sig', errors='replace') as lines:
-            return _read(lines, str(path), geometry, options)
-    except OSError as error:
-        raise ProgramError(f'cannot be opened: {error.strerror}', str(path)) from error
+    return open_program(path, geometry, options).read()
 
 
 def read_text(text: str, source: str, geometry: RotaryGeometry, options: ReadOptions) -> Program:
@@ -80,29 +143,17 @@ def read_text(text: str, source: str, geometry: RotaryGeometry, options: ReadOpt
     array([[0.01, 0.  , 0.  ]])
 
     """
-    return _read(StringIO(text, newline=None), source, geometry, options)
+    return ProgramStream(Source.of_text(text, source), geometry, options).read()
 
 
-def _read(
-    lines: Iterable[str], source: str, geometry: RotaryGeometry, options: ReadOptions
-) -> Program:
-    rest = iter(lines)
-    head = list(islice(rest, _HEAD_LINES))
-    dialect = _dialect(head, source)
-    notices = Notices()
-    reader_class = ClReader if dialect == 'cl' else GcodeReader
-    reader = reader_class(geometry, options, source, notices)
-    reader.read(chain(head, rest))
-    return Program(reader.targets.finish(), notices.texts(), source, dialect)
-
-
-def _dialect(head: list[str], source: str) -> str:
+def _dialect(source: Source) -> str:
     """Tell the dialect from the first line that only one of them can have."""
+    head = source.lines(source.start).decode('utf-8', 'replace').splitlines()[:_HEAD_LINES]
     for number, line in enumerate(head, start=1):
         if _HEIDENHAIN_LINE.match(line):
             raise ProgramError(
                 'Heidenhain plain text is not supported; post as G-code or CL data',
-                source,
+                source.name,
                 number,
                 'BEGIN PGM',
             )
@@ -110,4 +161,4 @@ def _dialect(head: list[str], source: str) -> str:
             return 'cl'
         if _GCODE_LINE.match(line):
             return 'gcode'
-    return 'cl' if Path(source).suffix.lower() in _CL_SUFFIXES else 'gcode'
+    return 'cl' if Path(source.name).suffix.lower() in _CL_SUFFIXES else 'gcode'

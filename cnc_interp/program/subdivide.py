@@ -1,9 +1,10 @@
 """
 Cutting blocks into pieces on which the great circle of [B2013, Eq. 4] says what was programmed.
 
-Rotary axes that run linearly do not move the tool axis on a great circle. On a piece, the angle
-between both orientations at the same parameter shrinks with the square of the piece's length, so
-the number of pieces follows from the deviation measured on a trial division.
+Rotary axes that run linearly do not move the tool axis on a great circle, nor the tip on a line
+where the words are axis positions; arcs are no lines either. On a piece, the deviation at the same
+parameter shrinks with the square of the piece's length, so the number of pieces follows from the
+deviation measured on a trial division.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ import numpy as np
 from cnc_interp.program.blocks import FloatArray, IntArray
 from cnc_interp.units import DEG
 
-ToolAxis = Callable[[FloatArray], FloatArray]
+Poses = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 # The deviation of a short piece is a parabola plus an odd cubic; these points see the maximum of
 # either within 3 %, which the margin covers.
 _PROBES = (0.25, 0.5, 0.75)
 _MARGIN = 1.05
 _TRIAL_SWEEP = 15.0 * DEG
+MOST_PIECES = 1_000_000
 _LARGEST_SWEEP = 89.9 * DEG
 
 
@@ -60,38 +62,39 @@ def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.arctan2(apart, np.linalg.norm(o_to + o_from, axis=1)))
 
 
-def rotary_piece_counts(
-    tool_axis: ToolAxis, start: FloatArray, sweep: FloatArray, allowed: FloatArray
+def piece_counts(
+    poses: Poses, turned: FloatArray, allowed_tip: FloatArray, allowed_angle: FloatArray
 ) -> IntArray:
     """
-    Pieces per block that keep linear rotary motion within an angle of their great circles.
+    Pieces per block that keep curved motion within tolerances of chords and great circles.
 
     Parameters
     ----------
-    tool_axis : callable
-        Rotary positions, shape (n, 2) [rad], to unit tool axes, shape (n, 3).
-    start, sweep : ndarray, shape (n, 2)
-        Rotary position at the start of each block and its change over the block [rad].
-    allowed : ndarray, shape (n,)
-        Largest angle between both orientations at the same parameter [rad].
+    poses : callable
+        Block numbers, shape (m,), and shares of the block, shape (m,), to tool tips and tool
+        axes, shape (m, 3).
+    turned : ndarray, shape (n,)
+        Angle through which a block turns: its rotary axes together, or an arc [rad].
+    allowed_tip, allowed_angle : ndarray, shape (n,)
+        Largest distance and angle between programmed and chordal pose at the same share [m, rad].
 
     Returns
     -------
     ndarray of int, shape (n,)
-        Uniform pieces in the block's parameter, each turning less than 90 deg.
+        Uniform pieces in the block's parameter, each turning less than 90 deg. More than
+        ``MOST_PIECES`` are not counted to the end.
 
     """
-    turned = np.abs(sweep).sum(axis=1)
     fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
     trial = np.maximum(np.ceil(turned / _TRIAL_SWEEP), 1.0)
-    ratio = _MARGIN * _largest_deviation(tool_axis, start, sweep, trial) / allowed
+    every = np.arange(len(trial))
+    ratio = _MARGIN * _largest_deviation(poses, every, trial, allowed_tip, allowed_angle)
     counts = np.maximum(fewest, np.ceil(trial * np.sqrt(ratio)))
     open_rows = np.arange(len(counts))
-    while len(open_rows):
-        deviation = _largest_deviation(
-            tool_axis, start[open_rows], sweep[open_rows], counts[open_rows]
+    while len(open_rows) and counts.max() <= MOST_PIECES:
+        ratio = _MARGIN * _largest_deviation(
+            poses, open_rows, counts[open_rows], allowed_tip, allowed_angle
         )
-        ratio = _MARGIN * deviation / allowed[open_rows]
         wide = ratio > 1.0
         open_rows, ratio = open_rows[wide], ratio[wide]
         counts[open_rows] = np.maximum(
@@ -101,18 +104,24 @@ def rotary_piece_counts(
 
 
 def _largest_deviation(
-    tool_axis: ToolAxis, start: FloatArray, sweep: FloatArray, counts: FloatArray
+    poses: Poses,
+    rows: IntArray,
+    counts: FloatArray,
+    allowed_tip: FloatArray,
+    allowed_angle: FloatArray,
 ) -> FloatArray:
-    """Largest angle per block between linear rotary motion and its pieces' great circles [rad]."""
-    block, piece = ragged(counts.astype(np.int64))
-    step = (sweep / counts[:, None])[block]
-    begin = start[block] + piece[:, None] * step
-    o_from, o_to = tool_axis(begin), tool_axis(begin + step)
+    """Largest deviation per block from its pieces, as a share of what is allowed [-]."""
+    which, piece = ragged(counts.astype(np.int64))
+    block, step = rows[which], 1.0 / counts[which]
+    tip_from, o_from = poses(block, piece * step)
+    tip_to, o_to = poses(block, (piece + 1.0) * step)
     worst = np.zeros(len(block))
     for u in _PROBES:
-        o_linear = tool_axis(begin + u * step)
+        tip, o = poses(block, (piece + u) * step)
+        apart = np.linalg.norm(tip - tip_from - u * (tip_to - tip_from), axis=1)
+        worst = np.maximum(worst, apart / allowed_tip[block])
         o_circle = great_circle(o_from, o_to, np.full(len(block), u))
-        worst = np.maximum(worst, angle_between(o_linear, o_circle))
+        worst = np.maximum(worst, angle_between(o, o_circle) / allowed_angle[block])
     first = np.concatenate([[0], np.cumsum(counts.astype(np.int64))[:-1]])
     return np.asarray(np.maximum.reduceat(worst, first))
 

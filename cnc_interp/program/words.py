@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from cnc_interp.errors import ProgramError
 from cnc_interp.program.codes import refused_key
+from cnc_interp.program.expressions import (
+    ExpressionError,
+    Variables,
+    evaluate,
+    parameter_index,
+    parse,
+)
 
 # Possessive quantifiers: a line of a million digits must fail at once, not be tried in every way.
 _NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)'
-_AXES = ''.join(rf'(?:{letter}\s*({_NUMBER})\s*)?' for letter in 'XYZABC')
-
-# Nearly every line of a program has this form. Groups: G0 or G1, X Y Z A B C, F.
-PLAIN_MOTION = re.compile(
-    rf'(?:N\s*\d+\s*)?(?:G0?([01])(?![\d.])\s*)?{_AXES}(?:F\s*({_NUMBER})\s*)?'
-)
-
 _TOKEN = re.compile(
     rf"""
-    (?P<letter>[A-Z])\s*=?\s*(?P<number>{_NUMBER})(?![\d.=])
+    (?P<letter>[A-Z])\s*=?\s*(?P<number>{_NUMBER})(?![\d.=])(?!\s*=)
     | (?P<text>T\s*=\s*"[^"]*")
-    | (?P<key>\#\s*TRAFO\s+(?:ON|OFF)\b | [A-Z_][A-Z_]+\w*) (?P<call>\((?:"[^"]*"|[^()"])*\))?
-    | (?P<comment>\((?:[^()]|\([^()]*+\))*+\) | ;.*)
+    | (?P<key>\#\s*TRAFO\s+(?:ON|OFF)\b | [A-Z_][A-Z_]++\w*+(?!\s*[=(]))
     | (?P<space>\s+)
     """,
     re.VERBOSE,
 )
-
-_EXPRESSION = (
-    'variables and expressions are not supported yet; post the program with plain numbers'
-)
+_EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\(')
+_TRAFO = re.compile(r'#\s*TRAFO\b')
+_TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
+#: Functions that say how an axis word is meant: absolute, incremental, by the way it turns.
+WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
+# A name of several letters, not a word with a number as in M6(TOOL 3).
+_GROUP_BEFORE = re.compile(r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])[A-Z_][A-Z_]\w*)$')
 
 
 @dataclass
@@ -44,8 +48,13 @@ class BlockWords:
         Codes in their shortest form ('G1', 'G43.4', 'M3'), in the order written.
     values, texts : dict
         Number and written form of every other word, by letter.
-    keys : list of str
-        Words of more than one letter, without their arguments ('TRAORI', '#TRAFO ON').
+    ways : dict
+        'AC', 'IC', 'DC', 'ACP' or 'ACN' of words that say so, by letter.
+    keys : list of tuple
+        Words of more than one letter ('TRAORI', '#TRAFO ON') with the numbers in their
+        parentheses, None where nothing or a text stands.
+    sets : list of tuple
+        Assignments to parameters (int) and names (str), in the order written.
 
     """
 
@@ -53,17 +62,67 @@ class BlockWords:
     m: list[str] = field(default_factory=list)
     values: dict[str, float] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
-    keys: list[str] = field(default_factory=list)
+    ways: dict[str, str] = field(default_factory=dict)
+    keys: list[tuple[str, tuple[float | None, ...]]] = field(default_factory=list)
+    sets: list[tuple[int | str, float]] = field(default_factory=list)
 
 
-def split_words(line: str, source: str, line_number: int) -> BlockWords:
+Fault = Callable[[str, str], ProgramError]
+
+
+def without_comments(line: str, fault: Fault) -> str:
     """
-    Split one line of G-code, in upper case, into its words.
+    Remove comments from a line in upper case.
+
+    A parenthesis opens a comment unless it follows an operator or directly a name, as the
+    arguments of ``CYCLE832(...)`` and ``Z=(R1+2)`` do.
+    """
+    if ';' not in line and '(' not in line:
+        return line
+    kept, at, size, quoted, depth = [], 0, len(line), False, 0
+    while at < size:
+        sign = line[at]
+        if sign == '"':
+            quoted = not quoted
+        elif not quoted and sign == ';':
+            break
+        elif not quoted and sign == '(':
+            if not depth and not _opens_group(line[max(0, at - 80) : at]):
+                at = _end_of_comment(line, at, fault)
+                kept.append(' ')
+                continue
+            depth += 1
+        elif not quoted and sign == ')' and depth:
+            depth -= 1
+        kept.append(sign)
+        at += 1
+    return ''.join(kept).strip()
+
+
+def _opens_group(before: str) -> bool:
+    """Tell a parenthesis that groups or calls from a comment, by what stands before it."""
+    return bool(_GROUP_BEFORE.search(before))
+
+
+def _end_of_comment(line: str, at: int, fault: Fault) -> int:
+    """Return where a comment ends; comments may hold pairs of parentheses."""
+    depth = 0
+    for here in range(at, len(line)):
+        depth += (line[here] == '(') - (line[here] == ')')
+        if depth == 0:
+            return here + 1
+    raise fault('the comment is not closed; add )', line[at:].split()[0])
+
+
+def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
+    """
+    Split one line of G-code, in upper case and without comments, into its words.
 
     Raises
     ------
     ProgramError
-        If a part of the line is no word, or a letter other than G and M stands twice.
+        If a part of the line is no word, a letter other than G and M stands twice, or an
+        expression has no value.
 
     """
     words = BlockWords()
@@ -71,41 +130,86 @@ def split_words(line: str, source: str, line_number: int) -> BlockWords:
     while at < len(line):
         token = _TOKEN.match(line, at)
         if token is None:
-            # After a word such as IF or DEF the rest follows other rules: name that word instead.
-            for key in words.keys:
+            # After a word such as FOR or PROC the rest follows other rules: name that word.
+            for key, _ in words.keys:
                 if why := refused_key(key):
-                    raise ProgramError(why, source, line_number, key)
-            raise _fault(line, at, source, line_number)
+                    raise fault(why, key)
+            if _EXPRESSION_SIGNS.search(line) and not _TRAFO.search(line):
+                return _by_grammar(line, variables, fault)
+            raise _no_word(line, at, fault)
         at = token.end()
         letter, key = token['letter'], token['key']
-        if letter in ('G', 'M'):
-            code = f'{letter}{float(token["number"]):g}'
-            (words.g if letter == 'G' else words.m).append(code)
-        elif letter or token['text']:
-            letter = letter or 'T'
-            if letter in words.values:
-                raise ProgramError(
-                    f'{letter} stands twice in one block; keep one of them',
-                    source,
-                    line_number,
-                    token[0],
-                )
-            words.values[letter] = float(token['number'] or 0.0)
-            words.texts[letter] = token[0]
+        if letter or token['text']:
+            _add(words, letter or 'T', float(token['number'] or 0.0), token[0], fault)
         elif key:
-            words.keys.append(re.sub(r'\s+', ' ', key).replace('# ', '#'))
+            words.keys.append((re.sub(r'\s+', ' ', key).replace('# ', '#'), ()))
     return words
 
 
-def _fault(line: str, at: int, source: str, line_number: int) -> ProgramError:
+def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) -> None:
+    """Add one word with a letter."""
+    if letter in 'GM':
+        code = f'{letter}{round(value, 3):g}'
+        (words.g if letter == 'G' else words.m).append(code)
+        return
+    if letter in words.values:
+        raise fault(f'{letter} stands twice in one block; keep one of them', text)
+    words.values[letter] = value
+    words.texts[letter] = text
+
+
+def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
+    """Split a line with expressions."""
+    words = BlockWords()
+    if name := _TOOL_NAME.search(line):
+        _add(words, 'T', 0.0, name[0], fault)
+        line = line.replace(name[0], ' ')
+    word = line.split()[0] if line.split() else line
+    try:
+        for item in parse(line):
+            kind, word = item[0], str(item[1])
+            if kind == 'word':
+                value, way = _with_way(item[2], variables)
+                if way:
+                    words.ways[word] = way
+                _add(words, word, value, f'{word}{value:g}', fault)
+            elif kind == 'set_name':
+                words.sets.append((word, evaluate(item[2], variables)))
+            elif kind == 'set_parameter':
+                word = '#'
+                value = evaluate(item[2], variables)
+                if item[1][0] == 'own_name':
+                    words.sets.append((str(item[1][1]), value))
+                else:
+                    words.sets.append((parameter_index(item[1], variables), value))
+            else:
+                if why := refused_key(word):
+                    raise fault(why, word)
+                words.keys.append((word, tuple(_given(node, variables) for node in item[2:])))
+    except ExpressionError as problem:
+        raise fault(str(problem), word) from None
+    return words
+
+
+def _with_way(node: Any, variables: Variables) -> tuple[float, str]:
+    """Return the value of an axis word and the function that says how it is meant."""
+    if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
+        return evaluate(node[2], variables), str(node[1])
+    return evaluate(node, variables), ''
+
+
+def _given(node: Any, variables: Variables) -> float | None:
+    """Return the value of an argument; None where it is empty or a text."""
+    if len(node) == 1 or isinstance(node[1], str):
+        return None
+    return evaluate(node[1], variables)
+
+
+def _no_word(line: str, at: int, fault: Fault) -> ProgramError:
     """Say what is wrong with the rest of a line that begins with no word."""
     rest = line[at:]
     chunk = rest.split()[0]
-    if rest[0] == '(':
-        message = 'the comment is not closed; add )'
-    elif any(sign in chunk for sign in '=#[]<>"*'):
-        message, chunk = _EXPRESSION, line[line.rfind(' ', 0, at) + 1 :].split()[0]
-    elif not chunk.isprintable():
+    if not chunk.isprintable():
         message, chunk = 'this is no text; give a part program', ascii(chunk)
     elif rest[0].isdigit() or rest[0] in '+-.':
         message = 'a number without a letter; write for example X10'
@@ -115,4 +219,4 @@ def _fault(line: str, at: int, source: str, line_number: int) -> ProgramError:
         message = 'not a number; write for example X10.5'
     else:
         message = 'not a word of G-code; remove it or put it into a comment'
-    return ProgramError(message, source, line_number, chunk[:40])
+    return fault(message, chunk)

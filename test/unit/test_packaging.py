@@ -13,7 +13,12 @@ ROOT = Path(__file__).parents[2]
 
 # Imported, but without a rosdep key: the README names them for a full ROS 2.
 WITHOUT_KEY = {'apsw', 'mcap', 'plotly', 'rosbags', 'ruckig'}
-RENAMED = {'toppra': 'python3-toppra-pip', 'yaml': 'python3-yaml', 'ament_index_python': 'rclpy'}
+RENAMED = {
+    'toppra': 'python3-toppra-pip',
+    'yaml': 'python3-yaml',
+    'lark': 'python3-lark-parser',
+    'ament_index_python': 'rclpy',
+}
 
 
 def third_party_imports():

@@ -11,13 +11,29 @@ H = 0.03
 
 
 class TableAC:
-    """Tool axis of a table-tilting AC machine."""
+    """A table-tilting AC machine, both rotary axes through the workpiece zero."""
 
     axis_names = ('X', 'Y', 'Z', 'A', 'C')
 
     def tool_axis(self, rotary):
         a, c = rotary[:, 0], rotary[:, 1]
         return np.stack([np.sin(a) * np.sin(c), np.sin(a) * np.cos(c), np.cos(a)], axis=1)
+
+    def forward(self, q):
+        rotary = q[:, 3:]
+        tip = [self.turn(r).T @ p for p, r in zip(q[:, :3], rotary, strict=True)]
+        return np.array(tip), self.tool_axis(rotary)
+
+    def linear(self, tip, rotary):
+        return np.array([self.turn(r) @ p for p, r in zip(tip, rotary, strict=True)])
+
+    @staticmethod
+    def turn(rotary):
+        """p_M = R_x(A) R_z(C) p_W."""
+        (sa, sc), (ca, cc) = np.sin(rotary), np.cos(rotary)
+        return np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]]) @ np.array(
+            [[cc, -sc, 0], [sc, cc, 0], [0, 0, 1]]
+        )
 
 
 class HeadBC(TableAC):

@@ -1,0 +1,184 @@
+"""
+Arcs and helices: what G2 and G3 mean, for many blocks at once.
+
+An arc is a centre, a normal and a sweep (positive: counter-clockwise about the normal). Its point
+at share u, with v the start seen from the centre and r the distance from the axis,
+
+    p(u) = c + (n . v) n + r(u) / r(0) Rot(n, u sweep) v_across + u rise n
+
+where r runs linearly from the start's to the end's radius: programs round both to their digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
+from cnc_interp.units import MM
+
+#: Plane -> first axis, second axis, normal axis; G2 is clockwise seen against the normal.
+PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
+#: Start and end may differ in radius by this, and beyond by a share of the radius up to the most.
+RADIUS_ERROR, RADIUS_SHARE, RADIUS_MOST = 0.0127 * MM, 1e-3, 0.5 * MM
+_SAME_POINT = 1e-12
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """
+    Arcs of blocks in program coordinates.
+
+    Parameters
+    ----------
+    centre : ndarray, shape (n, 3)
+        A point on the axis, at the height of the start [m].
+    sweep : ndarray, shape (n,)
+        Signed angle, counter-clockwise positive [rad].
+    fault : ndarray of int, shape (n,)
+        0 where the arc exists, else a key of ``FAULTS``.
+    mismatch : ndarray, shape (n,)
+        Difference of both radii, or chord beyond the diameter [m].
+
+    """
+
+    centre: FloatArray
+    sweep: FloatArray
+    fault: IntArray
+    mismatch: FloatArray
+
+
+FAULTS = {
+    1: 'an arc needs its centre (I, J, K in the plane) or its radius (R)',
+    2: 'radius and centre in one arc; keep one of them',
+    3: 'start and end differ in their distance from the centre; correct I, J, K',
+    4: 'the radius is smaller than half the way from start to end; correct R',
+    5: 'a full circle cannot be given by its radius; give I, J, K',
+    6: 'the centre is where the arc starts; correct I, J, K',
+}
+
+
+def arcs_of(
+    plane: str,
+    counter_clockwise: BoolArray,
+    start: FloatArray,
+    end: FloatArray,
+    offset: FloatArray,
+    radius: FloatArray,
+    absolute: BoolArray | bool = False,
+    turns: FloatArray | float = 1.0,
+) -> Arcs:
+    """
+    Find centre and sweep of arcs.
+
+    Parameters
+    ----------
+    plane : {'G17', 'G18', 'G19'}
+        Their plane.
+    counter_clockwise : ndarray of bool, shape (n,)
+        G3.
+    start, end : ndarray, shape (n, 3)
+        Program coordinates [m].
+    offset : ndarray, shape (n, 3)
+        I, J, K, NaN where the block has none [m].
+    radius : ndarray, shape (n,)
+        R, negative for the long way round, NaN where the block has none [m].
+    absolute : bool or ndarray of bool, shape (n, 3)
+        True where I, J, K are coordinates of the centre (G90.1).
+    turns : float or ndarray, shape (n,)
+        Turns begun, 1 for an ordinary arc (P) [-].
+
+    """
+    a, b, normal = PLANES[plane]
+    chord = end - start
+    by_radius = np.isfinite(radius)
+    given = np.isfinite(offset[:, [a, b]])
+    fault = np.where(by_radius & given.any(axis=1), 2, 0)
+    fault = np.where(~by_radius & ~given.any(axis=1), 1, fault)
+    relative = np.where(absolute, offset - start, offset)
+    relative = np.where(np.isfinite(relative), relative, 0.0)
+    half = 0.5 * np.hypot(chord[:, a], chord[:, b])
+    fault = np.where(by_radius & (half <= _SAME_POINT), 5, fault)
+    # By the radius: the centre lies beside the chord's middle, left of it for the short way of G3.
+    with np.errstate(invalid='ignore', divide='ignore'):
+        short = half - np.abs(radius)
+        height = np.sqrt(np.maximum(radius**2 - half**2, 0.0))
+        side = np.where(counter_clockwise, 1.0, -1.0) * np.sign(radius) * height / half
+        centre_a = 0.5 * chord[:, a] - side * 0.5 * chord[:, b]
+        centre_b = 0.5 * chord[:, b] + side * 0.5 * chord[:, a]
+    fault = np.where(by_radius & (short > _allowed(np.abs(radius))), 4, fault)
+    relative[:, a] = np.where(by_radius, np.nan_to_num(centre_a), relative[:, a])
+    relative[:, b] = np.where(by_radius, np.nan_to_num(centre_b), relative[:, b])
+    relative[:, normal] = 0.0
+    # By the centre: both radii must agree.
+    first = np.hypot(relative[:, a], relative[:, b])
+    second = np.hypot(chord[:, a] - relative[:, a], chord[:, b] - relative[:, b])
+    gap = np.abs(second - first)
+    fault = np.where((fault == 0) & (first <= _SAME_POINT), 6, fault)
+    off = ~by_radius & (gap > _allowed(np.maximum(first, second)))
+    fault = np.where((fault == 0) & off, 3, fault)
+    begin = np.arctan2(-relative[:, b], -relative[:, a])
+    finish = np.arctan2(chord[:, b] - relative[:, b], chord[:, a] - relative[:, a])
+    sign = np.where(counter_clockwise, 1.0, -1.0)
+    sweep = np.mod(sign * (finish - begin), 2.0 * np.pi)
+    # Rounding may make of a full circle nothing, and of nothing a full circle.
+    closed = half <= _SAME_POINT
+    sweep = np.where(closed | (sweep <= 0.0), 2.0 * np.pi, sweep)
+    sweep = sign * (sweep + 2.0 * np.pi * (turns - 1.0))
+    mismatch = np.where(by_radius, np.maximum(short, 0.0), gap)
+    return Arcs(start + relative, sweep, fault.astype(np.int64), mismatch)
+
+
+def _allowed(radius: FloatArray) -> FloatArray:
+    """Return by how much the rounding of a program may spoil a radius [m]."""
+    return np.asarray(np.clip(RADIUS_SHARE * radius, RADIUS_ERROR, RADIUS_MOST))
+
+
+def points_on(
+    start: FloatArray,
+    end: FloatArray,
+    centre: FloatArray,
+    normal: FloatArray,
+    sweep: FloatArray,
+    u: FloatArray,
+) -> FloatArray:
+    """
+    Evaluate arcs.
+
+    Parameters
+    ----------
+    start, end, centre, normal : ndarray, shape (n, 3)
+        Of each arc [m]; the normal is a unit vector.
+    sweep, u : ndarray, shape (n,)
+        Signed angle [rad], and the share of it at which to evaluate [-].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Points [m].
+
+    """
+    arm, other = start - centre, end - centre
+    level = np.sum(arm * normal, axis=1)
+    rise = np.sum(other * normal, axis=1) - level
+    across = arm - level[:, None] * normal
+    first = np.linalg.norm(across, axis=1)
+    second = np.linalg.norm(other - (level + rise)[:, None] * normal, axis=1)
+    growth = 1.0 + u * (second - first) / first
+    angle = u * sweep
+    turned = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(normal, across)
+    return np.asarray(centre + growth[:, None] * turned + (level + u * rise)[:, None] * normal)
+
+
+def lengths(
+    start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray
+) -> FloatArray:
+    """Return the length of arcs and helices, shape (n,) [m]."""
+    rise = np.sum((end - start) * normal, axis=1)
+    arm, other = start - centre, end - centre
+    radius = 0.5 * sum(
+        np.linalg.norm(v - np.sum(v * normal, axis=1)[:, None] * normal, axis=1)
+        for v in (arm, other)
+    )
+    return np.asarray(np.hypot(radius * sweep, rise))

@@ -1,0 +1,261 @@
+"""
+Expressions of G-code: the grammar of the rare lines, and what their values are.
+
+One grammar holds the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B and the ``=``,
+names and parentheses of Siemens; where they conflict, the form of the word decides (``X[...]`` or
+``X=...``). Angles are in deg, as on the controls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import Any, Protocol
+
+from lark import Lark, Transformer
+from lark.exceptions import LarkError
+
+_GRAMMAR = r"""
+line: item*
+values: bracketed*
+condition: expression
+
+?item: ADDRESS signed                          -> word
+     | ADDRESS "=" expression                  -> word
+     | (NAME | INDEXED) "=" expression         -> set_name
+     | "#" index "=" expression                -> set_parameter
+     | NAME                                    -> key
+     | NAME "(" [given ("," given)*] ")"       -> key
+given: [expression | STRING]
+
+?signed: atom
+       | SIGN atom                             -> sign
+?expression: both
+           | expression EITHER both            -> operation
+?both: compared
+     | both AND compared                       -> operation
+?compared: sum
+         | compared COMPARISON sum             -> operation
+?sum: product
+    | sum SIGN product                         -> operation
+?product: power
+        | product TIMES power                  -> operation
+?power: unary
+      | power POWER unary                      -> operation
+?unary: atom
+      | SIGN unary                             -> sign
+      | NOT unary                              -> sign
+?atom: NUMBER                                  -> number
+     | "#" index                               -> parameter
+     | bracketed
+     | NAME "[" expression ("," expression)* "]" -> call
+     | NAME "(" expression ("," expression)* ")" -> call
+     | (NAME | INDEXED)                        -> name
+     | "(" expression ")"                      -> group
+?bracketed: "[" expression "]"                 -> group
+?index: NUMBER                                 -> number
+      | "#" index                              -> parameter
+      | "[" expression "]"                     -> group
+      | OWN_NAME                               -> own_name
+
+SIGN: /[-+]/
+POWER: "**"
+TIMES.4: /\*(?!\*)|\/|(MOD|DIV)(?![A-Z_])/
+COMPARISON.4: /==|<>|<=|>=|<|>|(EQ|NE|GE|GT|LE|LT)(?![A-Z_])/
+AND.4: /AND(?![A-Z_])/
+NOT.4: /NOT(?![A-Z_])/
+EITHER.4: /X?OR(?![A-Z_])/
+NUMBER: /(\d+(\.\d*)?|\.\d+)/
+OWN_NAME: /<[^<>\[\]#]+>/
+STRING: /"[^"]*"/
+ADDRESS.2: /[A-Z](?![A-Z_])(?!\d+\s*=)/
+INDEXED.3: /[A-Z]\d+(?=\s*=(?!=))|R\d+/
+NAME: /[A-Z_$][A-Z_][A-Z0-9_]*/
+%ignore /\s+/
+"""
+_TOO_DEEP = 'the expression is nested too deeply; use parameters'
+
+Node = Any
+
+
+class ExpressionError(Exception):
+    """An expression that cannot be read or has no value; the reader adds file and line."""
+
+
+class Variables(Protocol):
+    """Where an expression finds its variables."""
+
+    def number(self, index: int) -> float:
+        """Return the value of ``#index``."""
+
+    def named(self, name: str) -> float:
+        """Return the value of ``#<name>``, a Siemens name or an R parameter."""
+
+    def exists(self, name: str) -> bool:
+        """Tell whether a name is known."""
+
+
+class _Nodes(Transformer):  # type: ignore[type-arg]
+    """Parse tree -> nested tuples."""
+
+    def __default__(self, data: Any, children: list[Any], meta: Any) -> Node:
+        return (str(data), *children)
+
+
+@cache
+def _parser() -> Lark:
+    return Lark(
+        _GRAMMAR,
+        parser='lalr',
+        lexer='contextual',
+        start=['line', 'values', 'condition'],
+        maybe_placeholders=False,
+    )
+
+
+@lru_cache(maxsize=4096)
+def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
+    """
+    Read a line, a row of bracketed values or a condition, all without comments.
+
+    Returns
+    -------
+    tuple
+        Items ``('word', letter, node)``, ``('set_name', name, node)``, ``('set_parameter', index
+        node, node)`` and ``('key', name, *nodes)``; for the other starts, value nodes.
+
+    Raises
+    ------
+    ExpressionError
+        If the text does not follow the grammar.
+
+    """
+    try:
+        return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
+    except RecursionError:
+        raise ExpressionError(_TOO_DEEP) from None
+    except LarkError as problem:
+        column = getattr(problem, 'column', None)
+        rest = text[column - 1 :] if isinstance(column, int) and column > 0 else ''
+        at = f'at {rest[:12].strip()!r}' if rest.strip() else 'at the end of the line'
+        raise ExpressionError(
+            f'the expression cannot be read {at}; write for example X[#1 + 2.5] or X=R1+2.5'
+        ) from None
+
+
+def evaluate(node: Node, variables: Variables) -> float:
+    """
+    Return the value of a node.
+
+    Raises
+    ------
+    ExpressionError
+        If a variable is not set, or the value is not a finite number.
+
+    """
+    try:
+        value = _value(node, variables)
+    except RecursionError:
+        raise ExpressionError(_TOO_DEEP) from None
+    except (ArithmeticError, ValueError):
+        raise ExpressionError('the expression has no value; see its arguments') from None
+    if not math.isfinite(value):
+        raise ExpressionError('the expression has no finite value')
+    return value
+
+
+def _value(node: Node, variables: Variables) -> float:
+    kind = node[0]
+    if kind == 'number':
+        return float(node[1])
+    if kind == 'group':
+        return _value(node[1], variables)
+    if kind == 'parameter':
+        return _parameter(node[1], variables)
+    if kind == 'name':
+        return variables.named(str(node[1]))
+    if kind == 'sign':
+        value = _value(node[2], variables)
+        return float(not value) if node[1] == 'NOT' else -value if node[1] == '-' else value
+    if kind == 'call':
+        return _call(str(node[1]), node[2:], variables)
+    left, operator, right = node[1], str(node[2]), node[3]
+    if operator == '/' and left[0] == 'call' and left[1] == 'ATAN' and right[0] == 'group':
+        x = _value(right, variables)
+        return math.degrees(math.atan2(_value(left[2], variables), x))
+    return float(_OPERATORS[operator](_value(left, variables), _value(right, variables)))
+
+
+def _parameter(index: Node, variables: Variables) -> float:
+    if index[0] == 'own_name':
+        return variables.named(str(index[1]))
+    return variables.number(parameter_index(index, variables))
+
+
+def parameter_index(index: Node, variables: Variables) -> int:
+    """Return the number behind a ``#``."""
+    value = _value(index, variables)
+    if not (abs(value - round(value)) < 1e-4 and 0 <= value < 1e6):
+        raise ExpressionError(f'#{value:g} is no parameter; write a whole number behind #')
+    return round(value)
+
+
+def _call(name: str, arguments: tuple[Node, ...], variables: Variables) -> float:
+    if name == 'EXISTS' and len(arguments) == 1 and arguments[0][0] == 'parameter':
+        index = arguments[0][1]
+        return float(index[0] == 'own_name' and variables.exists(str(index[1])))
+    if name not in _FUNCTIONS:
+        raise ExpressionError(f'the function {name} is not supported; compute it before')
+    count, function = _FUNCTIONS[name]
+    if len(arguments) not in count:
+        raise ExpressionError(f'{name} takes {count[0]} argument(s), not {len(arguments)}')
+    return float(function(*(_value(argument, variables) for argument in arguments)))
+
+
+_OPERATORS: dict[str, Callable[[float, float], float]] = {
+    '+': lambda x, y: x + y,
+    '-': lambda x, y: x - y,
+    '*': lambda x, y: x * y,
+    '/': lambda x, y: x / y,
+    '**': math.pow,
+    'MOD': lambda x, y: x % y,
+    'DIV': lambda x, y: float(math.trunc(x / y)),
+    'AND': lambda x, y: bool(x) and bool(y),
+    'OR': lambda x, y: bool(x) or bool(y),
+    'XOR': lambda x, y: bool(x) != bool(y),
+    **dict.fromkeys(('EQ', '=='), lambda x, y: abs(x - y) < 1e-6),
+    **dict.fromkeys(('NE', '<>'), lambda x, y: abs(x - y) >= 1e-6),
+    **dict.fromkeys(('GT', '>'), lambda x, y: x > y),
+    **dict.fromkeys(('GE', '>='), lambda x, y: x >= y),
+    **dict.fromkeys(('LT', '<'), lambda x, y: x < y),
+    **dict.fromkeys(('LE', '<='), lambda x, y: x <= y),
+}
+
+
+def _nearest(x: float) -> float:
+    """Round halves away from zero, as controls do."""
+    return math.copysign(math.floor(abs(x) + 0.5), x)
+
+
+_FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
+    'ABS': ((1,), abs),
+    'SQRT': ((1,), math.sqrt),
+    'SQR': ((1,), math.sqrt),
+    'POT': ((1,), lambda x: x * x),
+    'SIN': ((1,), lambda x: math.sin(math.radians(x))),
+    'COS': ((1,), lambda x: math.cos(math.radians(x))),
+    'TAN': ((1,), lambda x: math.tan(math.radians(x))),
+    'ASIN': ((1,), lambda x: math.degrees(math.asin(x))),
+    'ACOS': ((1,), lambda x: math.degrees(math.acos(x))),
+    'ATAN': ((1, 2), lambda y, x=1.0: math.degrees(math.atan2(y, x))),
+    'ATAN2': ((2,), lambda y, x: math.degrees(math.atan2(y, x))),
+    'EXP': ((1,), math.exp),
+    'LN': ((1,), math.log),
+    'FIX': ((1,), lambda x: float(math.floor(x))),
+    'FUP': ((1,), lambda x: float(math.ceil(x))),
+    'ROUND': ((1,), _nearest),
+    'TRUNC': ((1,), lambda x: float(math.trunc(x))),
+    'MINVAL': ((2,), min),
+    'MAXVAL': ((2,), max),
+}

@@ -1,0 +1,140 @@
+"""
+From program coordinates to points: work offsets, shifts, rotated frames and tool length.
+
+    point = turn @ program + shift + offsets
+
+A point is the tool tip in W with tool-tip programming on. With it off it is the position of X Y Z
+less that of the workpiece zero, so that both are the same while the rotary axes stand at zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.program.job import WORK_OFFSETS, JobSetup, Position
+
+Vector = FloatArray
+
+
+class Frames:
+    """
+    The frames that are active at a moment of the program.
+
+    Parameters
+    ----------
+    setup : JobSetup
+        Work offsets of the operator.
+    zero : ndarray, shape (3,)
+        Machine coordinates of the workpiece zero of the machine file [m].
+    rotary_letters : tuple of str
+        Letters of the rotary axes.
+
+    """
+
+    def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
+        self._zero, self._letters = zero, rotary_letters
+        self._work = {
+            name: self._measured(setup.work_offsets[name]) for name in setup.work_offsets
+        }
+        self.work_offset = ''
+        self.g92, self.g92_on = np.zeros(5), True
+        self.local = np.zeros(5)
+        self.length = 0.0
+        self.shift, self.turn = np.zeros(3), np.eye(3)
+        self.rotated = False
+        self.update()
+
+    def _measured(self, position: Position) -> Vector:
+        """Turn machine coordinates of a zero into an offset from the machine file's."""
+        offset = np.zeros(5)
+        for i, letter in enumerate('XYZ'):
+            offset[i] = position.get(letter, float(self._zero[i])) - self._zero[i]
+        for i, letter in enumerate(self._letters):
+            offset[3 + i] = position.get(letter, 0.0)
+        return offset
+
+    def known(self, name: str) -> bool:
+        """Tell whether the operator has set a work offset."""
+        return name in self._work
+
+    def choose(self, name: str) -> None:
+        """Activate a work offset."""
+        self.work_offset = name
+        self.update()
+
+    def set_work(self, index: int, words: dict[int, float], program: Vector | None) -> str:
+        """
+        Set a work offset (G10 L2, or G10 L20 where the program position is given).
+
+        Parameters
+        ----------
+        index : int
+            1 for G54 ..., 0 for the active one.
+        words : dict
+            Values by axis number [m, rad].
+        program : ndarray, shape (5,), optional
+            Where the tool stands in coordinates that keep all but the work offset.
+
+        Returns
+        -------
+        str
+            The name of the offset.
+
+        """
+        name = WORK_OFFSETS[index - 1] if index else (self.work_offset or 'G54')
+        offset = self._work.get(name, np.zeros(5)).copy()
+        for i, value in words.items():
+            zero = self._zero[i] if i < 3 else 0.0
+            offset[i] = value - zero if program is None else program[i] - value
+        self._work[name] = offset
+        self.update()
+        return name
+
+    def update(self) -> None:
+        """Add the offsets up."""
+        total = self._work.get(self.work_offset, np.zeros(5)) + self.local
+        if self.g92_on:
+            total = total + self.g92
+        self.origin = total[:3] + self.shift + np.array([0.0, 0.0, self.length])
+        self.rotary_origin = total[3:]
+        self.rotated = bool(np.any(self.turn != np.eye(3)))
+
+    def point(self, program: Vector) -> Vector:
+        """Turn program coordinates, shape (3,) or (n, 3), into points [m]."""
+        turned = program @ self.turn.T if self.rotated else program
+        return np.asarray(turned + self.origin)
+
+    def program(self, point: Vector) -> Vector:
+        """Turn a point into program coordinates [m]."""
+        return np.asarray(self.turn.T @ (point - self.origin))
+
+    def machine_point(self, axis: int, coordinate: float) -> float:
+        """Turn a machine coordinate of X Y Z (0, 1, 2) into that of a point [m]."""
+        return coordinate - float(self._zero[axis])
+
+    def reset_frame(self) -> None:
+        """Switch the programmed shift and rotation off."""
+        self.shift, self.turn = np.zeros(3), np.eye(3)
+
+    def rotate(self, angles: dict[str, float]) -> None:
+        """Turn the frame about its own Z, Y and X axes, in this order [rad]."""
+        for letter in 'ZYX':
+            if letter in angles:
+                self.turn = self.turn @ _rotation('XYZ'.index(letter), angles[letter])
+        self.update()
+
+    def move(self, shift: Vector) -> None:
+        """Shift the frame along its own axes [m]."""
+        self.shift = self.shift + self.turn @ shift
+        self.update()
+
+
+def _rotation(axis: int, angle: float) -> FloatArray:
+    """Rotation about a coordinate axis; right angles are exact."""
+    c, s = np.cos(angle), np.sin(angle)
+    c, s = (np.round(v) if abs(v - np.round(v)) < 1e-15 else v for v in (c, s))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turn = np.eye(3)
+    turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+    return turn

@@ -1,0 +1,204 @@
+"""Runs of plain lines -> targets, many at once; the same as ``motion.py`` does one by one."""
+
+from __future__ import annotations
+
+from math import inf, nan, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cnc_interp.program import scan
+from cnc_interp.program.arcs import PLANES, arcs_of
+from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.program.columns import (
+    AXES,
+    AXIS,
+    CENTRE,
+    CONTOUR,
+    DURATION,
+    EXACT_STOP,
+    FEEDRATE,
+    GREAT_CIRCLE,
+    LINE,
+    NAMED,
+    NORMAL,
+    ORIENTATION,
+    POINT,
+    RAPID,
+    ROTARY,
+    SWEEP,
+    TURN_RATE,
+    WIDTH,
+)
+from cnc_interp.program.motion import FARTHEST, LONG_WAY, MOST_TURN, Mover
+from cnc_interp.units import DEG, MINUTE
+
+_LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
+#: Runs shorter than this are as quick line by line.
+SHORTEST = 6
+
+
+def filled(values: FloatArray, first: float) -> FloatArray:
+    """Replace each NaN by the number before it, at the beginning by ``first``."""
+    given = np.isfinite(values)
+    last = np.maximum.accumulate(np.where(given, np.arange(len(values)), -1))
+    return np.where(last >= 0, values[last], first)
+
+
+def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: IntArray) -> bool:
+    """
+    Execute plain lines.
+
+    Parameters
+    ----------
+    mover : Mover
+        The state before them; the state behind them afterwards.
+    code, values : ndarray, shape (n,) and (n, 11)
+        As ``scan.scan_lines`` fills them.
+    lines : ndarray of int, shape (n,)
+        Line numbers.
+
+    Returns
+    -------
+    bool
+        False if they need to be read one by one: nothing has happened then.
+
+    """
+    if (
+        mover.targets.empty
+        or mover.stop_once
+        or mover.vector is not None
+        or mover.tcp == 'G43.5'
+        or mover.feed_mode == 'G95'
+    ):
+        return False
+    motion = filled(np.where(code >= 0, code, nan), nan if mover.motion is None else mover.motion)
+    linear_words, arc_words = values[:, _LINEAR], np.isfinite(values[:, _ARC_WORDS]).any(axis=1)
+    on_arc = motion >= 2.0
+    rotary_words = np.isfinite(values[:, _ROTARY_WORDS])
+    moves = np.isfinite(linear_words).any(axis=1) | rotary_words.any(axis=1) | (on_arc & arc_words)
+    others = [i for i, letter in enumerate('ABC') if letter not in mover.rotary_letters]
+    if (
+        np.isnan(motion[moves]).any()
+        or (arc_words & ~on_arc).any()
+        or rotary_words[:, others].any()
+    ):
+        return False
+    feeds = _feeds(mover, values[:, scan.F], motion[moves] == 0.0, moves)
+    if feeds is None:
+        return False
+    program = _program_positions(mover, values)
+    points = mover.frames.point(program[:, :3])
+    rotary = program[:, 3:] + mover.frames.rotary_origin
+    if np.abs(points).max() > FARTHEST or np.nan_to_num(np.abs(rotary)).max() > MOST_TURN:
+        return False
+    rows = np.full((int(moves.sum()), WIDTH), nan)
+    on_arc &= moves
+    if on_arc.any() and not _arcs(mover, motion, on_arc, program, values, rows, moves):
+        return False
+    rapid = motion[moves] == 0.0
+    rows[:, POINT], rows[:, ROTARY] = points[moves], rotary[moves]
+    if not mover.rotary_letters:
+        rows[:, AXIS] = (0.0, 0.0, 1.0)
+    named = np.maximum.accumulate(rotary_words.any(axis=1)) | bool(mover.named)
+    rows[:, NAMED] = named[moves]
+    rows[:, GREAT_CIRCLE] = mover.great_circle and not mover.by_axes
+    rows[:, FEEDRATE], rows[:, DURATION], rows[:, TURN_RATE] = feeds
+    rows[:, RAPID], rows[:, EXACT_STOP] = rapid, mover.stop_always
+    rows[:, CONTOUR], rows[:, ORIENTATION] = mover.contour, mover.orientation
+    rows[:, LINE], rows[:, AXES] = lines[moves], mover.by_axes
+    if mover.rotary_letters and len(rows):
+        turned = np.abs(np.diff(np.vstack([mover.rotary, rotary[moves]]), axis=0))
+        cutting = turned.max(axis=1) * ~rapid
+        if cutting.max() > LONG_WAY:
+            return False  # told of line by line
+    _leave_behind(mover, motion, values[:, scan.F], points, rotary, named)
+    mover.targets.extend(rows)
+    return True
+
+
+def _leave_behind(
+    mover: Mover,
+    motion: FloatArray,
+    feed_words: FloatArray,
+    points: FloatArray,
+    rotary: FloatArray,
+    named: NDArray[np.bool_],
+) -> None:
+    """Take over the state behind the last line."""
+    if np.isfinite(motion[-1]):
+        mover.motion = int(motion[-1])
+    given = feed_words[np.isfinite(feed_words)]
+    if len(given):
+        mover.set_feed(float(given[-1]), 'F')
+    mover.point, mover.rotary, mover.named = points[-1], rotary[-1], float(named[-1])
+
+
+def _feeds(
+    mover: Mover, words: FloatArray, rapid: NDArray[np.bool_], moves: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Feedrate, duration and rate of turn of the moving lines; None where one is missing."""
+    given = np.isfinite(words)
+    if (words[given] <= 0.0).any():
+        return None
+    if mover.feed_mode == 'G93':
+        rate = filled(words, mover.blocks_per_minute or nan)[moves]
+        if (np.isnan(rate) & ~rapid).any() or (~given[moves] & ~rapid).any():
+            return None
+        return (
+            np.where(rapid, inf, nan),
+            np.where(rapid, nan, MINUTE / rate),
+            np.full(len(rate), inf),
+        )
+    feed = filled(words * mover.unit / MINUTE, mover.feedrate or nan)[moves]
+    turn = filled(words * DEG / MINUTE, mover.turn_rate)[moves]
+    if (np.isnan(feed) & ~rapid).any():
+        return None
+    return np.where(rapid, inf, feed), np.full(len(feed), nan), np.where(rapid, inf, turn)
+
+
+def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
+    """Program coordinates behind every line, shape (n, 5) [m, rad]."""
+    here = mover.here()
+    program = np.empty((len(values), 5))
+    program[:, 3:] = here[3:]
+    columns = [0, 1, 2, *(scan.COLUMNS.index(letter) for letter in mover.rotary_letters)]
+    for i, column in enumerate(columns):
+        words = values[:, column] * (mover.unit if i < 3 else DEG)
+        if not mover.incremental:
+            program[:, i] = filled(words, float(here[i]))
+            if i >= 3 and mover.options.rotary_sense == 'shortest':
+                steps = np.diff(program[:, i], prepend=here[i])
+                steps -= 2.0 * pi * np.round(steps / (2.0 * pi))
+                program[:, i] = here[i] + np.cumsum(steps)
+        else:
+            # The sum runs as it does line by line: from here on, one word after the other.
+            steps = np.where(np.isfinite(words), words, 0.0)
+            program[:, i] = np.cumsum(np.concatenate([here[i : i + 1], steps]))[1:]
+    return program
+
+
+def _arcs(
+    mover: Mover,
+    motion: FloatArray,
+    on_arc: NDArray[np.bool_],
+    program: FloatArray,
+    values: FloatArray,
+    rows: FloatArray,
+    moves: NDArray[np.bool_],
+) -> bool:
+    """Fill the arc columns of the rows; False if an arc does not exist."""
+    before = np.vstack([mover.here(), program[:-1]])
+    unit = mover.unit
+    arcs = arcs_of(
+        mover.plane, motion[on_arc] == 3.0, before[on_arc, :3], program[on_arc, :3],
+        values[on_arc][:, scan.I : scan.K + 1] * unit, values[on_arc, scan.R] * unit,
+        mover.centre_absolute,
+    )  # fmt: skip
+    if arcs.fault.any():
+        return False
+    which = on_arc[moves]
+    rows[which, CENTRE] = mover.frames.point(arcs.centre)
+    rows[which, NORMAL] = mover.frames.turn[:, PLANES[mover.plane][2]]
+    rows[which, SWEEP] = arcs.sweep
+    return True

@@ -1,0 +1,134 @@
+"""
+Plain lines of G-code -> columns, at the speed of a compiled loop.
+
+Nearly every line of a program is an optional N, G0 to G3 and numbers behind X Y Z A B C I J K R F.
+Such lines become rows of numbers here, exactly the nearest doubles: up to 15 digits are an integer
+divided by a power of ten, and both are exact. Whatever else stands in a line marks it as rare and
+leaves it to ``words.py``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+#: Kinds of lines: nothing to do, plain, and those that need the general reader.
+EMPTY, PLAIN, RARE = 0, 1, 2
+#: Columns of the values of a plain line.
+COLUMNS = 'XYZABCIJKRF'
+X, Y, Z, A, B, C, I, J, K, R, F = range(11)
+#: A line that names no G0 to G3.
+NO_CODE = -1
+
+_MOST_DIGITS = 15
+_POWERS = 10.0 ** np.arange(_MOST_DIGITS + 1)
+_MOTION, _NUMBER, _NOTHING = 11, 12, 13
+_LETTERS = np.full(256, _NOTHING, dtype=np.int64)
+for _letter, _meaning in [*zip(COLUMNS, range(11), strict=True), ('G', _MOTION), ('N', _NUMBER)]:
+    _LETTERS[ord(_letter)] = _LETTERS[ord(_letter.lower())] = _meaning
+
+
+@njit(cache=True, nogil=True)
+def scan_lines(text, first, last, kind, code, values):  # type: ignore[no-untyped-def]
+    """
+    Read lines of text.
+
+    Parameters
+    ----------
+    text : ndarray of uint8, shape (n,)
+        The text; every line ends with a newline (10).
+    first, last : ndarray of int, shape (m,)
+        Where each line begins, and where its newline stands; filled here.
+    kind, code : ndarray of int8, shape (m,)
+        EMPTY, PLAIN or RARE; 0 to 3 for G0 to G3, else NO_CODE; filled here.
+    values : ndarray, shape (m, 11)
+        Numbers of plain lines, NaN for words that are not there; filled here.
+
+    Returns
+    -------
+    int
+        Number of lines.
+
+    """
+    at, line, size = 0, 0, len(text)
+    while at < size:
+        first[line] = at
+        kind[line], code[line] = EMPTY, NO_CODE
+        for column in range(11):
+            values[line, column] = np.nan
+        while True:
+            letter = text[at]
+            if letter == 10:
+                break
+            if letter == 32 or letter == 9 or letter == 13:
+                at += 1
+                continue
+            if letter == 59:  # ; a comment up to the end of the line
+                while text[at] != 10:
+                    at += 1
+                break
+            if letter == 40:  # ( a comment in parentheses
+                at += 1
+                while text[at] != 41 and text[at] != 40 and text[at] != 10:
+                    at += 1
+                if text[at] != 41:
+                    kind[line] = RARE
+                    break
+                at += 1
+                continue
+            meaning = _LETTERS[letter]
+            if meaning == _NOTHING:
+                kind[line] = RARE
+                break
+            at += 1
+            while text[at] == 32 or text[at] == 9:
+                at += 1
+            minus = text[at] == 45
+            if minus or text[at] == 43:
+                at += 1
+            whole, digits, significant, decimals, dot = 0, 0, 0, 0, False
+            while True:
+                digit = text[at] - 48
+                if 0 <= digit <= 9:
+                    digits += 1
+                    if digit > 0 or significant > 0:
+                        significant += 1
+                    if significant > _MOST_DIGITS or decimals >= _MOST_DIGITS:
+                        break
+                    whole = whole * 10 + digit
+                    if dot:
+                        decimals += 1
+                elif text[at] == 46 and not dot:
+                    dot = True
+                else:
+                    break
+                at += 1
+            follower = text[at]
+            if digits == 0 or follower == 46 or 48 <= follower <= 57:
+                kind[line] = RARE
+                break
+            if meaning == _MOTION:
+                if minus or dot or whole > 3 or code[line] != NO_CODE:
+                    kind[line] = RARE
+                    break
+                code[line] = whole
+                kind[line] = PLAIN
+            elif meaning != _NUMBER:
+                if not np.isnan(values[line, meaning]):
+                    kind[line] = RARE
+                    break
+                value = whole / _POWERS[decimals]
+                values[line, meaning] = -value if minus else value
+                kind[line] = PLAIN
+        while text[at] != 10:
+            at += 1
+        last[line] = at
+        at += 1
+        line += 1
+    return line
+
+
+def empty_columns(lines: int) -> tuple[NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]:
+    """Make room for kind, code and values of a number of lines."""
+    return np.empty(lines, np.int8), np.empty(lines, np.int8), np.empty((lines, len(COLUMNS)))

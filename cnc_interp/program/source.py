@@ -1,0 +1,194 @@
+"""Text of a part program by windows: lines with their place, jumps, searches; flat memory."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cnc_interp.errors import ProgramError
+from cnc_interp.program import scan
+from cnc_interp.program.blocks import FloatArray, IntArray
+
+_FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
+_LONGEST_LINE = 1 << 16
+_BYTE_ORDER_MARK = b'\xef\xbb\xbf'
+
+
+@dataclass(frozen=True)
+class Place:
+    """The beginning of a line: offset in the file and number of the line, from 1."""
+
+    offset: int
+    line: int
+
+
+@dataclass(frozen=True)
+class Window:
+    """
+    Some consecutive lines of a program, scanned.
+
+    Parameters
+    ----------
+    start : Place
+        Where the first line stands.
+    text : bytes
+        The lines, each with its newline.
+    first, last : ndarray of int, shape (n,)
+        Begin of each line in ``text`` and its newline.
+    kind, code, values
+        As ``scan.scan_lines`` fills them.
+    rare : ndarray of int
+        Rows of the rare lines.
+
+    """
+
+    start: Place
+    text: bytes
+    first: IntArray
+    last: IntArray
+    kind: NDArray[np.int8]
+    code: NDArray[np.int8]
+    values: FloatArray
+    rare: IntArray
+
+    def __len__(self) -> int:
+        """Count the lines."""
+        return len(self.first)
+
+    def line(self, row: int) -> str:
+        """Return the text of one line."""
+        return self.text[self.first[row] : self.last[row]].decode('utf-8', 'replace').strip()
+
+    def next_rare(self, row: int) -> int:
+        """Return the row of the next rare line, at the end the number of lines."""
+        at = int(np.searchsorted(self.rare, row))
+        return int(self.rare[at]) if at < len(self.rare) else len(self)
+
+    def place(self, row: int) -> Place:
+        """Return where a line stands; one past the last is where the next window begins."""
+        if row < len(self):
+            return Place(self.start.offset + int(self.first[row]), self.start.line + row)
+        return Place(self.start.offset + len(self.text), self.start.line + row)
+
+    def row_of(self, place: Place) -> int | None:
+        """Return the row of a line, if it is in this window."""
+        row = place.line - self.start.line
+        if 0 <= row < len(self) and self.place(row).offset == place.offset:
+            return row
+        return None
+
+
+class Source:
+    """
+    A program's text.
+
+    Parameters
+    ----------
+    stream : binary file
+        The text; read into memory if it cannot be positioned.
+    name : str
+        File name for errors.
+
+    """
+
+    def __init__(self, stream: BinaryIO, name: str):
+        self.name = name
+        if not stream.seekable():
+            stream = io.BytesIO(stream.read())
+        self._stream = stream
+        self.size = stream.seek(0, io.SEEK_END)
+        stream.seek(0)
+        head = stream.read(_FIRST_WINDOW)
+        self._old_lines = b'\r' in head and b'\n' not in head
+        self.start = Place(len(_BYTE_ORDER_MARK) if head.startswith(_BYTE_ORDER_MARK) else 0, 1)
+        self._window: Window | None = None
+
+    @staticmethod
+    def of_text(text: str, name: str) -> Source:
+        """Make a source of a string."""
+        return Source(io.BytesIO(text.encode('utf-8', 'replace')), name)
+
+    @staticmethod
+    def of_file(path: Path) -> Source:
+        """
+        Open a file.
+
+        Raises
+        ------
+        ProgramError
+            If it cannot be opened.
+
+        """
+        try:
+            return Source(path.open('rb'), str(path))
+        except OSError as error:
+            raise ProgramError(f'cannot be opened: {error.strerror}', str(path)) from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    def share(self, place: Place) -> float:
+        """Tell which share of the text lies before a place, 0 to 1."""
+        return min(1.0, place.offset / max(self.size, 1))
+
+    def window(self, place: Place) -> Window:
+        """Return the lines from a place on, empty at the end of the text."""
+        if self._window is None or self._window.start != place:
+            text = self.lines(place)
+            self._window = _scanned(place, text)
+        return self._window
+
+    def lines(self, place: Place) -> bytes:
+        """Read whole lines from a place on; the last one gets a newline if it has none."""
+        self._stream.seek(place.offset)
+        text = self._stream.read(_FIRST_WINDOW if place.line == 1 else _WINDOW)
+        if not text:
+            return text
+        if self._old_lines:
+            text = text.replace(b'\r', b'\n')
+        end = text.rfind(b'\n') + 1
+        if end:
+            text = text[:end]
+        elif place.offset + len(text) < self.size or len(text) > _LONGEST_LINE:
+            text += self._stream.readline(_LONGEST_LINE)
+        longest = max(map(len, text.split(b'\n')))
+        if longest > _LONGEST_LINE:
+            at = next(i for i, line in enumerate(text.split(b'\n')) if len(line) == longest)
+            raise ProgramError(
+                f'a line of more than {_LONGEST_LINE} characters; give a part program',
+                self.name,
+                place.line + at,
+                text.split(b'\n')[at][:20].decode('ascii', 'replace'),
+            )
+        return text if text.endswith(b'\n') else text + b'\n'
+
+    def find(self, pattern: re.Pattern[bytes], place: Place) -> Place | None:
+        """Find the first line from a place on in which a pattern (``^``: (?m)) matches."""
+        while text := self.lines(place):
+            if match := pattern.search(text):
+                begin = text.rfind(b'\n', 0, match.start()) + 1
+                return Place(place.offset + begin, place.line + text.count(b'\n', 0, begin))
+            place = Place(place.offset + len(text), place.line + text.count(b'\n'))
+        return None
+
+    def after(self, place: Place) -> Place:
+        """Return the place of the line after one."""
+        self._stream.seek(place.offset)
+        text = self._stream.readline()
+        return Place(place.offset + len(text), place.line + 1)
+
+
+def _scanned(place: Place, text: bytes) -> Window:
+    count = text.count(b'\n')
+    first, last = np.empty(count, np.int64), np.empty(count, np.int64)
+    kind, code, values = scan.empty_columns(count)
+    if count:
+        scan.scan_lines(np.frombuffer(text, np.uint8), first, last, kind, code, values)
+    return Window(place, text, first, last, kind, code, values, np.flatnonzero(kind == scan.RARE))

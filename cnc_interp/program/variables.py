@@ -1,0 +1,80 @@
+"""Variables of a G-code program: numbered, named, and the local ones of subprograms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from cnc_interp.program.expressions import ExpressionError
+
+#: ``#1`` to this are local to a subprogram that is called with arguments.
+MOST_LOCAL = 33
+_MOST_VARIABLES = 100_000
+
+
+class ProgramVariables:
+    """
+    The variables, and the system variables that can be read.
+
+    Parameters
+    ----------
+    system : callable
+        Gives the values of system variables by number: positions in program coordinates.
+
+    """
+
+    def __init__(self, system: Callable[[], Mapping[int, float]]):
+        self._system = system
+        self._numbers: dict[int, float] = {}
+        self._names: dict[str, float] = {}
+        self._locals: list[tuple[dict[int, float], dict[str, float]]] = []
+
+    def enter(self, arguments: Mapping[int, float]) -> None:
+        """Begin a subprogram with local variables of its own."""
+        self._locals.append((dict(arguments), {}))
+
+    def leave(self) -> None:
+        """Return to the caller's local variables."""
+        self._locals.pop()
+
+    def number(self, index: int) -> float:
+        """Return ``#index``; local variables of a subprogram are zero until they are set."""
+        if self._locals and 1 <= index <= MOST_LOCAL:
+            return self._locals[-1][0].get(index, 0.0)
+        if index in self._numbers:
+            return self._numbers[index]
+        if index >= 5000 and index in (system := self._system()):
+            return system[index]
+        raise ExpressionError(f'#{index} is read before it is set; set it in the program')
+
+    def set_number(self, index: int, value: float) -> None:
+        """Set ``#index``."""
+        if self._locals and 1 <= index <= MOST_LOCAL:
+            self._locals[-1][0][index] = value
+            return
+        if index == 0 or index >= 5000:
+            raise ExpressionError(f'#{index} cannot be set from a program')
+        self._numbers[index] = value
+
+    def named(self, name: str) -> float:
+        """Return a named variable."""
+        names = self._table(name)
+        if name in names:
+            return names[name]
+        shown = f'#{name}' if name.startswith('<') else name
+        raise ExpressionError(f'{shown} is read before it is set; set it in the program')
+
+    def set_name(self, name: str, value: float) -> None:
+        """Set a named variable."""
+        names = self._table(name)
+        if len(names) >= _MOST_VARIABLES:
+            raise ExpressionError('too many variables')
+        names[name] = value
+
+    def exists(self, name: str) -> bool:
+        """Tell whether a name is known."""
+        return name in self._table(name)
+
+    def _table(self, name: str) -> dict[str, float]:
+        """``#<name>`` is local to a subprogram, ``#<_name>`` and Siemens names are global."""
+        local = name.startswith('<') and not name.startswith('<_')
+        return self._locals[-1][1] if self._locals and local else self._names

@@ -1,0 +1,248 @@
+"""Axis positions (no tool-tip programming), offsets, machine coordinates, directions."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import JobSetup, ReadOptions, read_text
+
+AC = Transform.of(Machine.load('xyzac'))
+#: Axis positions of the workpiece zero, from the machine file.
+ZERO = np.array([40.0, -70.0 + 0.15, 60.0 + 80.0])
+
+
+def read(text, geometry=AC, **options):
+    return read_text(text, 'part.ngc', geometry, ReadOptions(**options))
+
+
+def axes_at(blocks):
+    """Axis positions of blocks whose rotary positions are known [mm, deg]."""
+    linear = np.array(
+        [AC.linear(p[None], r[None])[0] for p, r in zip(blocks.tip, blocks.rotary, strict=True)]
+    )
+    return np.c_[linear * 1e3, np.degrees(blocks.rotary)]
+
+
+def test_words_are_axis_positions_and_run_linearly():
+    blocks = read('G0 X10 Y5 Z3 A30 C20\nG1 X40 Y-5 Z9 A60 C200 F1000').blocks
+    q = axes_at(blocks)
+    start = np.r_[np.array([10, 5, 3]) + ZERO, 30, 20]
+    end = np.r_[np.array([40, -5, 9]) + ZERO, 60, 200]
+    u = np.linspace(0.0, 1.0, len(q))[:, None]
+    np.testing.assert_allclose(q, start + u * (end - start), atol=1e-9)
+    # Between the blocks, tip and axis leave the chords by a tenth of the tolerances at most.
+    n = len(blocks) - 1
+    fine = start + np.linspace(0, 1, 8 * n + 1)[:, None] * (end - start)
+    tip, axis = AC.forward(fine * np.r_[[1e-3] * 3, [np.pi / 180] * 2])
+    worst_tip = worst_axis = 0.0
+    for i in range(8 * n + 1):
+        k, v = min(i // 8, n - 1), i / 8 - min(i // 8, n - 1)
+        chord = blocks.tip[k] + v * (blocks.tip[k + 1] - blocks.tip[k])
+        worst_tip = max(worst_tip, np.linalg.norm(tip[i] - chord))
+        mixed = blocks.axis[k] + v * (blocks.axis[k + 1] - blocks.axis[k])
+        worst_axis = max(worst_axis, np.linalg.norm(axis[i] - mixed / np.linalg.norm(mixed)))
+    assert worst_tip <= 2e-6 and 0.03 * worst_axis <= 2e-6
+    assert worst_tip > 1e-6  # no finer than needed
+
+
+def test_a_tilted_plane_is_milled_in_straight_blocks():
+    text = 'G0 A30 C45\nG0 X0 Y0 Z0\nG1 X20 F1000\nY20\nX0 A30 C45\nG2 Y0 J-10'
+    blocks = read(text).blocks
+    lines = blocks.line_number
+    assert [int((lines == n).sum()) for n in (3, 4, 5)] == [1, 1, 1]
+    q = axes_at(blocks)[:, :3] - ZERO
+    at = {n: q[np.flatnonzero(lines == n)[-1]] for n in (3, 4, 5, 6)}
+    np.testing.assert_allclose(at[5], [0, 20, 0], atol=1e-9)
+    np.testing.assert_allclose(at[6], [0, 0, 0], atol=1e-9)
+    arc = q[lines == 6]
+    np.testing.assert_allclose(np.hypot(arc[:, 0], arc[:, 1] - 10), 10, atol=1e-9)
+    np.testing.assert_allclose(arc[:, 2], 0, atol=1e-9)
+
+
+def test_feed_with_axis_positions_is_of_xyz_or_of_the_turn():
+    blocks = read('G0 X0 A0\nG1 X10 A40 F600\nG1 A0 F600\nG1 X20').blocks
+    for line, seconds in ((2, 1.0), (3, 40 / 600 * 60)):
+        pieces = blocks.line_number == line
+        assert blocks.duration[pieces].sum() == pytest.approx(seconds)
+        assert np.isnan(blocks.feedrate[pieces]).all()
+    assert blocks.feedrate[-1] == pytest.approx(0.01)
+
+
+def test_tip_programming_switched_where_the_axes_stand():
+    text = 'G0 X10 A30 C90\nM428\nG91 G0 X1\nM429\nG0 X1'
+    blocks = read(text).blocks
+    first, second, third = blocks.tip
+    np.testing.assert_allclose(second - first, [1e-3, 0, 0], atol=1e-15)
+    q = axes_at(blocks[:1])[0]
+    np.testing.assert_allclose(q, np.r_[ZERO + [10, 0, 0], 30, 90], atol=1e-9)
+    before = AC.linear(second[None], np.radians([[30, 90]]))[0]
+    after = AC.linear(third[None], np.radians([[30, 90]]))[0]
+    np.testing.assert_allclose(after - before, [1e-3, 0, 0], atol=1e-15)
+
+
+def test_machine_coordinates():
+    blocks = read('G0 X0 Y0 Z0\nG0 G53 Z200\nG53 X0 Y0\nG53 A20 C-30\nSUPA X1\nG0 X5').blocks
+    rotary = np.nan_to_num(blocks.rotary)
+    ends = np.flatnonzero(np.diff(blocks.line_number, append=-1))
+    q = AC.linear(blocks.tip[ends], rotary[ends]) * 1e3
+    np.testing.assert_allclose(q[1], [ZERO[0], ZERO[1], 200], atol=1e-9)
+    np.testing.assert_allclose(q[2:4], [[0, 0, 200], [0, 0, 200]], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(rotary[ends[3]]), [20, -30])
+    np.testing.assert_allclose(q[4], [1, 0, 200], atol=1e-9)
+    np.testing.assert_allclose(q[5], [ZERO[0] + 5, 0, 200], atol=1e-9)
+
+
+def test_reference_points():
+    setup = JobSetup(reference_points={'G30': {'X': 0.1, 'C': 1.0}})
+    text = 'G0 X0 Y0 Z0\nG91 G28 Z5\nG90 G30 X1 Y2\nG28'
+    blocks = read(text, setup=setup).blocks
+    q = AC.linear(blocks.tip, np.nan_to_num(blocks.rotary)) * 1e3
+    np.testing.assert_allclose(q[0], ZERO)
+    np.testing.assert_allclose(q[1], ZERO + [0, 0, 5])
+    np.testing.assert_allclose(q[2], [ZERO[0], ZERO[1], 0], atol=1e-9)
+    np.testing.assert_allclose(q[3], [ZERO[0] + 1, ZERO[1] + 2, 0], atol=1e-9)
+    np.testing.assert_allclose(q[4], [100, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(q[5], [0, 0, 0], atol=1e-9)
+    assert blocks.rapid.all()
+
+
+OFFSETS = JobSetup(
+    work_offsets={
+        'G54': {'X': 0.04, 'Y': -0.06985, 'Z': 0.14},
+        'G55': {'X': 0.05, 'Y': -0.06985, 'Z': 0.14, 'C': np.radians(10)},
+    },
+    tool_lengths={1: 0.02, 2: 0.05},
+)
+
+
+@pytest.mark.parametrize(
+    ('text', 'wanted'),
+    [
+        ('G54 G0 X1 Y2 Z3', [1, 2, 3]),
+        ('G55 G0 X1 Y2 Z3', [11, 2, 3]),
+        ('G0 X1\nG92 X0 Y0\nG0 X1 Y2', [2, 2, 0]),
+        ('G0 X1\nG92 X0\nG92.1\nG0 X1', [1, 0, 0]),
+        ('G0 X1\nG92 X0\nG92.2\nG0 X3\nG92.3\nG0 X3', [4, 0, 0]),
+        ('G52 X5\nG0 X1', [6, 0, 0]),
+        ('G52 X5\nG52 X0\nG0 X1', [1, 0, 0]),
+        ('G10 L2 P1 X41 Y-69.85\nG54 G0 X1 Y0', [2, 0, 0]),
+        ('G54 G0 X5\nG10 L20 P1 X1\nG0 X2', [6, 0, 0]),
+        ('G43 H1 G0 Z3', [0, 0, 23]),
+        ('T2 M6\nG43 G0 Z3', [0, 0, 53]),
+        ('G44 H1 G0 Z3', [0, 0, -17]),
+        ('G43.1 Z7\nG0 Z3', [0, 0, 10]),
+        ('G43 H1 G0 Z3\nG49\nG0 X1', [1, 0, 23]),
+        ('TRANS X1 Y2\nATRANS X1\nG0 X1 Y1', [3, 3, 0]),
+        ('ROT Z90\nG0 X1 Y2', [-2, 1, 0]),
+        ('TRANS X10\nAROT Z90\nATRANS X1\nG0 X1 Y2', [8, 2, 0]),
+        ('AROT X90\nG0 X1 Y2 Z3', [1, -3, 2]),
+        ('ROT RPL=90\nG0 X1 Y2', [-2, 1, 0]),
+        ('TRANS X10\nTRANS\nG0 X1', [1, 0, 0]),
+        ('ROT Z90\nCYCLE800()\nG0 X1', [1, 0, 0]),
+        ('G0 X1 (one)\nG91 X=AC(5) Y=IC(2)', [5, 2, 0]),
+    ],
+)
+def test_offsets_and_frames(text, wanted):
+    tip = read(text, setup=OFFSETS).blocks.tip[-1] * 1e3
+    np.testing.assert_allclose(tip, wanted, atol=1e-9)
+
+
+def test_an_offset_of_a_rotary_axis():
+    blocks = read('G55\nG0 C0\nG0 C20', setup=OFFSETS).blocks
+    np.testing.assert_allclose(np.degrees(blocks.rotary[[0, -1], 1]), [10, 30])
+
+
+@pytest.mark.parametrize(
+    ('text', 'wanted'),
+    [
+        ('G0 C350\nG0 C10', 10),
+        ('G0 C350\nG0 C=DC(10)', 370),
+        ('G0 C350\nG0 C=ACN(10)', 10),
+        ('G0 C10\nG0 C=ACN(350)', -10),
+        ('G0 C10\nG0 C=ACP(0)', 360),
+        ('G0 C179\nG1 C-179 F100', -179),
+    ],
+)
+def test_the_way_a_rotary_axis_turns(text, wanted):
+    assert np.degrees(read(text).blocks.rotary[-1, 1]) == pytest.approx(wanted)
+
+
+def test_the_shortest_way_and_the_trap_of_180_deg():
+    text = 'M428\nG0 X0 A20 C170\nG1 X1 C-170 F100\nX2 C-160\nX3 C170'
+    programmed = read(text)
+    assert np.degrees(programmed.blocks.rotary[-1, 1]) == pytest.approx(170)
+    assert any('more than 180 deg' in notice for notice in programmed.notices)
+    shortest = read(text, rotary_sense='shortest')
+    ends = np.flatnonzero(np.diff(shortest.blocks.line_number, append=-1))
+    np.testing.assert_allclose(
+        np.degrees(shortest.blocks.rotary[ends, 1]), [170, 190, 200, 170], atol=1e-9
+    )
+    assert not any('180' in notice for notice in shortest.notices)
+
+
+@pytest.mark.parametrize(('on', 'words'), [('TRAORI', 'A3=1 B3=0 C3=1'), ('G43.5 H1', 'I1 J0 K1')])
+def test_tool_directions(on, words):
+    blocks = read(f'{on}\nG0 X0 A0 C0\nG1 X5 {words} F600\nX6\nG1 X7 A0 C0').blocks
+    s = np.sqrt(0.5)
+    line = blocks.line_number
+    np.testing.assert_allclose(blocks.axis[line == 3][-1], [s, 0, s])
+    np.testing.assert_allclose(blocks.axis[line == 4][-1], [s, 0, s])
+    assert np.isnan(blocks.rotary[line == 3]).all()
+    np.testing.assert_allclose(blocks.axis[-1], [0, 0, 1], atol=1e-15)
+
+
+def test_tool_directions_turn_with_the_frame_and_end_at_traofoof():
+    blocks = read('TRAORI\nG0 X0 A0 C0\nROT Z90\nG1 X1 A3=1 B3=0 C3=1 F600\nTRAFOOF\nG0 A0').blocks
+    s = np.sqrt(0.5)
+    at = np.flatnonzero(blocks.line_number == 4)[-1]
+    np.testing.assert_allclose(blocks.axis[at], [0, s, s], atol=1e-12)
+    np.testing.assert_allclose(np.degrees(blocks.rotary[-1]), [0, 0], atol=1e-9)
+    np.testing.assert_allclose(blocks.axis[-1], [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('text', 'contour', 'orientation'),
+    [
+        ('CTOL=0.05', 5e-5, 2e-5),
+        ('OTOL=0.1', 2e-5, 0.03 * np.radians(0.1)),
+        ('G642 CTOL=0.05', 5e-5, 2e-5),
+        ('CYCLE832(0.04,1,1)', 4e-5, 4e-5),
+        ('CYCLE832(0.04,1,1)\nCYCLE832()', 2e-5, 2e-5),
+    ],
+)
+def test_tolerances_of_siemens(text, contour, orientation):
+    blocks = read(f'{text}\nG0 X1').blocks
+    assert blocks.contour_tolerance[0] == pytest.approx(contour)
+    assert blocks.orientation_tolerance[0] == pytest.approx(orientation)
+
+
+WORDS = st.fixed_dictionaries(
+    {},
+    optional={
+        letter: st.integers(-9000, 9000).map(lambda n: n / 100) for letter in 'XYZAC'
+    },
+)  # fmt: skip
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    lines=st.lists(st.tuples(st.sampled_from(['G0', 'G1', '']), WORDS), min_size=8, max_size=20),
+    tcp=st.booleans(),
+    incremental=st.booleans(),
+    sense=st.sampled_from(['programmed', 'shortest']),
+)
+def test_runs_of_plain_lines_mean_what_their_lines_mean(lines, tcp, incremental, sense):
+    """A word in lower case brackets makes a line rare: it is then read on its own."""
+    head = ['M428' if tcp else 'M429', 'G0 X0 F500', 'G91' if incremental else 'G90']
+    plain = [code + ''.join(f' {k}{v}' for k, v in words.items()) for code, words in lines]
+    rare = [code + ''.join(f' {k}[{v}]' for k, v in words.items()) for code, words in lines]
+    first, second = (
+        read('\n'.join(head + body), rotary_sense=sense).blocks for body in (plain, rare)
+    )
+    for name in first.__dataclass_fields__:
+        np.testing.assert_allclose(
+            getattr(first, name), getattr(second, name), rtol=0, atol=1e-12, err_msg=name
+        )

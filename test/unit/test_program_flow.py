@@ -1,0 +1,137 @@
+"""Loops, jumps, subprograms, expressions and canned cycles, against lines that do the same."""
+
+import numpy as np
+import pytest
+from test_program_gcode import ThreeAxes
+
+from cnc_interp.program import ReadOptions, open_program, read_program, read_text
+
+
+def read(text, **options):
+    return read_text(text, 'part.ngc', ThreeAxes(), ReadOptions(**options))
+
+
+def xs(text, **options):
+    return (read(text, **options).blocks.tip[:, 0] * 1e3).round(9).tolist()
+
+
+@pytest.mark.parametrize(
+    ('expression', 'value'),
+    [
+        ('[1 + 2 * 3]', 7), ('[[1 + 2] * 3]', 9), ('[2 ** 3 - 1]', 7), ('[7 MOD 4]', 3),
+        ('[-3]', -3), ('[SIN[30]]', 0.5), ('[COS[60] * 2]', 1), ('[ATAN[1]/[1]]', 45),
+        ('[SQRT[16]]', 4), ('[ABS[-2]]', 2), ('[FIX[-2.5]]', -3), ('[FUP[2.1]]', 3),
+        ('[ROUND[2.5]]', 3), ('[LN[EXP[2]]]', 2), ('[1 EQ 1]', 1), ('[2 GT 3 OR 1 LT 2]', 1),
+        ('[1 AND 0]', 0), ('[ACOS[0]]', 90), ('#1', 5), ('-#1', -5), ('##2', 5), ('[#1+#2]', 6),
+        ('#[#2 * 1]', 5), ('#<depth>', 8), ('=A_B+1', 10), ('=R5*2', 14), ('=POT(3)', 9),
+        ('=-(1+R5)/2', -4), ('=SIN(90)', 1), ('=ATAN2(1,1)', 45), ('[10/4/5]', 0.5),
+    ],
+)  # fmt: skip
+def test_expressions(expression, value):
+    head = '#1=5 #2=1\n#<depth>=8\nDEF REAL A_B=9, C_D\nR5=7\n'
+    assert xs(head + f'G0 X0\nG0 X{expression}')[-1] == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    'loop',
+    [
+        'O1 while [#1 LT 4]\nG0 X#1\n#1=[#1+1]\nO1 endwhile',
+        'o<up> while [#1 lt 4]\nG0 X#1\n#1=[#1+1]\no<up> endwhile (done)',
+        'WHILE [#1 LT 4] DO1\nG0 X#1\n#1=#1+1\nEND1',
+        'O1 do\nG0 X#1\n#1=[#1+1]\nO1 while [#1 LT 4]',
+        'O1 repeat [3]\nG0 X#1\n#1=[#1+1]\nO1 endrepeat',
+        'N10 G0 X#1\n#1=#1+1\nIF [#1 LT 4] GOTO 10',
+        'AGAIN: G0 X=#1\n#1=#1+1\nIF #1<4 GOTOB AGAIN',
+        'O1 while [1]\nO2 if [#1 GE 4]\nO1 break\nO2 endif\nG0 X#1\n#1=[#1+1]\nO1 endwhile',
+        'O1 while [#1 LT 4]\nG0 X#1\n#1=[#1+1]\nO1 continue\nG0 X99\nO1 endwhile',
+        'GOTOF ON\nG0 X99\nON: G0 X1\nGOTO 30\nX99\nN30 X2\nX3',
+        'IF [#1 EQ 1] THEN #2=2\nG0 X1\nX#2\nIF [#1 EQ 2] THEN #2=9\nX[#2+1]',
+        'O1 call [3]\nM2\nO1 sub\n#2=1\nO2 while [#2 LE #1]\nG0 X#2\n#2=[#2+1]\nO2 endwhile\n'
+        'O1 endsub',
+        'O1 sub\nG0 X#1\nO1 endsub\nO1 call [1]\nO1 call [2]\nO1 call [1+2]',
+        'G65 P9 A1\nG65 P9 A2\nG65 P9 X3 A3\nM30\nO9\nG0 X#1\nM99',
+        'G0 X0\nM98 P12 L3\nM30\nO0012\nG91 G0 X1\nG90\nM99',
+        'M98 P30012\nM30\nO12\nG91 G0 X1\nG90\nM99',
+        'O1 if [#1 EQ 2]\nG0 X9\nO1 elseif [#1 EQ 1]\nG0 X1\nO1 else\nG0 X8\nO1 endif\nX2\nX3',
+        'O1 if [#1 EQ 2]\nG0 X9\nO1 else\nG0 X1\nO1 endif\nX2\nX3',
+    ],
+)  # fmt: skip
+def test_three_steps(loop):
+    assert xs('G0 X0\n#1=1\n' + loop) == [0, 1, 2, 3]
+
+
+def test_loops_in_loops():
+    text = 'G0 X0\n#1=1\nWHILE [#1 LE 2] DO1\n#2=1\nWHILE [#2 LE 2] DO2\nG0 X[10*#1+#2]\n'
+    assert xs(text + '#2=#2+1\nEND2\n#1=#1+1\nEND1\nX0') == [0, 11, 12, 21, 22, 0]
+
+
+def test_subprograms_in_files_of_their_own(tmp_path):
+    (tmp_path / 'part.ngc').write_text('G0 X0\no<step> call [1]\nM98 P7\nG0 X3\nM2\n')
+    (tmp_path / 'step.ngc').write_text('o<step> sub\nG0 X#1\no<step> endsub\nM2\n')
+    (tmp_path / 'O0007.nc').write_text('%\nO7\nG0 X2\nM99\n%\n')
+    blocks = read_program(tmp_path / 'part.ngc', ThreeAxes(), ReadOptions()).blocks
+    np.testing.assert_allclose(blocks.tip[:, 0] * 1e3, [0, 1, 2, 3])
+    # A line of another file counts as the line of its call.
+    assert blocks.line_number.tolist() == [1, 2, 3, 4]
+
+
+def test_block_delete():
+    text = 'G0 X0\n/G0 X1\n/2 X2\nN5 /X3\nX4'
+    assert xs(text) == [0, 1, 2, 3, 4] and xs(text, skip_blocks=True) == [0, 4]
+
+
+def test_locals_and_positions():
+    text = 'G0 X4\n#1=7\nO1 sub\n#1=2\nG0 X[#1 + #5420]\nO1 endsub\nO1 call\nG0 X#1'
+    assert xs(text) == [4, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ('cycle', 'wanted'),
+    [
+        ('G98 G81 X1 Z-2 R3', [(1, 5), (1, 3), (1, -2), (1, 5)]),
+        ('G99 G81 X1 Z-2 R3', [(1, 5), (1, 3), (1, -2), (1, 3)]),
+        ('G98 G81 X1 Z-2 R7', [(0, 7), (1, 7), (1, -2), (1, 7)]),
+        ('G99 G81 X1 Z-2 R3\nX2', [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
+        ('G99 G83 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 3), (1, 0.25), (1, -2), (1, 3)]),
+        ('G99 G73 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 0.25), (1, -2), (1, 3)]),
+        ('G99 G81 G91 X1 Z-5 R-2 L2',
+         [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
+        ('G99 G82 X1 Z-2 R3 P0.5', [(1, 5), (1, 3), (1, -2), (1, 3)]),
+        ('G99 G85 X1 Z-2 R3', [(1, 5), (1, 3), (1, -2), (1, 3)]),
+        ('G81 X1 Z-2 R3\nG80 G1 X4', [(1, 5), (1, 3), (1, -2), (1, 5), (4, 5)]),
+    ],
+)  # fmt: skip
+def test_canned_cycles(cycle, wanted):
+    blocks = read('G0 X0 Z5\nF100\n' + cycle).blocks
+    np.testing.assert_allclose(blocks.tip[1:, [0, 2]] * 1e3, wanted, atol=1e-9)
+    down = np.flatnonzero(np.diff(blocks.tip[:, 2]) < 0) + 1
+    lowest = blocks.tip[:, 2].argmin()
+    assert lowest in down and not blocks.rapid[lowest]
+    assert blocks.exact_stop[lowest] == any(code in cycle for code in ('G82', 'G85'))
+    assert blocks.rapid[lowest + 1 : lowest + 2].all() != ('G85' in cycle)
+
+
+def test_a_cycle_that_is_repeated_0_times_drills_nothing():
+    assert xs('G0 X0 Z5\nF100 G81 X1 Z-2 R3 L0\nG80\nG0 X4') == [0, 4]
+
+
+def test_cycles_in_the_plane_of_g18():
+    blocks = read('G18 G0 X0 Y5 Z0 F100\nG99 G81 X1 Z2 Y-2 R3').blocks
+    np.testing.assert_allclose(blocks.tip[1:] * 1e3, [[1, 5, 2], [1, 3, 2], [1, -2, 2], [1, 3, 2]])
+
+
+def test_blocks_stream_with_flat_memory_and_progress(tmp_path):
+    path = tmp_path / 'long.ngc'
+    line = 'G1 X{:.3f} Y{:.3f}\n'
+    with path.open('w') as file:
+        file.write('G0 X0 Y0 F1000\n')
+        file.writelines(line.format(i % 97, i % 89) for i in range(60000))
+    stream = open_program(path, ThreeAxes(), ReadOptions())
+    shares, rows, largest = [], 0, 0
+    for blocks in stream:
+        shares.append(stream.share)
+        rows += len(blocks)
+        largest = max(largest, len(blocks))
+    assert rows == 60001 - 1  # the second line repeats the start
+    assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0
+    assert largest < 30000

@@ -137,6 +137,17 @@ def program_options(added: argparse.ArgumentParser) -> None:
         '--feed', type=positive, metavar='MM_PER_MIN', help='feedrate where the program has no F'
     )
     added.add_argument(
+        '--setup', type=Path, metavar='FILE',
+        help='YAML file with work offsets, tool lengths and reference points',
+    )  # fmt: skip
+    added.add_argument(
+        '--rotary-sense', choices=('programmed', 'shortest'), default='programmed',
+        help='rotary words as programmed, or the shortest way there (programmed)',
+    )  # fmt: skip
+    added.add_argument(
+        '--skip-blocks', action='store_true', help='leave out lines that begin with a slash'
+    )
+    added.add_argument(
         '--ratio', type=ratio, metavar='L2/L1',
         help='shape of the corners, 1.2 to 4, or auto: chosen for each (auto)',
     )  # fmt: skip
@@ -214,7 +225,7 @@ def plan_command(options: argparse.Namespace) -> int:
 
 def read_options(options: argparse.Namespace) -> Any:
     """Turn the shop's units into the reader's options."""
-    from cnc_interp.program import ReadOptions
+    from cnc_interp.program import JobSetup, ReadOptions
 
     return ReadOptions(
         contour_tolerance=options.contour_tolerance * MM,
@@ -222,6 +233,9 @@ def read_options(options: argparse.Namespace) -> Any:
         force_tolerances=options.force_tolerances,
         flank_height=options.flank_height * MM,
         feedrate=None if options.feed is None else options.feed * MM_PER_MIN,
+        rotary_sense=options.rotary_sense,
+        skip_blocks=options.skip_blocks,
+        setup=JobSetup.load(options.setup) if options.setup else JobSetup(),
     )
 
 

@@ -75,6 +75,9 @@ PROGRAM = (
     Declared('contour_tolerance', 2e-5, 'Where the program gives none [m]', 1e-7, 0.1),
     Declared('orientation_tolerance', 2e-5, 'Where the program gives none [m]', 1e-7, 0.1),
     Declared('flank_height', 0.03, 'Height at which orientation is measured [m]', 1e-4, 1.0),
+    Declared('setup', '', 'YAML file with work offsets, tools and reference points'),
+    Declared('rotary_sense', 'programmed', 'Rotary words: programmed, or the shortest way'),
+    Declared('skip_blocks', False, 'Leave out the lines that begin with a slash'),
     PEER_TIMEOUT,
     RESEND,
 )

@@ -12,7 +12,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import ChainOptions, smoothing_options
-from cnc_interp.program import Program, ReadOptions, read_program, read_text
+from cnc_interp.program import JobSetup, Program, ReadOptions, read_program, read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.lookahead import LookAhead
 
@@ -56,6 +56,9 @@ def read_options(goal: Any, defaults: dict[str, Any]) -> ReadOptions:
         flank_height=goal.flank_height or defaults['flank_height'],
         feedrate=goal.feedrate or None,
         interpolation=goal.interpolation or 'auto',
+        rotary_sense=defaults['rotary_sense'],
+        skip_blocks=defaults['skip_blocks'],
+        setup=JobSetup.load(Path(defaults['setup'])) if defaults['setup'] else JobSetup(),
     )
 
 

@@ -16,7 +16,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.messages import setpoints_from
 from cnc_interp.nodes.planning import part_of
 from cnc_interp.pipeline import ChainOptions, plan_program, write_plan
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import JobSetup, ReadOptions, read_program
 
 if TYPE_CHECKING:
     from cnc_interp.nodes.session import RunRequest
@@ -59,6 +59,9 @@ def write_received(
         force_tolerances=request.force_tolerances,
         flank_height=request.flank_height,
         feedrate=request.feedrate,
+        rotary_sense=request.rotary_sense,  # type: ignore[arg-type]
+        skip_blocks=request.skip_blocks,
+        setup=JobSetup.load(request.setup) if request.setup else JobSetup(),
     )
     program = read_program(request.program, Transform.of(machine), options)
     chain = ChainOptions(

@@ -42,6 +42,12 @@ class RunRequest:
         How corners are made; see SmoothingOptions.
     period : float
         Interpolation period [s].
+    setup : Path, optional
+        The operator's work offsets, tools and reference points.
+    rotary_sense : {'programmed', 'shortest'}
+        How absolute rotary words are taken.
+    skip_blocks : bool
+        Leave out the lines that begin with a slash.
     out : Path, optional
         Folder for plan files of what the machine received.
     quiet : bool
@@ -61,6 +67,9 @@ class RunRequest:
     top: str = 'in_step'
     septic: bool = False
     period: float = 1.0 * MS
+    setup: Path | None = None
+    rotary_sense: str = 'programmed'
+    skip_blocks: bool = False
     out: Path | None = None
     quiet: bool = False
 
@@ -80,6 +89,9 @@ class RunRequest:
             top=options.top,
             septic=options.septic,
             period=options.period * MS,
+            setup=options.setup,
+            rotary_sense=options.rotary_sense,
+            skip_blocks=options.skip_blocks,
             out=options.out,
             quiet=options.json,
         )
@@ -89,7 +101,12 @@ class RunRequest:
         machine: dict[str, object] = {'machine': f"'{self.machine}'"}
         moving = machine | {'interpolation_period': self.period}
         return {
-            'program_node': machine,
+            'program_node': machine
+            | {
+                'setup': f"'{self.setup.resolve() if self.setup else ''}'",
+                'rotary_sense': self.rotary_sense,
+                'skip_blocks': self.skip_blocks,
+            },
             'lookahead_node': machine
             | {
                 'corner_ratio': self.ratio or 0.0,

@@ -26,6 +26,8 @@ ROTARY_KEYS = {
     'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
 }
+#: Limits of a locked axis, which nothing ever reaches, and its travel [rad, s].
+LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
 #: Plausible size of velocity, acceleration and jerk limits in SI; beyond them a unit is wrong.
 PLAUSIBLE = ((1e-6, 1e3), (1e-4, 1e5), (1e-3, 1e7))
 
@@ -153,7 +155,12 @@ def from_mapping(content: dict[str, Any]) -> Machine:
     for name in limits:
         if name not in names:
             raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
-    rows = [axis_limits(limits, name, linear=i < 3) for i, name in enumerate(names)]
+    rows = [
+        LOCKED_LIMITS
+        if i >= 3 and is_locked(rotary, names[i])
+        else axis_limits(limits, name, linear=i < 3)
+        for i, name in enumerate(names)
+    ]
     table = np.array([row[0] for row in rows])
     return Machine(
         name=str(content.get('name', 'unnamed')),
@@ -162,8 +169,14 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         max_acceleration=table[:, 1],
         max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
-        **rotary_geometry(rotary),
+        **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )
+
+
+def is_locked(rotary: dict[str, Any], name: str) -> bool:
+    """Tell whether a rotary axis stands still for ever, as the second one of a 4-axis machine."""
+    axes = (rotary[key] for key in ('primary', 'secondary'))
+    return any(axis.get('name') == name and axis.get('locked') is True for axis in axes)
 
 
 def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
@@ -173,16 +186,21 @@ def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
     return rotary[axis][key]
 
 
+def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
+    """Read where the workpiece zero of a machine without rotary axes lies."""
+    offsets = np.zeros((3, 3))
+    offsets[0] = vector(content, 'workpiece_zero_mm', optional=True)
+    return {
+        'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]),
+        'rotary_on_head': (False, False),
+        'offsets': offsets,
+        'tool_offset': np.zeros((2, 3)),
+        'singular_cone': 0.0,
+    }
+
+
 def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
-    """Read directions, carriers and offsets of the rotary axes; zeros where there are none."""
-    if not rotary:
-        return {
-            'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]),
-            'rotary_on_head': (False, False),
-            'offsets': np.zeros((3, 3)),
-            'tool_offset': np.zeros((2, 3)),
-            'singular_cone': 0.0,
-        }
+    """Read directions, carriers and offsets of the rotary axes."""
     directions, on_head = [], []
     for key in ('primary', 'secondary'):
         direction = entry(rotary, key, 'rotary', 'about')
@@ -194,6 +212,7 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
         if carries not in ('workpiece', 'tool'):
             raise MachineError("must be 'workpiece' or 'tool'", f'rotary.{key}.carries')
         on_head.append(carries == 'tool')
+    locked = any(rotary[key].get('locked') is True for key in ('primary', 'secondary'))
     tilt = rotary.get('singular_cone_deg', 0.02)
     cone = number(tilt, 'rotary.singular_cone_deg', 1e-4, 30.0) * DEG
     if abs(directions[0] @ directions[1]) > 0.999:
@@ -205,13 +224,17 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
         'rotary_on_head': (on_head[0], on_head[1]),
         'offsets': np.array(
             [
-                vector(rotary, f'{key}_offset_mm', optional=on_head[0] and on_head[1])
+                vector(
+                    rotary,
+                    f'{key}_offset_mm',
+                    optional=all(on_head) or (key == 'secondary' and locked),
+                )
                 for key in ('workpiece', 'secondary', 'primary')
             ]
         ),
         'tool_offset': np.array(
             [
-                vector(rotary, f'{key}_mm', optional=not any(on_head))
+                vector(rotary, f'{key}_mm', optional=locked or not any(on_head))
                 for key in ('tip_to_secondary_pivot', 'secondary_to_primary_pivot')
             ]
         ),

@@ -24,7 +24,9 @@ def test_reference_machine_in_si():
     assert machine.singular_cone == pytest.approx(0.02 * DEG)
 
 
-@pytest.mark.parametrize('name', ['xyzac', 'xyzbc', 'xyz'])
+@pytest.mark.parametrize(
+    'name', sorted(path.stem for path in find_machine_file('xyz').parent.glob('*.yaml'))
+)
 def test_bundled_machines_load(name):
     assert Machine.load(name).name == name
 
@@ -64,7 +66,7 @@ def test_missing_limit_is_refused_naming_the_key():
 
 
 def test_unknown_machine_lists_the_bundled_ones(tmp_path):
-    with pytest.raises(MachineError, match='xyz, xyzac, xyzbc'):
+    with pytest.raises(MachineError, match='vmc, xyz, xyza, xyzac, xyzac_trt, xyzbc'):
         Machine.load('hermle')
     broken = tmp_path / 'broken.yaml'
     broken.write_text('limits: [1, 2\n')

@@ -14,6 +14,7 @@ from cnc_interp.errors import ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import JobSetup, ReadOptions, read_program
+from cnc_interp.program.motion import Mover
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / 'examples'
@@ -22,7 +23,12 @@ SHARED = ROOT.parent / 'shared' / 'programs'
 REFUSED = {'dmu50-boss-h': 'BEGIN PGM', 'gcws-sinumerik840d': 'L54'}
 #: Programs that need another machine or the operator's work offsets.
 SETUPS = {'nist-box-op5': JobSetup(work_offsets={'G58': {'X': 0.0, 'Y': 0.0}})}
-MACHINES = {'spinner-achskreuz-mpf': 'xyzbc', 'opencn-congee-5x': 'xyzbc'}
+MACHINES = {
+    'spinner-achskreuz-mpf': 'bc_trunnion',
+    'opencn-congee-5x': 'xyzbc',
+    'solidcam-4x-rotx': 'xyza',
+    **dict.fromkeys(('nist-box-op5', 'qtpyvcp-bezel', 'fanuc-test-g91'), 'vmc'),
+}
 
 
 def read(path, **options):
@@ -164,3 +170,21 @@ def test_every_real_program_is_read_or_refused_in_one_line(name):
         assert np.isfinite(getattr(blocks, column)).all()
     moving = np.isnan(blocks.feedrate[1:]) != np.isnan(blocks.duration[1:])
     assert moving.all() and blocks.exact_stop[-1]
+
+
+def test_swivelled_operations_have_the_tool_along_the_frame(monkeypatch):
+    """A posted AROT frame and the rotary words before it name the same direction independently."""
+    machine = Transform.of(Machine.load('bc_trunnion'))
+    seen = []
+    go = Mover.go
+
+    def watched(mover, point, rotary, *more, **named):
+        if mover.frames.rotated:
+            seen.append([*mover.frames.turn[:, 2], *machine.tool_axis(rotary[None])[0]])
+        return go(mover, point, rotary, *more, **named)
+
+    monkeypatch.setattr(Mover, 'go', watched)
+    read_program(shared('spinner-achskreuz-mpf'), machine, ReadOptions())
+    directions = np.array(seen)
+    assert len(np.unique(directions[:, :3].round(6), axis=0)) == 5
+    np.testing.assert_allclose(directions[:, :3], directions[:, 3:], atol=1e-12)

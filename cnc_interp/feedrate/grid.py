@@ -33,6 +33,9 @@ ROUNDS = 3
 LARGEST_GROUP = 32
 """Most cells of the path in one cell of the planner."""
 
+MOST_NODES = 30_000
+"""Most nodes of one window; what would need more is driven slower, not planned for minutes."""
+
 TINY = 1e-5
 """Cells that take less time are always grouped [s]."""
 
@@ -61,7 +64,7 @@ class PlanGrid:
     guess: FloatArray
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def cell_nodes(
     h: float,
     v0: float,
@@ -114,7 +117,7 @@ def cell_nodes(
     return cells - 1
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
     """
     Measure how far one cell is from rows that are linear along it, relative to the limits.
@@ -138,7 +141,7 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
     return worst
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def grid_nodes(
     s: FloatArray,
     left: FloatArray,
@@ -168,6 +171,8 @@ def grid_nodes(
         if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * tau):
             least = by_bend if by_bend > 1.0 else 0.0
             new = cell_nodes(h, v[i], v[i + 1], bounds[i], tau, least, inner)
+        if total + new > MOST_NODES:
+            break
         if total + new > len(found):
             larger = np.empty(2 * len(found) + new)
             larger[:total] = found[:total]
@@ -178,7 +183,7 @@ def grid_nodes(
     return found[:total].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def lies_on_line(
     first: int,
     last: int,
@@ -203,7 +208,7 @@ def lies_on_line(
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def group_cells(
     first: int,
     s: FloatArray,
@@ -248,7 +253,7 @@ def group_cells(
 def planning_grid(
     path: AxisPath,
     table: FloatArray,
-    v_start: float,
+    start: tuple[float, float],
     cell_time: tuple[float, float],
     share: float,
     most_bend: float,
@@ -263,8 +268,8 @@ def planning_grid(
         Path without inner stops.
     table : ndarray, shape (3, n_axes)
         Velocity, acceleration and jerk limits.
-    v_start : float
-        Speed at its start [m/s].
+    start : tuple of float
+        s_dot and s_ddot at its start [m/s, m/s2].
     cell_time : tuple of float
         Shortest and longest time wanted for a cell [s].
     share : float
@@ -286,14 +291,14 @@ def planning_grid(
         bounds = speed_bounds(
             np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, table
         )
-        v = guess_speed(np.diff(path.s), bounds, v_start, 0.0)
+        v = guess_speed(np.diff(path.s), bounds, *start)
         tau = share * guess_time(np.diff(path.s), v, bounds)
         tau = min(max(tau, cell_time[0]), cell_time[1])
         # later rounds see what the first guess was too coarse for, not its own rounding up
         ease = 1.0 if attempt == 0 else 1.6
         curve = path.s, path.cell_left, path.cell_right
         new = grid_nodes(*curve, table, bounds, v, ease * tau, ease**2 * most_bend, whole)
-        if len(new) == 0 or attempt == ROUNDS:
+        if len(new) == 0 or attempt == ROUNDS or len(path.s) + len(new) > MOST_NODES:
             break
         path = refine(path, new)
     given = np.isin(path.s, coarse)

@@ -18,25 +18,29 @@ from cnc_interp.program.blocks import FloatArray
 HORIZON = 3.0
 """Stopping distances that must lie between a committed state and the end of its plan."""
 
+SHORT, LEAST = 2e-4, 1 / 8
+"""Cells that take less time [s] count only in part, for they are grouped; and the least part."""
+
 SETTLE = 0.1
 """Time added to every stop when horizons are measured, else slow windows are all ramps [s]."""
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
     """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
     return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def window_end(
-    s: FloatArray, bounds: FloatArray, ratio: float, cells_left: int, state: FloatArray
+    s: FloatArray, bounds: FloatArray, ratio: float, most_cells: int, state: FloatArray
 ) -> int:
     """
     Go on along a window; returns the grid point of ``s`` at which it is full, or -1.
 
     It is full at ``ratio`` horizons for the fastest speed that an optimistic guess reaches, or
-    after so many cells. ``state`` holds where it begins, the guessed speed and the farthest stop.
+    after so many cells. ``state`` holds where it begins, the guessed speed, the farthest stop and
+    the cells counted.
     """
     for i in range(len(bounds)):
         # twice the guess's jerk and more acceleration: rather a window too long
@@ -44,12 +48,13 @@ def window_end(
         v = min(bounds[i, 1], v)
         state[1] = v
         state[2] = max(state[2], stopping_distance(v, bounds[i, 2], bounds[i, 3]))
-        if s[i + 1] - state[0] >= ratio * HORIZON * state[2] or i + 1 >= cells_left:
+        state[3] += min(1.0, max(LEAST, (s[i + 1] - s[i]) / (v * SHORT)))
+        if s[i + 1] - state[0] >= ratio * HORIZON * state[2] or state[3] >= most_cells:
             return i + 1
     return -1
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
     """Find the last grid point from which a whole horizon is left at the speeds planned."""
     n = len(bounds)
@@ -81,10 +86,15 @@ class WindowScan:
 
     def __init__(self, table: FloatArray, v_start: float, ratio: float, most_cells: int):
         self.table, self.ratio, self.most_cells = table, ratio, most_cells
-        self.state = np.array([np.nan, v_start, 0.0])
+        self.state = np.array([np.nan, v_start, 0.0, 0.0])
         self.cells = 0
         self.full: int | None = None
         self.stop: int | None = None
+
+    @property
+    def crowded(self) -> bool:
+        """Tell whether the window holds all the cells that it may."""
+        return bool(self.state[3] >= self.most_cells)
 
     def extend(self, part: AxisPath) -> None:
         """Take the next part of the path."""
@@ -111,7 +121,7 @@ class WindowScan:
             part.cell_feed[cells],
             self.table,
         )
-        found = window_end(s, bounds, self.ratio, self.most_cells - before, self.state)
+        found = window_end(s, bounds, self.ratio, self.most_cells, self.state)
         if found > 0:
             self.full = before + found
 

@@ -20,7 +20,7 @@ WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 """Least slack, and complementarity over the time, with which a warm start begins."""
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
     """
     Factor the symmetric pentadiagonal matrix in place into L D L^T; False if it is not finite.
@@ -46,7 +46,7 @@ def factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def substitute(d0: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArray) -> None:
     """Solve with the factors of ``factorize``, in place."""
     n = len(x)
@@ -64,7 +64,7 @@ def substitute(d0: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArray) ->
         x[i] = value
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def gather(
     n_two_sided: int,
     g: FloatArray,
@@ -124,7 +124,7 @@ def gather(
     return gap, centre / max(count, 1), violation
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def predict(
     n_two_sided: int,
     g: FloatArray,
@@ -172,7 +172,7 @@ def predict(
     return step, (plain + step * linear + step * step * square) / max(count, 1)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def correct(
     n_two_sided: int,
     target: float,
@@ -201,7 +201,7 @@ def correct(
                 rhs[i + 1] -= push * x2
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def advance(
     n_two_sided: int,
     target: float,
@@ -255,7 +255,7 @@ def advance(
     return primal, adjoint
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def start_rows(
     total: float,
     width: FloatArray,
@@ -280,7 +280,7 @@ def start_rows(
                 dual[i, r, side] = max(dual[i, r, side], balanced) if warm else balanced
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def solve(
     h: FloatArray,
     jerk: FloatArray,

@@ -31,7 +31,7 @@ import numpy as np
 from cnc_interp.program.blocks import FloatArray
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def node_states(
     m: FloatArray,
     width: FloatArray,
@@ -53,7 +53,7 @@ def node_states(
         v[i] = np.sqrt(max(b[i], 0.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
     """Update the effective widths from the node states; returns the largest relative change."""
     change = 0.0
@@ -66,7 +66,7 @@ def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray
     return change
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def rows_and_time(
     n_axes: int,
     jerk: FloatArray,

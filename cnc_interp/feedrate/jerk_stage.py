@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
-from cnc_interp.feedrate.interior_point import BROKEN, solve
+from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle, spread
@@ -105,7 +105,7 @@ OVERDONE = 1.3
 MOST_ITERATIONS = 80
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def build_rows(
     left: FloatArray,
     right: FloatArray,
@@ -130,7 +130,7 @@ def build_rows(
             acceleration[i, k, 1] = left[2, i, k] / (table[1, k] * smaller)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
     """Start the interior point from the guessed speeds, a little below."""
     m = np.empty(len(h))
@@ -161,6 +161,10 @@ class Problem:
         self.scale = np.empty((n, 4, n_axes))
         self.scale[:] = (1 - SLACK)[:, None]
         self.scale[:k] = np.minimum(kept.scale + RELAXED[:, None], 1.0)
+        if k == 0 and start[0] > 0.0:
+            # the state may come from a law that used all that this one may
+            k = n
+            self.scale += RELAXED[:, None]
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         guess = grid.guess
@@ -188,8 +192,8 @@ class Problem:
         width[-1] *= 1.5
         return width
 
-    def solve(self, m: FloatArray, warm: bool) -> Stretch | None:
-        """Solve once with the present limits, from m, which takes the solution."""
+    def solve(self, m: FloatArray, warm: bool) -> tuple[Stretch | None, bool]:
+        """Solve with the present limits, from m, which takes the solution; tell if it converged."""
         build_rows(self.left, self.right, self.table, self.scale, self.jerk, self.acceleration)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
         cap = (self.grid.bounds[:, 0] * part) ** 2
@@ -209,7 +213,7 @@ class Problem:
             MOST_ITERATIONS,
             np.empty((0, 6)),
         )
-        return None if status == BROKEN else self.check(m, width)
+        return (None if status == BROKEN else self.check(m, width)), status == SOLVED
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
         """Turn coefficients into an exact law and see how far it uses the limits."""
@@ -303,24 +307,28 @@ def plan(
     inside = int(np.searchsorted(kept.ends, path.s[-1]))
     kept = Kept(kept.ends[:inside], kept.scale[:inside])
     grid = planning_grid(
-        path, table, start[0], options.cell_time, options.share, options.bend, kept.ends
+        path, table, start, options.cell_time, options.share, options.bend, kept.ends
     )
     problem = Problem(grid, table, start, options, kept)
     best: Stretch | None = None
+    kept_all: Stretch | None = None
     m, warm = problem.m.copy(), False
     for attempt in range(options.passes + 1):
-        stretch = problem.solve(m, warm)
-        warm = stretch is not None
-        if stretch is None:
+        stretch, warm = problem.solve(m, warm)
+        if stretch is not None and stretch.use <= 1.0:
+            if warm:
+                return stretch
+            # within the limits, but who knows how far from the optimum
+            if kept_all is None or stretch.duration.sum() < kept_all.duration.sum():
+                kept_all = stretch
+        elif stretch is not None:
+            if best is None or stretch.use < best.use:
+                best = stretch
+            problem.lower()
+        if not warm:
             m = problem.m * (2.0 if attempt % 2 == 0 else 0.3)
-            continue
-        if stretch.use <= 1.0:
-            return stretch
-        if best is None or stretch.use < best.use:
-            best = stretch
-        problem.lower()
-    if start[0] > 0.0:
-        return None
+    if kept_all is not None or start[0] > 0.0:
+        return kept_all
     if best is None:
         best = problem.check(problem.m.copy(), problem.reset_widths())
     slow = None if best is None else problem.slowed(best)

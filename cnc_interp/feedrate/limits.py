@@ -64,7 +64,7 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def limit_use(
     h: FloatArray,
     left: FloatArray,

@@ -18,7 +18,7 @@ FASTEST = 100.0
 """Speed cap where nothing else limits [m/s]."""
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def speed_bounds(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
@@ -56,16 +56,16 @@ def speed_bounds(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
     """Speed after a distance at half the jerk's and most of the acceleration's growth."""
     by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
     return float(min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance)))
 
 
-@numba.njit(cache=True, nogil=True)
-def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float) -> FloatArray:
-    """Guess the speed at the nodes: 0.9 of Eq. 10, and reachable from both sides."""
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: float) -> FloatArray:
+    """Guess the speed at the nodes down to rest: 0.9 of Eq. 10, and reachable from both sides."""
     n = len(h)
     v = np.empty(n + 1)
     v[0] = v_start
@@ -73,13 +73,22 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, v_end: float)
         v[i + 1] = min(0.9 * bounds[i, 1], reach(v[i], h[i], bounds[i, 2], bounds[i, 3]))
         if i + 1 < n:
             v[i + 1] = min(v[i + 1], 0.9 * bounds[i + 1, 1])
-    v[n] = min(v[n], v_end)
+    v[n] = 0.0
     for i in range(n - 1, 0, -1):
         v[i] = min(v[i], reach(v[i + 1], h[i], bounds[i, 2], bounds[i, 3]))
+    # no slower than full jerk against the motion can make it: a state may be faster than all this
+    speed, a = v_start, a_start
+    for i in range(n - 1):
+        t = h[i] / speed if speed > 0.0 else np.inf
+        a = max(a - bounds[i, 3] * t, -bounds[i, 2])
+        speed += a * t
+        if not speed > v[i + 1]:
+            break
+        v[i + 1] = speed
     return v
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
@@ -89,7 +98,7 @@ def speed_inside(
     return min(ramp, cap), ramp > cap
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
     """Guess the duration of the motion [s]."""
     total = 0.0

@@ -72,7 +72,7 @@ class Stretch:
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def settle(
     h: FloatArray,
     m: FloatArray,
@@ -101,7 +101,7 @@ def settle(
     return left
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
     """Find when v t + a t^2/2 + j t^3/6 reaches x between two times (Newton, safeguarded)."""
     t = 0.5 * (low + high)
@@ -121,7 +121,7 @@ def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> 
     return t
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def spread(
     s: FloatArray,
     nodes: IntArray,

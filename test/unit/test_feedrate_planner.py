@@ -17,7 +17,6 @@ from feedrate_paths import (
     scaled,
 )
 
-from cnc_interp.errors import PlanningError
 from cnc_interp.feedrate.jerk_stage import PlanOptions, plan
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.toppra_stage import ceiling
@@ -208,41 +207,3 @@ def test_the_same_bits_however_the_path_arrives():
         np.testing.assert_array_equal(joined.law.time, once.law.time)
         np.testing.assert_array_equal(joined.law.jerk, once.law.jerk)
         np.testing.assert_array_equal(joined.path.s, once.path.s)
-
-
-def test_a_window_that_fails_is_driven_to_the_older_plans_stop(monkeypatch):
-    from cnc_interp.feedrate import window
-
-    calls = []
-
-    def failing(path, table, start, options, kept):
-        calls.append(start)
-        return None if start[0] > 0 else plan(path, table, start, options, kept)
-
-    monkeypatch.setattr(window, 'plan', failing)
-    piece = plan_path(spiral(200), XYZAC)
-    assert any(start[0] > 0 for start in calls)
-    assert_within_limits(piece, XYZAC)
-    assert piece.law.s_dot[0] == 0.0
-
-
-def spoiled(path: AxisPath, what: str) -> AxisPath:
-    """Spoil one cell of a path, and count its blocks from 7."""
-    left, feed, s = path.cell_left.copy(), path.cell_feed.copy(), path.s.copy()
-    if what == 'jet':
-        left[3, 3, 0] = np.nan
-    elif what == 'feed':
-        feed[3] = 0.0
-    else:
-        s[4] = s[3]
-    return AxisPath(
-        s, left, path.cell_right.copy(), path.tip.copy(), path.axis.copy(), feed,
-        path.cell_block.copy() + 7, path.stop.copy(),
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize('what', ['jet', 'feed', 'length'])
-def test_an_unsound_path_is_refused_with_its_block(what):
-    path = polyline_path(CORNER)
-    with pytest.raises(PlanningError, match=f'block {7 + path.cell_block[3]} '):
-        FeedPlanner(XYZAC).push(spoiled(path, what))

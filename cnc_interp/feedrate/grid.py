@@ -305,6 +305,6 @@ def planning_grid(
     groups = group_cells(
         whole, *curve, path.cell_feed, table, bounds, v, tau, most_bend / 3, given
     )
-    start = np.searchsorted(path.s, kept).astype(np.int64)
-    nodes = np.concatenate([np.zeros(1, dtype=np.int64), start, groups[1:]])
+    older = np.searchsorted(path.s, kept).astype(np.int64)
+    nodes = np.concatenate([np.zeros(1, dtype=np.int64), older, groups[1:]])
     return PlanGrid(path, nodes, np.minimum.reduceat(bounds, nodes[:-1], axis=0), v[nodes])

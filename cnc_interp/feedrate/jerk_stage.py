@@ -193,7 +193,7 @@ class Problem:
         return width
 
     def solve(self, m: FloatArray, warm: bool) -> tuple[Stretch | None, bool]:
-        """Solve with the present limits, from m, which takes the solution; tell if it converged."""
+        """Solve with the present limits; m takes the solution. Tells whether it converged."""
         build_rows(self.left, self.right, self.table, self.scale, self.jerk, self.acceleration)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
         cap = (self.grid.bounds[:, 0] * part) ** 2

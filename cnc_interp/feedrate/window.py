@@ -8,7 +8,7 @@ gives the same bits.
 
 A window fails when no law within the limits was found from the committed state. Then the plan
 before it, which is complete down to its own stop, is driven on, half of what is left at a time.
-What cannot be driven at all is refused with its block, after the motion has come to rest before it.
+What cannot be driven at all is refused with its block, after a stop before it.
 """
 
 from __future__ import annotations

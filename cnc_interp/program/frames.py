@@ -93,7 +93,7 @@ class Frames:
 
     def update(self) -> None:
         """Add the offsets up."""
-        total = self._work.get(self.work_offset, np.zeros(5)) + self.local
+        total = self._work.get(self.work_offset or 'G54', np.zeros(5)) + self.local
         if self.g92_on:
             total = total + self.g92
         self.origin = total[:3] + self.shift + np.array([0.0, 0.0, self.length])

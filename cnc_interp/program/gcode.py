@@ -57,7 +57,7 @@ class GcodeReader:
         self.mover = Mover(geometry, options, self.flow, notices)
         self.fault, self.notice = self.mover.fault, self.mover.notice
         self._cycle: CannedCycle | None = None
-        self._tool = 0
+        self._tool = self._chosen_tool = 0
         self._percent_seen = False
         self._references = {
             code: dict(options.setup.reference_points.get(code, {})) for code in ('G28', 'G30')
@@ -131,6 +131,10 @@ class GcodeReader:
         for key, given in words.keys:
             self._key_word(key, given, words)
         self._assign(words)
+        if 'T' in values:
+            self._chosen_tool = round(min(abs(values['T']), 1e6))
+        if 'M6' in words.m or not self._tool:
+            self._tool = self._chosen_tool
         if 'S' in values:
             mover.spindle_speed = values['S']
         self._settings(words)
@@ -387,8 +391,6 @@ class GcodeReader:
         elif self._cycle is None:
             mover.move(words, feed_given, machine)
         for letter in list(values):
-            if letter == 'T':
-                self._tool = round(min(abs(values[letter]), 1e6))
             if letter in 'STDH':
                 self.notice(letter, 'passed on, it does not move the tool')
             elif letter in 'ABCUVW':

@@ -1,0 +1,111 @@
+"""Programs read by LinuxCNC's interpreter and by ours (tools/get_rs274 fetches it)."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from linuxcnc_oracle import compare, interpreter, run_linuxcnc
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import JobSetup, ReadOptions, read_program
+
+if interpreter() is None:
+    pytest.skip('no rs274: run tools/get_rs274, set RS274', allow_module_level=True)
+
+SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
+#: Programs that LinuxCNC reads, the machine for their words, and how many motions at least.
+PROGRAMS = {
+    'camotics-heart': ('xyz', 160),
+    'cnclite-blend-mpf': ('xyz', 3200),
+    'fanuc-test-g91': ('xyz', 130),
+    'linuxcnc-cds': ('xyz', 260),
+    'linuxcnc-impeller-xyzac': ('xyzac', 4400),
+    'linuxcnc-stellabee': ('xyz', 169000),
+    'mach-pulley-r-arcs': ('xyz', 43000),
+    'nist-box-op5': ('xyz', 3500),
+    'opencn-congee-5x': ('xyzbc', 50),
+    'pycam-sample': ('xyz', 33000),
+    'qtpyvcp-bezel': ('xyz', 32000),
+    'solidcam-4x-rotx': ('xyza', 12000),
+    'ugs-gates': ('xyz', 15000),
+}
+SNIPPETS = {
+    'planes': 'G18 G2 X4.5 Z0 I2 K0\nG19 G3 Y2 Z0 J1 K0\nG17 G2 X1 Y2 R5\nG3 X3 Y4 R-6',
+    'helices': 'G2 X0.5 Y0 I5 Z3\nG3 I5 J2 Z-3 P3\nG18 G3 X4.5 Z-3 I2 K0 Y5 P2',
+    'inch': 'G20\nG1 X0.5 F10\nG2 X0.6 Y0.1 I0.1\nG91 G1 X0.25\nG90 G21\nX4 F100',
+    'incremental': 'G91 G1 X1 Y1\nX1\nG2 X1 Y1 R1\nG3 X-2 I-1\nG0 Z2',
+    'centres': 'G90.1 G2 X3.5 Y0 I2 J0\nG3 X-0.5 Y0 I1.5 J0\nG91.1 G2 X2.5 Y0 I1.5 J0',
+    'offsets': 'G10 L2 P1 X5 Y6\nG10 L2 P3 X-1 Z2\nG54 G0 X1\nG56 X1 Z1\nG55 X1\nG54 X0',
+    'here': 'G0 X3 Y4\nG10 L20 P1 X0 Y1\nG0 X1\nG92 X5\nX6\nG92.2\nX7\nG92.3\nX8\nG92.1\nX9',
+    'tools': 'T1 M6 G43 G0 Z5\nG43 H2 Z5\nG49 Z5\nG43.1 Z3\nZ5\nG53 G0 Z1\nX2',
+    'reference': 'G0 X5 Y5 Z5\nG91 G28 Z1\nG90 G0 X3\nG28\nG0 X1 Y1\nG30 X2',
+    'drilling': 'G0 Z5\nG98 G81 X1 Y1 Z-2 R2\nX2\nG99 X3\nX4 Y2\nG80 G0 Z9',
+    'drilling by steps': 'G0 Z4\nG98 G91 G81 X1 Z-3 R-2 L3\nG90 G80 G0 X0\nG99 G82 X5 Z-1 R2 P0.5\nX6',
+    'drilling beside': 'G18 G0 Y5\nG98 G81 X1 Z2 Y-2 R3\nX4\nG80 G17\nG0 X9 Y9',
+    'boring': 'G0 Z5\nG98 G85 X1 Z-2 R1\nG99 G89 X3 Z-2 R1 P1\nG80',
+    'loops': '#1=0\nO1 while [#1 LT 5]\nG1 X[#1*2] Y[SIN[#1*30]]\n#1=[#1+1]\nO1 endwhile',
+    'calls': 'O9 sub\nG1 X#1 Y[#2**2]\nO9 return\nO9 endsub\nO9 call [1] [2]\nO9 call [3+1] [1]',
+    'choices': '#<a>=2\nO1 if [#<a> GT 1]\nG1 X1\nO1 else\nG1 X2\nO1 endif\nO2 repeat [3]\n'
+    'G91 G1 Y1\nO2 endrepeat\nG90\nO3 do\nG1 Z#<a>\n#<a>=[#<a>-1]\nO3 while [#<a> GT 0]',
+    'functions': 'G1 X[ATAN[1]/[2]] Y[10 MOD 3] Z[ROUND[1.5]]\nX[FIX[-1.2]] Y[FUP[1.2]] Z[2**3]\n'
+    'X[ABS[-3]] Y[SQRT[2]] Z[EXP[1]]\nX[LN[5]] Y[ACOS[0.5]/10] Z[TAN[45]]\nX[1 XOR 0] Y[2 EQ 2]',
+    'positions': 'G1 X3 Y4\nX[#5420+1] Y[#5421*2] Z[#5422+1]',
+    'rotary': 'G0 A10 C20\nG1 X5 A20\nG91 C30\nG90 G1 A0 C0 X0',
+}  # fmt: skip
+
+
+def judged(path, machine_name, partly, tools=None):
+    """Compare a file; machine coordinates are LinuxCNC's: zero at the workpiece zero."""
+    machine = Machine.load(machine_name)
+    machine = replace(machine, offsets=np.zeros((3, 3)))
+    geometry = Transform.of(machine)
+    at_zero = {f'G{number}': dict.fromkeys('XYZ', 0.0) for number in range(54, 60)}
+    lengths = {number: length / 1e3 for number, length in (tools or {}).items()}
+    options = ReadOptions(feedrate=0.05, setup=JobSetup(at_zero, lengths))
+    blocks = read_program(path, geometry, options).blocks
+    motions, complaint = run_linuxcnc(path, tools)
+    assert partly or not complaint, complaint
+    points, columns = None, []
+    if machine.has_rotary:
+        columns = ['ABC'.index(letter) for letter in machine.axis_names[3:]]
+        if machine_name != 'xyzac' or tools is not None:  # there, words are tool tips
+            points = geometry.linear(blocks.tip, np.nan_to_num(blocks.rotary))
+    return compare(blocks, motions, points, columns, partly)
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_public_programs(name):
+    if not (SHARED / name).is_dir():
+        pytest.skip('the collection of real programs is not at hand')
+    path = next(path for path in (SHARED / name).iterdir() if path.name != 'SOURCE')
+    machine, least = PROGRAMS[name]
+    agreement = judged(path, machine, partly=name == 'nist-box-op5')
+    assert not agreement.faults, agreement.faults[:3]
+    assert agreement.motions >= least
+
+
+@pytest.mark.parametrize('name', SNIPPETS)
+def test_each_kind_of_word(name, tmp_path):
+    path = tmp_path / 'snippet.ngc'
+    path.write_text(f'G21 G90 G94\nG0 X0 Y0 Z0\nF100\nG1 X0.5\n{SNIPPETS[name]}\nM2\n')
+    machine = 'xyzac' if name == 'rotary' else 'xyz'
+    agreement = judged(path, machine, partly=False, tools={1: 10.0, 2: 25.0})
+    assert not agreement.faults, agreement.faults[:3]
+    assert agreement.motions >= 3
+
+
+def test_the_comparison_sees_differences(tmp_path):
+    path = tmp_path / 'snippet.ngc'
+    path.write_text('G0 X0\nG3 X5 Y5 R5 F100\nG1 X9\nM2\n')
+    motions, _ = run_linuxcnc(path)
+    blocks = read_program(path, Transform.of(Machine.load('xyz')), ReadOptions()).blocks
+    assert not compare(blocks, motions).faults
+    for changed in (
+        replace(blocks, tip=blocks.tip + np.where(np.arange(len(blocks)) == 9, 1e-5, 0)[:, None]),
+        replace(blocks, feedrate=blocks.feedrate * 1.01),
+        replace(blocks, rapid=~blocks.rapid),
+        blocks[: len(blocks) - 1],
+    ):
+        assert compare(changed, motions).faults

@@ -42,7 +42,9 @@ SNIPPETS = {
     'tools': 'T1 M6 G43 G0 Z5\nG43 H2 Z5\nG49 Z5\nG43.1 Z3\nZ5\nG53 G0 Z1\nX2',
     'reference': 'G0 X5 Y5 Z5\nG91 G28 Z1\nG90 G0 X3\nG28\nG0 X1 Y1\nG30 X2',
     'drilling': 'G0 Z5\nG98 G81 X1 Y1 Z-2 R2\nX2\nG99 X3\nX4 Y2\nG80 G0 Z9',
-    'drilling by steps': 'G0 Z4\nG98 G91 G81 X1 Z-3 R-2 L3\nG90 G80 G0 X0\nG99 G82 X5 Z-1 R2 P1\nX6',
+    'drilling by steps': (
+        'G0 Z4\nG98 G91 G81 X1 Z-3 R-2 L3\nG90 G80 G0 X0\nG99 G82 X5 Z-1 R2 P1\nX6'
+    ),
     'drilling beside': 'G18 G0 Y5\nG98 G81 X1 Z2 Y-2 R3\nX4\nG80 G17\nG0 X9 Y9',
     'boring': 'G0 Z5\nG98 G85 X1 Z-2 R1\nG99 G89 X3 Z-2 R1 P1\nG80',
     'loops': '#1=0\nO1 while [#1 LT 5]\nG1 X[#1*2] Y[SIN[#1*30]]\n#1=[#1+1]\nO1 endwhile',

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp import __version__
+from cnc_interp.cam.command import add_cam_commands
 from cnc_interp.errors import InterpError
 from cnc_interp.units import MM, MM_PER_MIN, MS
 
@@ -104,6 +105,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     urdf.add_argument('machine', metavar='M', help='bundled machine or YAML file')
     urdf.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
+    add_cam_commands(commands, command, positive)
     return top
 
 

@@ -1,0 +1,132 @@
+"""The commands `cnc-interp cam iso-scallop` and `cnc-interp cam simulate`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Number = Callable[[str], float]
+
+
+def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
+    """Declare `cam` and its commands with the command line's own ways to do it."""
+    cam = commands.add_parser(
+        'cam',
+        help='5-axis iso-scallop programs from surfaces, and the simulated surface',
+        description='5-axis iso-scallop programs from surfaces, and the simulated surface.',
+    )
+    inner = cam.add_subparsers(required=True, metavar='COMMAND')
+    make = command(
+        inner, 'iso-scallop', _iso_scallop,
+        'make a program of constant scallop height along parallel planes',
+        'cnc-interp cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps',
+    )  # fmt: skip
+    make.add_argument('surface', type=Path, metavar='SURFACE', help='surface file (JSON)')
+    make.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
+    _mill(make, positive)
+    _value(make, '--scallop', 10.0, 'UM', 'scallop height', positive)
+    make.add_argument(
+        '--stepover', type=positive, metavar='MM',
+        help='distance of the guiding planes; without it the largest that --tilt allows, pass '
+        'by pass',
+    )  # fmt: skip
+    _value(make, '--tilt', 3.0, 'DEG', 'tilt of a constant start, and the smallest for the '
+           'largest stepover', positive)  # fmt: skip
+    make.add_argument(
+        '--tilt-limits', type=positive, nargs=2, default=(0.5, 60.0), metavar=('LOW', 'HIGH'),
+        help='smallest and largest tilt (0.5 60 deg)',
+    )  # fmt: skip
+    make.add_argument(
+        '--freedom', choices=('tilt', 'yaw'), default='tilt',
+        help='the angle that sets the width of a strip (tilt)',
+    )  # fmt: skip
+    make.add_argument('--yaw', type=float, default=0.0, metavar='DEG', help='yaw (0 deg)')
+    make.add_argument(
+        '--start', choices=('width', 'tilt'), default='width',
+        help='first pass with constant width, or with constant tilt as in the paper (width)',
+    )  # fmt: skip
+    make.add_argument(
+        '--no-restart', action='store_true',
+        help='never start afresh: the recursion of the paper, and an error where it ends',
+    )  # fmt: skip
+    make.add_argument(
+        '--points', type=int, metavar='N', help='scallop points along a pass (one per 0.8 mm)'
+    )
+    make.add_argument(
+        '--direction', type=float, default=0.0, metavar='DEG',
+        help='feed direction on the surface, from its u lines (0 deg)',
+    )  # fmt: skip
+    make.add_argument(
+        '--linking', choices=('zigzag', 'one-way'), default='zigzag', help='order (zigzag)'
+    )
+    _value(make, '--chord', 0.5, 'UM', 'chord tolerance of the blocks', positive)
+    _value(make, '--overrun', 0.5, 'MM', 'length of the passes beyond the border', positive)
+    _value(make, '--clearance', 2.0, 'MM', 'lift between passes', positive)
+    _value(make, '--feed', 3000.0, 'MM_PER_MIN', 'feedrate', positive)
+    make.add_argument(
+        '--simulate', action='store_true', help='cut the surface with the program (N-buffer)'
+    )
+    make.add_argument(
+        '--run', action='store_true',
+        help='plan the program, execute it on the simulated machine and cut with that too',
+    )  # fmt: skip
+    _cutting(make, positive)
+    make.add_argument('--json', action='store_true', help='print the summary as JSON')
+
+    simulate = command(
+        inner, 'simulate', _simulate,
+        'cut a surface with a program or a plan and measure what is left',
+        'cnc-interp cam simulate out/bumps/program.apt --surface examples/bumps.json',
+    )  # fmt: skip
+    simulate.add_argument(
+        'motion', type=Path, metavar='PROGRAM_OR_DIR', help='part program, or folder of a plan'
+    )
+    simulate.add_argument(
+        '--surface', type=Path, required=True, metavar='FILE', help='surface file (JSON)'
+    )
+    _mill(simulate, positive)
+    _value(simulate, '--scallop', 10.0, 'UM', 'scallop height of the colour scale', positive)
+    simulate.add_argument(
+        '--executed', action='store_true', help='take the motion of the drives, not the setpoints'
+    )
+    simulate.add_argument('--html', type=Path, metavar='FILE', help='page to write')
+    _cutting(simulate, positive)
+    simulate.add_argument('--json', action='store_true', help='print the figures as JSON')
+
+
+def _mill(added: argparse.ArgumentParser, positive: Number) -> None:
+    """Add the options of the mill; the defaults are those of the paper."""
+    _value(added, '--tool-diameter', 13.0, 'MM', 'diameter of the mill, 2 (R + r_c)', positive)
+    _value(added, '--corner-radius', 1.5, 'MM', 'corner radius r_c', positive)
+
+
+def _cutting(added: argparse.ArgumentParser, positive: Number) -> None:
+    """Add the options of the N-buffer and of the machine."""
+    _value(added, '--spacing', 0.1, 'MM', 'distance of the needles', positive)
+    _value(added, '--margin', 2.0, 'MM', 'distance from the border for the figures', positive)
+    added.add_argument(
+        '--machine', default='xyzac', metavar='M', help='bundled machine or YAML file (xyzac)'
+    )
+
+
+def _value(
+    added: argparse.ArgumentParser, name: str, default: float, unit: str, meaning: str,
+    positive: Number,
+) -> None:  # fmt: skip
+    """Add a positive number."""
+    text = f'{meaning} ({default:g})'
+    added.add_argument(name, type=positive, default=default, metavar=unit, help=text)
+
+
+def _iso_scallop(options: argparse.Namespace) -> int:
+    from cnc_interp.cam.work import make_program
+
+    return make_program(options)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from cnc_interp.cam.work import simulate_motion
+
+    return simulate_motion(options)

@@ -1,0 +1,106 @@
+"""
+The filleted end mill: a torus of radii R and r_c below a cylinder, with a flat bottom between.
+
+C_L is the centre of the circle of corner centres (radius R), u the unit tool axis towards the
+spindle. The mill is everything within r_c of the cylinder that stands on that circle's disk; R = 0
+is a ball mill, r_c = 0 a flat one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from cnc_interp.cam.vectors import dot, norm, scaled
+from cnc_interp.errors import InterpError
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.units import MM
+
+
+@dataclass(frozen=True)
+class Cutter:
+    """
+    A filleted end mill.
+
+    Parameters
+    ----------
+    tool_radius : float
+        R, radius of the circle of corner centres [TL2008]; the diameter is 2 (R + r_c) [m].
+    corner_radius : float
+        r_c [m].
+
+    """
+
+    tool_radius: float
+    corner_radius: float
+
+    def __post_init__(self) -> None:
+        for name in ('tool_radius', 'corner_radius'):
+            value = getattr(self, name)
+            if not (isfinite(value) and value >= 0.0):
+                raise InterpError(f'{name} is {value / MM:g} mm; it must not be negative')
+        if self.tool_radius + self.corner_radius == 0.0:
+            raise InterpError('a cutter needs a radius')
+
+    @staticmethod
+    def of_diameter(diameter: float, corner_radius: float) -> Cutter:
+        """Return the cutter of an outer diameter [m]."""
+        if not 0.0 <= corner_radius <= 0.5 * diameter:
+            raise InterpError(
+                f'a corner radius of {corner_radius / MM:g} mm does not fit a diameter of '
+                f'{diameter / MM:g} mm; it lies between 0 and {0.5 * diameter / MM:g} mm'
+            )
+        return Cutter(0.5 * diameter - corner_radius, corner_radius)
+
+    @property
+    def is_ball(self) -> bool:
+        """True without a flat bottom: the tilt then changes nothing."""
+        return self.tool_radius == 0.0
+
+    def tip(self, centre: FloatArray, axis: FloatArray) -> FloatArray:
+        """Return the tool tip, the lowest point on the axis, of centres C_L [m]."""
+        return np.asarray(centre - self.corner_radius * axis)
+
+    def implicit(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
+        """
+        Return F of the torus at points [TL2008, Eq. 3.2], zero on it, negative inside [m^4].
+
+        The square of the paper's last bracket is one too many: with rho the distance from the
+        axis, ``F = (v.v + R^2 - r_c^2)^2 - 4 R^2 rho^2``, and ``rho^2 = v.v - (v.u)^2``.
+        """
+        v = points - centre
+        square, along = dot(v, v), dot(v, axis)
+        R, r = self.tool_radius, self.corner_radius
+        return np.asarray((square + R**2 - r**2) ** 2 - 4.0 * R**2 * (square - along**2))
+
+    def distance(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
+        """Return the distance of points from the mill, negative inside the fillet [m]."""
+        v = points - centre
+        along = dot(v, axis)
+        across = norm(v - scaled(along, axis))
+        beyond = np.maximum(across - self.tool_radius, 0.0)
+        return np.hypot(np.minimum(along, 0.0), beyond) - self.corner_radius
+
+    def envelope_condition(
+        self, points: FloatArray, velocity: FloatArray, centre: FloatArray, axis: FloatArray
+    ) -> FloatArray:
+        """Return V_P . n_tool at points of the torus [TL2008, Eq. 3.3]; zero where it grazes."""
+        v = points - centre
+        across = v - scaled(dot(v, axis), axis)
+        nearest = scaled(self.tool_radius / norm(across), across)
+        away = v - nearest
+        return dot(velocity, scaled(1.0 / norm(away), away))
+
+    def effective_radius(self, tilt: float, yaw: float = 0.0) -> float:
+        """
+        Return the radius of the swept profile at the contact point on a plane [m].
+
+        With R_T = (R + r sin(tilt)) / sin(tilt), Eq. 3.17, the profile seen along the feed has
+        the radius ``R_T cos^2(yaw) + r sin^2(yaw)``. Eq. 3.16 is the radius of the tool's normal
+        section across the feed instead; they agree without yaw.
+        """
+        sine = np.sin(tilt)
+        across = (self.tool_radius + self.corner_radius * sine) / sine
+        return float(across * np.cos(yaw) ** 2 + self.corner_radius * np.sin(yaw) ** 2)

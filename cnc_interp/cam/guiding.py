@@ -1,0 +1,226 @@
+"""
+Guiding curves: where the guiding surface S_G = S + r_c n meets a guiding plane [TL2008, 3.2].
+
+The plane has the unit normal N, towards the next pass; along the curve the feed direction is
+f = n x N / |n x N|, and t = f x n points towards the next pass too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from contourpy import contour_generator
+from scipy.interpolate import BSpline, make_interp_spline
+
+from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.vectors import cross, dot, norm, scaled
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.units import MM
+
+#: Cells per direction in which a curve is looked for, and the largest distance of its points [m].
+CELLS = 200
+STEP = 0.4 * MM
+
+
+@dataclass(frozen=True)
+class Frames:
+    """
+    The guided point K at n places of a curve, its frame, and their change per arc length of K.
+
+    Parameters
+    ----------
+    position : ndarray, shape (n, 3)
+        K on the guiding surface [m].
+    normal, feed, across : ndarray, shape (n, 3)
+        Orthonormal frame n, f, t = f x n.
+    normal_rate, feed_rate, across_rate : ndarray, shape (n, 3)
+        Their derivatives by arc length of K [1/m].
+    u, v : ndarray, shape (n,)
+        Surface parameters.
+    curvature : ndarray, shape (n,)
+        Normal curvature of the surface to machine across the feed, convex positive [1/m].
+
+    """
+
+    position: FloatArray
+    normal: FloatArray
+    feed: FloatArray
+    across: FloatArray
+    normal_rate: FloatArray
+    feed_rate: FloatArray
+    across_rate: FloatArray
+    u: FloatArray
+    v: FloatArray
+    curvature: FloatArray
+
+    def __len__(self) -> int:
+        """Count the places."""
+        return len(self.u)
+
+    @property
+    def turn(self) -> FloatArray:
+        """Rotation vector of the frame per arc length, half the sum of x_i x x_i' [appendix]."""
+        total = cross(self.feed, self.feed_rate) + cross(self.normal, self.normal_rate)
+        return 0.5 * (total + cross(self.across, self.across_rate))
+
+
+@dataclass(frozen=True)
+class GuidingCurve:
+    """
+    One guiding curve.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface to machine.
+    offset : float
+        Corner radius r_c: distance of the guiding surface [m].
+    plane_normal : ndarray, shape (3,)
+        N.
+    plane : float
+        Distance of the plane from the origin along N [m].
+    parameters : BSpline
+        u and v by arc length of K.
+    length : float
+        Arc length, from 0 [m].
+
+    """
+
+    surface: Surface
+    offset: float
+    plane_normal: FloatArray
+    plane: float
+    parameters: BSpline
+    length: float
+
+    def frames(self, s: FloatArray) -> Frames:
+        """Return K and its frame at arc lengths [m]; the curve continues beyond its ends."""
+        uv = self.parameters(s)
+        u, v = uv[..., 0], uv[..., 1]
+        surface = self.surface.at(u, v)
+        guide = surface.offset(self.offset)
+        n, N = surface.normal, self.plane_normal
+        g = cross(n, np.broadcast_to(N, n.shape))
+        size = norm(g)
+        f = scaled(1.0 / size, g)
+        n_s = guide.normal_rate(f)
+        g_s = cross(n_s, np.broadcast_to(N, n.shape))
+        f_s = scaled(1.0 / size, g_s - scaled(dot(g_s, f), f))
+        t = cross(f, n)
+        t_s = cross(f_s, n) + cross(f, n_s)
+        return Frames(guide.position, n, f, t, n_s, f_s, t_s, u, v, surface.curvature(t))
+
+
+class GuidingPlanes:
+    """
+    The family of guiding curves of a surface, for parallel planes.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface to machine.
+    offset : float
+        Corner radius r_c [m].
+    plane_normal : ndarray, shape (3,)
+        N, the direction in which the passes follow each other.
+    extension : float
+        How far the curves go beyond the border of the surface [m].
+
+    """
+
+    def __init__(
+        self, surface: Surface, offset: float, plane_normal: FloatArray, extension: float
+    ):
+        self.surface, self.offset, self.plane_normal = surface, offset, plane_normal
+        self._u, self._v = surface.grid(CELLS + 1, CELLS + 1, extension)
+        point = surface.at(self._u, self._v).offset(offset)
+        self._level = point.position @ plane_normal
+        steep = norm(cross(point.normal, np.broadcast_to(plane_normal, point.normal.shape)))
+        if float(steep.min()) < 0.05:
+            raise SurfaceError(
+                'a guiding plane touches the surface instead of cutting it; choose another '
+                'direction of the passes'
+            )
+        u, v = surface.grid(CELLS + 1, CELLS + 1)
+        level = surface.at(u, v).offset(offset).position @ plane_normal
+        #: Range of the planes whose contact points lie on the surface itself [m].
+        self.span = float(level.min()), float(level.max())
+
+    def curve(self, plane: float) -> GuidingCurve:
+        """
+        Return the curve in one plane.
+
+        Raises
+        ------
+        SurfaceError
+            If the plane misses the surface or meets it in several curves.
+
+        """
+        generator = contour_generator(self._u, self._v, self._level)
+        lines = [np.asarray(line) for line in generator.lines(plane) if len(line) > 3]
+        if not lines:
+            raise SurfaceError(f'the guiding plane at {plane / MM:.3f} mm misses the surface')
+        lengths = [self._length(line) for line in lines]
+        longest = int(np.argmax(lengths))
+        if sum(lengths) > 1.2 * lengths[longest]:
+            raise SurfaceError(
+                f'the guiding plane at {plane / MM:.3f} mm meets the surface in {len(lines)} '
+                'curves; split the surface or choose another direction of the passes'
+            )
+        return self._fit(lines[longest], plane)
+
+    def _length(self, line: FloatArray) -> float:
+        """Return the length of a line in the parameter plane, on the surface [m]."""
+        position = self.surface.derivatives(line[:, 0], line[:, 1])[0]
+        return float(norm(np.diff(position, axis=0)).sum())
+
+    def _fit(self, line: FloatArray, plane: float) -> GuidingCurve:
+        """Put points exactly on the curve, evenly by arc length, and a quintic through them."""
+        count = max(48, int(self._length(line) / STEP))
+        uv = self._onto(line, plane)
+        for degree in (1, 5):  # even first by the contour's own points, then by the smooth curve
+            s = self._arc(uv)
+            kept = np.concatenate([[True], np.diff(s) > 1e-3 * s[-1] / count])
+            spline = make_interp_spline(s[kept], uv[kept], k=degree)
+            uv = self._onto(spline(np.linspace(0.0, s[-1], count)), plane)
+        s = self._arc(uv)
+        curve = GuidingCurve(
+            self.surface, self.offset, self.plane_normal, plane,
+            make_interp_spline(s, uv, k=5), float(s[-1]),
+        )  # fmt: skip
+        ends = curve.surface.at(uv[:2, 0], uv[:2, 1]).offset(self.offset).position
+        if float(np.dot(ends[1] - ends[0], curve.frames(s[:1]).feed[0])) < 0.0:
+            reverse = make_interp_spline(s[-1] - s[::-1], uv[::-1], k=5)
+            curve = GuidingCurve(
+                self.surface, self.offset, self.plane_normal, plane, reverse, float(s[-1])
+            )
+        return curve
+
+    def _onto(self, uv: FloatArray, plane: float) -> FloatArray:
+        """Move parameters onto the plane, along the gradient of the level."""
+        for _ in range(6):
+            point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
+            level = point.position @ self.plane_normal - plane
+            slope = point.d_u @ self.plane_normal, point.d_v @ self.plane_normal
+            e, f, g = (
+                dot(point.d_u, point.d_u),
+                dot(point.d_u, point.d_v),
+                dot(point.d_v, point.d_v),
+            )
+            a, b = g * slope[0] - f * slope[1], e * slope[1] - f * slope[0]
+            step = -level / (a * slope[0] + b * slope[1])
+            uv = uv + np.stack([step * a, step * b], axis=1)
+            if float(np.abs(level).max()) < 1e-12:
+                break
+        return uv
+
+    def _arc(self, uv: FloatArray) -> FloatArray:
+        """Return arc lengths of K, from chords and the turn between them [m]."""
+        point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
+        g = cross(point.normal, np.broadcast_to(self.plane_normal, point.normal.shape))
+        f = scaled(1.0 / norm(g), g)
+        chords = norm(np.diff(point.position, axis=0))
+        half_turn = 0.5 * np.arccos(np.clip(dot(f[1:], f[:-1]), -1.0, 1.0))
+        arcs = chords / np.maximum(np.sinc(half_turn / np.pi), 0.5)
+        return np.concatenate([[0.0], np.cumsum(arcs)])

@@ -1,0 +1,219 @@
+"""
+Stage 2: the posture of the next pass that leaves a given scallop point [TL2008, 3.2].
+
+Unknown are the place s on the next guiding curve and one angle, the tilt (or the yaw). With
+v = P - C_L and e* its direction in the corner circle's plane, Q* = C_L + R e*, the conditions are
+
+    |P - Q*| = r_c        P lies on the corner torus        (Eq. 3.13)
+    T_sc . (P - Q*) = 0   the envelope follows the scallop  (Eq. 3.14)
+
+and for a flat mill (r_c = 0) that P lies on its edge. Up to six roots exist; the one wanted has P
+on the tool's front, on the side of the pass before, and leans forward by at most 90 deg.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.guiding import Frames, GuidingCurve
+from cnc_interp.cam.passes import tilt_of_curvature
+from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.scallop import Scallops
+from cnc_interp.cam.vectors import dot, norm, scaled, unit
+from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
+from cnc_interp.units import DEG, MM, UM
+
+Freedom = Literal['tilt', 'yaw']
+
+#: The conditions hold to this [m].
+CLOSE = 1e-11
+#: Where the first guess fails, these are tried for the free angle [rad].
+OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
+LARGEST_STEP = 1.0 * MM, 0.3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """
+    Postures on the next guiding curve, one for each scallop point.
+
+    Parameters
+    ----------
+    s : ndarray, shape (n,)
+        Places on the guiding curve [m].
+    tilt, yaw : ndarray, shape (n,)
+        Angles [rad].
+    found : ndarray of bool, shape (n,)
+        False where no valid root was reached.
+    iterations : ndarray of int, shape (n,)
+        Newton steps.
+
+    """
+
+    s: FloatArray
+    tilt: FloatArray
+    yaw: FloatArray
+    found: BoolArray
+    iterations: IntArray
+
+
+def resting(cutter: Cutter, frames: Frames, tilt: FloatArray, yaw: FloatArray) -> Postures:
+    """Return postures whose angles do not change along the pass."""
+    zero = np.zeros(len(frames))
+    return Postures(cutter, frames, zero + tilt, zero + yaw, zero, zero)
+
+
+def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """
+    Return how far both conditions are missed [m], and whether a root there would be the right one.
+
+    Eq. 3.14 is multiplied by 1 mm, so that both are lengths.
+    """
+    cutter, u = postures.cutter, postures.axis
+    v = scallops.position - postures.centre
+    along = dot(v, u)
+    e = v - scaled(along, u)
+    across = norm(e)
+    e = scaled(1.0 / across, e)
+    away = v - cutter.tool_radius * e
+    distance = norm(away)
+    if cutter.corner_radius > 0.0:
+        first, second = distance - cutter.corner_radius, dot(scallops.tangent, unit(away)) * MM
+        below = (dot(away, e) >= 0.0) & (along <= 0.0)
+    else:
+        first, second = along, across - cutter.tool_radius
+        below = np.ones(len(v), bool)
+    front = (dot(e, postures.front) > 0.0) & (dot(e, postures.turned[1]) < 0.0)
+    upright = (postures.tilt > 0.0) & (postures.tilt <= 0.5 * np.pi)
+    return first, second, below & front & upright
+
+
+def fit_postures(
+    curve: GuidingCurve,
+    cutter: Cutter,
+    scallops: Scallops,
+    height: float,
+    freedom: Freedom,
+    fixed_angle: float,
+) -> Fit:
+    """
+    Find the postures of the next pass.
+
+    Parameters
+    ----------
+    curve : GuidingCurve
+        The next guiding curve.
+    cutter : Cutter
+        The mill.
+    scallops : Scallops
+        Stage 1 of the pass before.
+    height : float
+        Scallop height, for the first guess [m].
+    freedom : {'tilt', 'yaw'}
+        Which angle is found.
+    fixed_angle : float
+        The other one [rad].
+
+    Returns
+    -------
+    Fit
+
+    """
+    s = nearest_places(curve, scallops)
+    guess = first_guess(curve, cutter, scallops, height, freedom, fixed_angle, s)
+    fit = _newton(curve, cutter, scallops, freedom, fixed_angle, s, guess)
+    for other in OTHER_GUESSES:
+        again = ~fit.found & scallops.found
+        if not again.any():
+            break
+        retry = _newton(
+            curve, cutter, scallops, freedom, fixed_angle, s, np.full_like(guess, other)
+        )
+        better = again & retry.found
+        fit = Fit(
+            np.where(better, retry.s, fit.s), np.where(better, retry.tilt, fit.tilt),
+            np.where(better, retry.yaw, fit.yaw), fit.found | better,
+            fit.iterations + np.where(again, retry.iterations, 0),
+        )  # fmt: skip
+    return fit
+
+
+def nearest_places(curve: GuidingCurve, scallops: Scallops) -> FloatArray:
+    """Return where on the curve K comes nearest to each scallop point, shape (n,) [m]."""
+    s = np.linspace(0.0, curve.length, max(64, int(curve.length / (0.5 * MM))))
+    uv = curve.parameters(s)
+    guide = curve.surface.at(uv[:, 0], uv[:, 1]).offset(curve.offset).position
+    gaps = np.nan_to_num(scallops.position)[:, None, :] - guide[None, :, :]
+    nearest = s[np.argmin(dot(gaps, gaps), axis=1)]
+    for _ in range(2):
+        frames = curve.frames(nearest)
+        move = dot(np.nan_to_num(scallops.position) - frames.position, frames.feed)
+        nearest = nearest + np.clip(move, -MM, MM)
+    return np.asarray(nearest)
+
+
+def first_guess(
+    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float,
+    freedom: Freedom, fixed_angle: float, s: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Guess the free angle from the cylinder through the local curvature [TL2008, 3.2]."""
+    frames = curve.frames(s)
+    width = np.abs(dot(np.nan_to_num(scallops.position) - frames.position, frames.across))
+    # The width of a convex surface's strip grows with the distance from it.
+    width = width / np.maximum(1.0 + curve.offset * frames.curvature, 0.1)
+    wanted = 2.0 * height / np.maximum(width, 1.0 * UM) ** 2 - frames.curvature
+    if freedom == 'tilt':
+        return tilt_of_curvature(cutter, wanted, (0.002, 1.53))
+    across = cutter.effective_radius(fixed_angle)
+    radius = 1.0 / np.maximum(wanted, 1e-3)
+    return np.asarray(
+        np.arccos(
+            np.sqrt(
+                np.clip(
+                    (radius - cutter.corner_radius) / (across - cutter.corner_radius), 0.01, 0.99
+                )
+            )
+        )
+    )
+
+
+def _newton(
+    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, freedom: Freedom, fixed_angle: float,
+    s: FloatArray, angle: FloatArray,
+) -> Fit:  # fmt: skip
+    """Solve both conditions from a guess, all points together."""
+    n = len(s)
+    fixed = np.full(n, fixed_angle)
+
+    def at(place: FloatArray, value: FloatArray) -> Postures:
+        tilt, yaw = (value, fixed) if freedom == 'tilt' else (fixed, value)
+        return resting(cutter, curve.frames(place), tilt, yaw)
+
+    iterations = np.zeros(n, np.int64)
+    right = np.zeros(n, bool)
+    done = np.zeros(n, bool)
+    for _ in range(30):
+        first, second, right = conditions(at(s, angle), scallops)
+        done = (np.abs(first) < CLOSE) & (np.abs(second) < CLOSE)
+        if not np.any(~done & scallops.found):
+            break
+        iterations += ~done
+        ds, da = 1e-8, 1e-7
+        by_place = conditions(at(s + ds, angle), scallops)
+        by_angle = conditions(at(s, angle + da), scallops)
+        a = (by_place[0] - first) / ds, (by_place[1] - second) / ds
+        b = (by_angle[0] - first) / da, (by_angle[1] - second) / da
+        with np.errstate(invalid='ignore', divide='ignore'):
+            determinant = a[0] * b[1] - a[1] * b[0]
+            move = (b[0] * second - b[1] * first) / determinant
+            turn = (a[1] * first - a[0] * second) / determinant
+        move = np.clip(np.nan_to_num(move), -LARGEST_STEP[0], LARGEST_STEP[0])
+        turn = np.clip(np.nan_to_num(turn), -LARGEST_STEP[1], LARGEST_STEP[1])
+        s = np.where(done, s, s + move)
+        angle = np.where(done, angle, np.clip(angle + turn, -0.2, 1.8))
+    tilt, yaw = (angle, fixed) if freedom == 'tilt' else (fixed, angle)
+    return Fit(s, tilt, yaw, done & right & scallops.found, iterations)

@@ -1,0 +1,133 @@
+"""One self-contained HTML page about iso-scallop paths and the simulated surface."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from cnc_interp.cam.iso_scallop import IsoScallopPaths
+from cnc_interp.cam.nbuffer import Heights
+from cnc_interp.cam.simulation import Section
+from cnc_interp.cam.vectors import norm
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.report.figures import BLUE, INK, RED, base_layout, rounded, with_axes
+from cnc_interp.report.page import CONTROLS, STYLE
+from cnc_interp.units import DEG, MM, UM
+
+#: Most cells of a map per direction: more than a screen shows.
+CELLS = 700
+#: Tilt curves in one picture.
+CURVES = 12
+
+
+def map_figure(heights: Heights, scallop: float) -> Any:
+    """Draw the signed heights as a coloured map over the surface."""
+    rows, columns = heights.height.shape
+    skip = max(1, -(-max(rows, columns) // CELLS))
+    base = heights.needles.base
+    x = np.concatenate([[0.0], np.cumsum(norm(np.diff(base[:, columns // 2], axis=0)))]) / MM
+    y = np.concatenate([[0.0], np.cumsum(norm(np.diff(base[rows // 2], axis=0)))]) / MM
+    # Ridges are thinner than a cell: a cell shows the height farthest from zero within it.
+    shown = np.where(heights.cut, heights.height, np.nan) / UM
+    shown = thinned(shown, skip)
+    top = 1.3 * scallop / UM
+    figure = go.Figure(go.Heatmap(
+        x=rounded(x[::skip]), y=rounded(y[::skip]), z=rounded(shown.T), zmin=-top, zmax=top,
+        colorscale=[
+            [0.0, '#7b1d12'], [0.35, '#d9583f'], [0.5, '#f7f7f7'], [0.75, '#4f93c9'],
+            [0.885, '#123a63'], [0.89, '#e0b21e'], [1.0, '#e08a1e'],
+        ],
+        colorbar={'title': {'text': 'height, &#181;m'}, 'thickness': 12},
+        hovertemplate='%{x:.2f}, %{y:.2f} mm: %{z:.2f} um<extra></extra>',
+    ))  # fmt: skip
+    figure.update_layout(base_layout(560), hovermode='closest')
+    figure.update_xaxes(title_text='along u (mm)', constrain='domain')
+    figure.update_yaxes(title_text='along v (mm)', scaleanchor='x')
+    return with_axes(figure)
+
+
+def thinned(values: FloatArray, skip: int) -> FloatArray:
+    """Reduce a map by cells of skip x skip, keeping the value farthest from zero."""
+    if skip == 1:
+        return values
+    rows, columns = (-(-n // skip) * skip for n in values.shape)
+    padded = np.full((rows, columns), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    cells = padded.reshape(rows // skip, skip, columns // skip, skip).swapaxes(1, 2)
+    flat = cells.reshape(rows // skip, columns // skip, -1)
+    size = np.where(np.isnan(flat), -1.0, np.abs(flat))
+    pick = np.argmax(size, axis=2)[:, :, None]
+    return np.asarray(np.take_along_axis(flat, pick, axis=2)[:, :, 0])
+
+
+def section_figure(section: Section, scallop: float) -> Any:
+    """Draw the heights in the middle section against the scallop height."""
+    row = section.height[len(section.height) // 2] / UM
+    figure = go.Figure(go.Scatter(
+        x=rounded(section.way / MM), y=rounded(row), line={'color': BLUE, 'width': 1.2},
+        name='height',
+    ))  # fmt: skip
+    figure.add_hline(scallop / UM, line={'color': RED, 'width': 1.0, 'dash': 'dash'})
+    figure.update_layout(base_layout(300), showlegend=False)
+    figure.update_xaxes(title_text='across the passes (mm)')
+    figure.update_yaxes(title_text='height (&#181;m)')
+    return with_axes(figure)
+
+
+def tilt_figure(paths: IsoScallopPaths) -> Any:
+    """Draw the tilt along some passes [TL2008, Fig. 5b]."""
+    figure = go.Figure()
+    chosen = np.unique(np.linspace(0, len(paths.passes) - 1, CURVES).astype(int))
+    for k in chosen:
+        made = paths.passes[k]
+        tilt = made.postures.tilt / DEG
+        figure.add_trace(go.Scatter(
+            x=rounded(made.s / made.curve.length), y=rounded(tilt), name=f'pass {k + 1}',
+            line={'width': 1.5},
+        ))  # fmt: skip
+    figure.update_layout(base_layout(380))
+    figure.update_xaxes(title_text='along the pass (-)')
+    figure.update_yaxes(title_text='tilt (deg)')
+    return with_axes(figure)
+
+
+def path_figure(paths: IsoScallopPaths) -> Any:
+    """Draw contact lines and tool axes of the passes in space."""
+    figure = go.Figure()
+    gap = np.full((1, 3), np.nan)
+    lines, axes = [], []
+    for made in paths.passes:
+        contact = made.postures.contact / MM
+        lines += [contact, gap]
+        for i in range(0, len(contact), 4):
+            axes += [contact[i : i + 1], contact[i : i + 1] + 3.0 * made.postures.axis[i], gap]
+    for points, name, style in (
+        (np.vstack(lines), 'contact', {'color': BLUE, 'width': 3}),
+        (np.vstack(axes), 'tool axis', {'color': '#9aa5b1', 'width': 1}),
+    ):
+        figure.add_trace(go.Scatter3d(
+            x=rounded(points[:, 0]), y=rounded(points[:, 1]), z=rounded(points[:, 2]),
+            mode='lines', name=name, line=style, hoverinfo='skip',
+        ))  # fmt: skip
+    figure.update_layout(base_layout(520), scene={'aspectmode': 'data'})
+    return figure
+
+
+def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
+    """Put figures with headings and texts on one page; it opens without a network."""
+    parts = [
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<title>{escape(title)}</title><style>{STYLE} pre {{ color: {INK}; }}</style>'
+        f'<script>{get_plotlyjs()}</script></head><body><main><h1>{escape(title)}</h1>'
+        f'<section><pre>{escape(facts)}</pre></section>'
+    ]
+    for k, (heading, text, figure) in enumerate(figures):
+        plot = figure.to_html(
+            include_plotlyjs=False, full_html=False, config=CONTROLS, div_id=f'figure-{k}'
+        )
+        parts.append(f'<section><h2>{escape(heading)}</h2><p>{escape(text)}</p>{plot}</section>')
+    return ''.join([*parts, '</main></body></html>'])

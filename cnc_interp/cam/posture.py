@@ -1,0 +1,112 @@
+"""
+Postures: how the mill stands at a guided point, and how it moves there.
+
+With tilt theta and yaw y about n, ``f_y = f cos y - t sin y`` (n x f = -t) and
+``t_y = t cos y + f sin y``:
+
+    u   = n cos(theta) + f_y sin(theta)         tool axis, leaning forward
+    e_f = f_y cos(theta) - n sin(theta)         towards K in the plane of the corner circle
+    C_L = K - R e_f
+
+so the mill touches at K - r_c n and its heel is lifted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.guiding import Frames
+from cnc_interp.cam.vectors import cross, scaled
+from cnc_interp.program.blocks import FloatArray
+
+
+@dataclass(frozen=True)
+class Postures:
+    """
+    Postures at n places of a pass.
+
+    Parameters
+    ----------
+    cutter : Cutter
+        The mill.
+    frames : Frames
+        Guided points.
+    tilt, yaw : ndarray, shape (n,)
+        Angles [rad].
+    tilt_rate, yaw_rate : ndarray, shape (n,)
+        Their change per arc length of K [rad/m].
+
+    """
+
+    cutter: Cutter
+    frames: Frames
+    tilt: FloatArray
+    yaw: FloatArray
+    tilt_rate: FloatArray
+    yaw_rate: FloatArray
+
+    def __len__(self) -> int:
+        """Count the postures."""
+        return len(self.tilt)
+
+    @property
+    def turned(self) -> tuple[FloatArray, FloatArray]:
+        """Feed and across direction, turned by the yaw about n; each (n, 3)."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        f, t = self.frames.feed, self.frames.across
+        return scaled(c, f) - scaled(s, t), scaled(c, t) + scaled(s, f)
+
+    @property
+    def axis(self) -> FloatArray:
+        """Tool axis u, shape (n, 3)."""
+        f_y = self.turned[0]
+        return scaled(np.cos(self.tilt), self.frames.normal) + scaled(np.sin(self.tilt), f_y)
+
+    @property
+    def front(self) -> FloatArray:
+        """Direction e_f from C_L to K, shape (n, 3)."""
+        f_y = self.turned[0]
+        return scaled(np.cos(self.tilt), f_y) - scaled(np.sin(self.tilt), self.frames.normal)
+
+    @property
+    def centre(self) -> FloatArray:
+        """Centre C_L of the corner circle, shape (n, 3) [m]."""
+        return np.asarray(self.frames.position - self.cutter.tool_radius * self.front)
+
+    @property
+    def tip(self) -> FloatArray:
+        """Tool tip, shape (n, 3) [m]."""
+        return self.cutter.tip(self.centre, self.axis)
+
+    @property
+    def contact(self) -> FloatArray:
+        """Contact points K - r_c n, shape (n, 3) [m]."""
+        return self.frames.position - self.cutter.corner_radius * self.frames.normal
+
+    @property
+    def turn(self) -> FloatArray:
+        """
+        Rotation vector of the mill per arc length, shape (n, 3) [rad/m].
+
+        Omega = Omega_R1 + yaw' n - tilt' t_y [TL2008, Eq. 3.5-3.6 and appendix], the tilt
+        turning u from n towards f_y.
+        """
+        own = scaled(self.yaw_rate, self.frames.normal) - scaled(self.tilt_rate, self.turned[1])
+        return np.asarray(self.frames.turn + own)
+
+    def velocity(self, points: FloatArray) -> FloatArray:
+        """Return V_P per arc length of K at points of the mill [TL2008, Eq. 3.4], (n, ..., 3)."""
+        extra = points.ndim - 2
+        shape = (len(self), *[1] * extra, 3)
+        away = points - self.frames.position.reshape(shape)
+        turn = np.broadcast_to(self.turn.reshape(shape), away.shape)
+        return np.asarray(self.frames.feed.reshape(shape) + cross(turn, away))
+
+    def rim(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return direction e(angle) from C_L in the corner circle's plane and its derivative."""
+        e_f, e_t = self.front, self.turned[1]
+        c, s = np.cos(angle), np.sin(angle)
+        return scaled(c, e_f) + scaled(s, e_t), scaled(c, e_t) - scaled(s, e_f)

@@ -1,0 +1,149 @@
+"""
+Stage 1: scallop points, where the mill's envelope leaves the iso-scallop surface [TL2008, 3.1].
+
+One unknown is enough. At the angle phi of the corner circle the profile of the corner torus is a
+circle about Q = C_L + R e; the envelope touches it where the tool normal m is square to V_Q and to
+the circle of centres: m = unit(V_Q x e'). P = Q + r_c m then satisfies Eq. 3.2 and 3.3, and
+Eq. 3.1 is ``height(P) = S_h``, solved from phi = 0, the contact point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.surface import Surface
+from cnc_interp.cam.vectors import cross, dot, scaled, unit
+from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
+
+#: Scallop points lie on the iso-scallop surface to this [m].
+CLOSE = 1e-11
+#: The envelope is looked for up to this angle of the corner circle [rad].
+WIDEST = 1.55
+
+
+@dataclass(frozen=True)
+class Scallops:
+    """
+    Scallop points of a pass, on one of its sides.
+
+    Parameters
+    ----------
+    position, tangent, normal : ndarray, shape (n, 3)
+        P [m], the unit tangent of the scallop curve and the surface's normal; NaN where ``found``
+        is false.
+    angle : ndarray, shape (n,)
+        phi on the corner circle [rad].
+    found : ndarray of bool, shape (n,)
+        False where the mill does not reach the scallop height within its width.
+    marched, refined : ndarray of int, shape (n,)
+        Iterations of the march to the root and of the solution.
+
+    """
+
+    position: FloatArray
+    tangent: FloatArray
+    normal: FloatArray
+    angle: FloatArray
+    found: BoolArray
+    marched: IntArray
+    refined: IntArray
+
+    def half_width(self, postures: Postures) -> FloatArray:
+        """Return the distance of P from K across the feed, in the surface [m]."""
+        away = self.position - postures.frames.position
+        return np.abs(dot(away, postures.frames.across))
+
+
+def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return P and the tool normal m where the envelope touches at angles of the corner circle."""
+    e, e_d = postures.rim(angle)
+    centre = postures.centre + postures.cutter.tool_radius * e
+    m = unit(cross(postures.velocity(centre), e_d))
+    return np.asarray(centre + postures.cutter.corner_radius * m), m
+
+
+def estimated_half_width(postures: Postures, height: float) -> FloatArray:
+    """Return w from the curvatures of tool and surface across the feed, 2 w = sqrt(8 h/kappa)."""
+    cutter, sine = postures.cutter, np.sin(postures.tilt)
+    swept = (cutter.tool_radius + cutter.corner_radius * sine) / np.maximum(sine, 1e-9)
+    swept = swept * np.cos(postures.yaw) ** 2 + cutter.corner_radius * np.sin(postures.yaw) ** 2
+    relative = 1.0 / swept + postures.frames.curvature
+    return np.asarray(np.sqrt(2.0 * height / np.maximum(relative, 1e-3)))
+
+
+def scallop_points(
+    surface: Surface, postures: Postures, height: float, side: float = 1.0
+) -> Scallops:
+    """
+    Find the scallop points of a pass.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface to machine.
+    postures : Postures
+        The pass.
+    height : float
+        Scallop height S_h [m].
+    side : float
+        1 towards the next pass (along t), -1 towards the one before.
+
+    Returns
+    -------
+    Scallops
+
+    """
+    frames, n = postures.frames, len(postures)
+    u, v = frames.u.copy(), frames.v.copy()
+
+    def miss(angle: FloatArray) -> FloatArray:
+        nonlocal u, v
+        point, _ = envelope_point(postures, side * angle)
+        u, v, above = surface.project(point, u, v)
+        return above - height
+
+    cutter = postures.cutter
+    sine = np.sin(postures.tilt)
+    reach = np.maximum(cutter.tool_radius + cutter.corner_radius * sine, 1e-9)
+    guess = np.clip(1.05 * estimated_half_width(postures, height) / reach, 1e-4, 1.2)
+    low, below = np.zeros(n), np.full(n, -height)
+    high = guess
+    marched, refined = np.ones(n, np.int64), np.zeros(n, np.int64)
+    above = miss(high)
+    while True:
+        short = ~(above > 0.0) & (high < WIDEST)
+        if not short.any():
+            break
+        marched += short
+        low, below = np.where(short, high, low), np.where(short, above, below)
+        high = np.where(short, np.minimum(1.25 * high, WIDEST), high)
+        above = np.where(short, miss(high), above)
+    found = above > 0.0
+    angle, kept = high.copy(), np.zeros(n)
+    for _ in range(40):
+        # Illinois: the end that stays counts half the next time.
+        gap = np.where(found, above - below, 1.0)
+        angle = np.where(found, (low * above - high * below) / gap, angle)
+        value = miss(angle)
+        active = found & (np.abs(value) > CLOSE)
+        refined += active
+        if not active.any():
+            break
+        up = value > 0.0
+        below = np.where(up & (kept > 0.0), 0.5 * below, below)
+        above = np.where(~up & (kept < 0.0), 0.5 * above, above)
+        high, above = np.where(up, angle, high), np.where(up, value, above)
+        low, below = np.where(up, low, angle), np.where(up, below, value)
+        kept = np.where(up, 1.0, -1.0)
+    point, m = envelope_point(postures, side * angle)
+    u, v, _ = surface.project(point, u, v)
+    normal = surface.at(u, v).normal
+    tangent = unit(cross(m, normal))
+    tangent = scaled(np.sign(dot(tangent, frames.feed)), tangent)
+    missing = np.where(found, 0.0, np.nan)[:, None]
+    return Scallops(
+        point + missing, tangent + missing, normal + missing, angle, found, marched, refined
+    )

@@ -1,0 +1,146 @@
+"""
+Surface files: JSON with lengths in mm and angles in degrees (docs/cam.md, "Surface files").
+
+    {"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
+     "placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, Torus
+from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.units import DEG, MM
+
+#: Keys of every kind, and whether they may be left out.
+KEYS: dict[str, dict[str, bool]] = {
+    'plane': {'size_mm': False},
+    'bumps': {'size_mm': False, 'bumps_mm': False},
+    'cap': {'size_mm': False, 'radius_mm': False, 'blend_mm': False, 'angle_deg': False},
+    'cylinder': {'radius_mm': False, 'angle_deg': False, 'length_mm': False, 'hollow': True},
+    'sphere': {'radius_mm': False, 'u_angle_deg': False, 'v_angle_deg': False},
+    'torus': {
+        'ring_mm': False, 'radius_mm': False, 'u_angle_deg': False, 'v_angle_deg': False,
+    },
+    'bspline': {
+        'knots_u': False, 'knots_v': False, 'points_mm': False, 'degree': True, 'flip': True,
+    },
+    'grid': {'points_mm': False, 'flip': True},
+}  # fmt: skip
+
+
+class _File:
+    """The contents of one file, with its name for errors."""
+
+    def __init__(self, path: Path, contents: Any):
+        self.path, self.contents = path, contents
+
+    def fault(self, message: str) -> SurfaceError:
+        return SurfaceError(f'{self.path}: {message}')
+
+    def numbers(self, key: str, shape: tuple[int, ...], default: Any = None) -> FloatArray:
+        """Return an array of finite numbers; -1 in the shape is any length."""
+        value = self.contents.get(key, default)
+        try:
+            array = np.asarray(value, float)
+        except (TypeError, ValueError):
+            array = np.full(1, np.nan)
+        fits = array.ndim == len(shape) and all(
+            a == b or b < 0 for a, b in zip(array.shape, shape, strict=True)
+        )
+        if not fits or not np.isfinite(array).all():
+            size = ' x '.join('n' if n < 0 else str(n) for n in shape)
+            raise self.fault(f'{key} must hold {size + " " if shape else "one "}finite numbers')
+        return array
+
+    def number(self, key: str, unit: float) -> float:
+        """Return one number in SI."""
+        return float(self.numbers(key, ())) * unit
+
+
+def read_surface(path: Path) -> Surface:
+    """
+    Read a surface file.
+
+    Raises
+    ------
+    SurfaceError
+        If the file cannot be read; names the key and what it must be.
+
+    """
+    try:
+        contents = json.loads(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise SurfaceError(f'{path}: cannot be opened: {error.strerror}') from error
+    except ValueError as error:
+        raise SurfaceError(f'{path}: is not JSON: {error}') from error
+    file = _File(path, contents)
+    kind = contents.get('kind') if isinstance(contents, dict) else None
+    if kind not in KEYS:
+        raise file.fault(f'kind is {kind!r}; it must be one of {", ".join(KEYS)}')
+    known = {'kind', 'placement', 'comment', *KEYS[kind]}
+    for key in contents:
+        if key not in known:
+            raise file.fault(f'{key} has no meaning for {kind}; it has {", ".join(KEYS[kind])}')
+    for key, optional in KEYS[kind].items():
+        if not optional and key not in contents:
+            raise file.fault(f'{key} is missing')
+    try:
+        surface = _surface(file, kind)
+    except SurfaceError as error:
+        raise error if str(error).startswith(str(path)) else file.fault(str(error)) from error
+    return _placed(file, surface)
+
+
+def _surface(file: _File, kind: str) -> Surface:
+    """Make the surface in its own frame."""
+    if kind in ('plane', 'bumps', 'cap'):
+        x, y = (file.numbers('size_mm', (2,)) * MM).tolist()
+        if kind == 'plane':
+            return Plane((x, y))
+        if kind == 'bumps':
+            return Bumps((x, y), file.numbers('bumps_mm', (-1, 4)) * MM)
+        return Cap(
+            (x, y), file.number('radius_mm', MM), file.number('blend_mm', MM),
+            file.number('angle_deg', DEG),
+        )  # fmt: skip
+    if kind == 'cylinder':
+        hollow = bool(file.contents.get('hollow', False))
+        return Cylinder(
+            file.number('radius_mm', MM), file.number('angle_deg', DEG),
+            file.number('length_mm', MM), hollow,
+        )  # fmt: skip
+    if kind in ('sphere', 'torus'):
+        ring = file.number('ring_mm', MM) if kind == 'torus' else 0.0
+        return Torus(
+            ring, file.number('radius_mm', MM), file.number('u_angle_deg', DEG),
+            file.number('v_angle_deg', DEG),
+        )  # fmt: skip
+    flip = bool(file.contents.get('flip', False))
+    points = file.numbers('points_mm', (-1, -1, 3)) * MM
+    if kind == 'grid':
+        return BSplineSurface.through(points, flip)
+    degree = file.numbers('degree', (2,), [3, 3]).astype(int)
+    knots = file.numbers('knots_u', (-1,)), file.numbers('knots_v', (-1,))
+    return BSplineSurface(knots, points, (int(degree[0]), int(degree[1])), flip)
+
+
+def _placed(file: _File, surface: Surface) -> Surface:
+    """Turn and move the surface as its placement says: about x, then y, then z, then the shift."""
+    placement = file.contents.get('placement')
+    if placement is None:
+        return surface
+    if not isinstance(placement, dict) or set(placement) - {'rotation_deg', 'shift_mm'}:
+        raise file.fault('placement has rotation_deg and shift_mm, three numbers each')
+    inner = _File(file.path, placement)
+    turn = inner.numbers('rotation_deg', (3,), [0.0, 0.0, 0.0])
+    shift = inner.numbers('shift_mm', (3,), [0.0, 0.0, 0.0]) * MM
+    rotation = Rotation.from_euler('xyz', turn, degrees=True).as_matrix()
+    return Placed(surface, np.asarray(rotation), shift)

@@ -1,0 +1,283 @@
+"""What the `cam` commands do: surface -> passes -> program -> plan -> motion -> N-buffer."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
+from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
+from cnc_interp.cam.simulation import (
+    Motion,
+    Section,
+    cross_sections,
+    executed,
+    planned,
+    programmed,
+)
+from cnc_interp.cam.surface import Surface
+from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
+from cnc_interp.cam.vectors import cross, unit
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.pipeline import ChainOptions, plan_program, write_plan
+from cnc_interp.plan_files import read_plan
+from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
+
+#: Tolerance of the interpolator for the program, as a share of the scallop height.
+SMOOTHING = 0.2
+
+
+def make_program(options: argparse.Namespace) -> int:
+    """Make the program of a surface, simulate it if asked, and write everything."""
+    surface = read_surface(options.surface)
+    cutter = _cutter(options)
+    clock = time.perf_counter()
+    paths = iso_scallop_paths(
+        surface, cutter, across(surface, options.direction * DEG), _choices(options),
+        _progress('passes', options.json),
+    )  # fmt: skip
+    clock = time.perf_counter() - clock
+    tool_path = link(
+        [c for c in (SplinePass.of(p, options.overrun * MM) for p in paths.passes) if c],
+        surface, cutter, _linking(options),
+    )  # fmt: skip
+    out = options.out
+    out.mkdir(parents=True, exist_ok=True)
+    program = out / 'program.apt'
+    program.write_text(tool_path.cl_data(options.surface.stem.upper()), encoding='ascii')
+    summary = {'surface': str(options.surface), **facts_of(paths, tool_path, clock)}
+    motions = []
+    if options.run or options.simulate:
+        machine = Machine.load(options.machine)
+        tolerance = SMOOTHING * options.scallop * UM
+        reading = ReadOptions(contour_tolerance=tolerance, orientation_tolerance=tolerance)
+        motions.append(programmed(program, machine, reading))
+        if options.run:
+            plan = plan_program(
+                read_program(program, Transform.of(machine), reading), machine, ChainOptions(),
+                _progress('planning', options.json),
+            )  # fmt: skip
+            write_plan(plan, out / 'plan')
+            summary['cycle_time'] = plan.pieces[-1].law.end_time
+            files = read_plan(out / 'plan')
+            motions += [planned(files, machine), executed(files, machine)]
+    figures = _path_figures(paths)
+    for motion in motions:
+        heights, section = _cut(surface, cutter, motion, paths.plane_normal, options)
+        summary[motion.name] = results(heights, section)
+        figures += _height_figures(motion, heights, section, options.scallop * UM)
+    (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
+    text = describe(summary)
+    from cnc_interp.cam.page import page
+
+    (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
+    print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
+    for note in paths.notes:
+        print(f'note: {note}', file=sys.stderr)
+    return 0
+
+
+def simulate_motion(options: argparse.Namespace) -> int:
+    """Cut a surface with a program or a plan."""
+    surface, cutter = read_surface(options.surface), _cutter(options)
+    machine = Machine.load(options.machine)
+    if options.motion.is_dir():
+        files = read_plan(options.motion)
+        motion = (executed if options.executed else planned)(files, machine)
+    else:
+        motion = programmed(options.motion, machine, ReadOptions(feedrate=MM_PER_MIN))
+    heights, section = _cut(surface, cutter, motion, across(surface, 0.0), options)
+    summary = {motion.name: results(heights, section)}
+    if options.html:
+        from cnc_interp.cam.page import page
+
+        figures = _height_figures(motion, heights, section, options.scallop * UM)
+        text = page(str(options.motion), describe(summary), figures)
+        options.html.parent.mkdir(parents=True, exist_ok=True)
+        options.html.write_text(text, encoding='utf-8')
+    print(json.dumps(summary, indent=2) if options.json else describe(summary))
+    return 0
+
+
+def across(surface: Surface, direction: float) -> FloatArray:
+    """
+    Return N for a feed direction in the surface's mean tangent plane.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface.
+    direction : float
+        Angle of the feed from the mean direction of the u lines [rad].
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Unit normal of the guiding planes, with n x N along the feed.
+
+    """
+    u, v = surface.grid(21, 21)
+    point = surface.at(u, v)
+    up = unit(point.normal.reshape(-1, 3).mean(axis=0))
+    first = point.d_u.reshape(-1, 3).mean(axis=0)
+    first = unit(first - (first @ up) * up)
+    feed = np.cos(direction) * first + np.sin(direction) * cross(up, first)
+    return cross(feed, up)
+
+
+def facts_of(paths: IsoScallopPaths, tool_path: ToolPath, seconds: float) -> dict[str, Any]:
+    """Return what is known of the passes; SI units."""
+    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
+    planes = np.abs(np.diff([p.plane for p in paths.passes]))
+    postures = sum(len(p.s) for p in paths.passes)
+    marched, refined, second = paths.iterations
+    return {
+        'passes': len(paths.passes),
+        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
+        'postures': postures,
+        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
+        'tilt': [float(tilt.min()), float(tilt.max())],
+        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
+        'computing_time': seconds,
+        'blocks': len(tool_path.tip) - 1,
+        'cutting_length': tool_path.cutting_length,
+    }
+
+
+def results(heights: Heights, section: Section) -> dict[str, Any]:
+    """Return statistics of heights and ridges; SI units."""
+    found = heights.statistics()
+    if len(section.ridges):
+        low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()
+        found |= {
+            'ridges': len(section.ridges), 'ridge_5': low, 'ridge_50': middle, 'ridge_95': high,
+            'ridge_highest': float(section.ridges.max()),
+        }  # fmt: skip
+    return found
+
+
+def describe(summary: dict[str, Any]) -> str:
+    """Return the summary in words and shop units."""
+    lines = []
+    if 'passes' in summary:
+        tilt, steps = summary['tilt'], summary['plane_distance']
+        lines += [
+            f'surface        {summary["surface"]}',
+            f'passes         {summary["passes"]}, {summary["started_afresh"]} started afresh; '
+            f'{summary["postures"]} postures in {summary["computing_time"]:.2f} s',
+            f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
+        ]
+        if steps:
+            lines.append(f'planes         {steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart')
+        steps = summary['iterations']
+        lines += [
+            f'iterations     {steps["march"]:.1f} to bracket and {steps["scallop"]:.1f} to solve '
+            f'a scallop point, {steps["posture"]:.1f} a posture',
+            f'program        {summary["blocks"]} blocks, {summary["cutting_length"] / MM:.0f} mm '
+            'cutting',
+        ]
+    if 'cycle_time' in summary:
+        lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
+    for name in ('programmed', 'planned', 'executed'):
+        if name in summary:
+            lines.append(f'{name:<15}{_in_words(summary[name])}')
+    return '\n'.join(lines)
+
+
+def _in_words(found: dict[str, Any]) -> str:
+    um = {k: v / UM for k, v in found.items() if isinstance(v, float)}
+    text = (
+        f'{um["lowest"]:.2f} to {um["highest"]:.2f} um, Sa {um["Sa"]:.2f}, Sq {um["Sq"]:.2f}, '
+        f'Sz {um["Sz"]:.2f} um; deeper than 0.5 um {found["gouged"]:.2%}, uncut '
+        f'{found["uncut"]:.2%}'
+    )
+    if 'ridges' in found:
+        text += (
+            f'\n{"":15}ridges {um["ridge_5"]:.2f} / {um["ridge_50"]:.2f} / {um["ridge_95"]:.2f} '
+            f'um (5, 50, 95 % of {found["ridges"]}), highest {um["ridge_highest"]:.2f} um'
+        )
+    return text
+
+
+def _cut(
+    surface: Surface, cutter: Cutter, motion: Motion, normal: FloatArray,
+    options: argparse.Namespace,
+) -> tuple[Heights, Section]:  # fmt: skip
+    """Cut the map and the sections."""
+    needles = Needles.on(surface, options.spacing * MM, options.margin * MM)
+    show = _progress(f'cutting, {motion.name}', options.json)
+    heights = cut_needles(needles, cutter, motion.tip, motion.axis, show)
+    return heights, cross_sections(surface, cutter, motion, normal, options.margin * MM)
+
+
+def _path_figures(paths: IsoScallopPaths) -> list[tuple[str, str, Any]]:
+    from cnc_interp.cam.page import path_figure, tilt_figure
+
+    return [
+        ('Passes', 'Contact lines and tool axes.', path_figure(paths)),
+        ('Tilt', 'Tilt along the passes.', tilt_figure(paths)),
+    ]
+
+
+def _height_figures(
+    motion: Motion, heights: Heights, section: Section, scallop: float
+) -> list[tuple[str, str, Any]]:
+    from cnc_interp.cam.page import map_figure, section_figure
+
+    words = _in_words(results(heights, section))
+    return [
+        (f'Surface, {motion.name}', words, map_figure(heights, scallop)),
+        (
+            f'Section, {motion.name}',
+            'Heights across the passes.',
+            section_figure(section, scallop),
+        ),
+    ]
+
+
+def _cutter(options: argparse.Namespace) -> Cutter:
+    return Cutter.of_diameter(options.tool_diameter * MM, options.corner_radius * MM)
+
+
+def _choices(options: argparse.Namespace) -> IsoScallopOptions:
+    low, high = options.tilt_limits
+    return IsoScallopOptions(
+        scallop_height=options.scallop * UM,
+        stepover=None if options.stepover is None else options.stepover * MM,
+        tilt=options.tilt * DEG,
+        tilt_limits=(low * DEG, high * DEG),
+        yaw=options.yaw * DEG,
+        freedom=options.freedom,
+        start=options.start,
+        points=options.points,
+        stray=None if options.no_restart else IsoScallopOptions.stray,
+    )
+
+
+def _linking(options: argparse.Namespace) -> LinkOptions:
+    return LinkOptions(
+        options.linking, options.chord * UM, options.clearance * MM, options.feed * MM_PER_MIN
+    )
+
+
+def _progress(what: str, quiet: bool) -> Callable[[float], None] | None:
+    """Return a progress bar for a terminal."""
+    if quiet or not sys.stderr.isatty():
+        return None
+
+    def show(share: float) -> None:
+        end = '\n' if share >= 1.0 else ''
+        print(f'\r{what} {share:4.0%}', end=end, file=sys.stderr, flush=True)
+
+    return show

@@ -1,0 +1,59 @@
+"""The cam commands: from a surface to executed motion, and one line for what does not fit."""
+
+import json
+
+import pytest
+
+from cnc_interp.cli import BAD_INPUT, FINE, main
+
+SURFACE = {
+    'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],
+    'placement': {'rotation_deg': [25, 0, 0]},
+}  # fmt: skip
+
+
+@pytest.fixture
+def surface(tmp_path):
+    file = tmp_path / 'surface.json'
+    file.write_text(json.dumps(SURFACE))
+    return file
+
+
+def test_from_a_surface_to_the_executed_surface(surface, tmp_path, capsys):
+    out = tmp_path / 'out'
+    arguments = ['--stepover', '2', '--run', '--spacing', '0.3', '--json', '--out', str(out)]
+    assert main(['cam', 'iso-scallop', str(surface), *arguments]) == FINE
+    summary = json.loads(capsys.readouterr().out)
+    assert summary['passes'] >= 6 and summary['cycle_time'] > 1.0
+    for motion in ('programmed', 'planned', 'executed'):
+        assert summary[motion]['uncut'] == 0.0
+        assert summary[motion]['lowest'] > -2.5e-6 and summary[motion]['highest'] < 13e-6
+        assert summary[motion]['ridge_50'] == pytest.approx(10e-6, rel=0.05)
+    assert (out / 'cam.html').stat().st_size > 1e6
+    assert main(['check', str(out / 'plan')]) == FINE
+    capsys.readouterr()
+    for motion in (out / 'program.apt', out / 'plan'):
+        cut = ['--surface', str(surface), '--spacing', '0.3', '--json']
+        assert main(['cam', 'simulate', str(motion), *cut]) == FINE
+        (found,) = json.loads(capsys.readouterr().out).values()
+        assert found['highest'] < 13e-6 and found['uncut'] == 0.0
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'says'),
+    [
+        (['--stepover', '0.4'], 'too narrow'),
+        (['--stepover', '9'], 'too wide'),
+        (['--corner-radius', '7'], 'a corner radius of 7 mm does not fit a diameter of 13 mm'),
+        (['--corner-radius', '6.5'], 'ball mill'),
+        (['--tilt', '80'], 'do not make sense'),
+        (['--points', '2'], 'too few'),
+    ],
+)
+def test_what_does_not_fit_gets_one_line(arguments, says, surface, tmp_path, capsys):
+    out = tmp_path / 'out'
+    command = ['cam', 'iso-scallop', str(surface), '--out', str(out), *arguments]
+    assert main(command) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert says in error and error.count('\n') == 1
+    assert not out.exists()

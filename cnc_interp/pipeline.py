@@ -30,7 +30,8 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import Blocks, FloatArray
-from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.lookahead import SmoothingOptions
+from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, MS
 
@@ -92,7 +93,7 @@ class Chain:
 
     def __init__(self, machine: Machine, options: ChainOptions):
         transform = Transform.of(machine)
-        self.lookahead = LookAhead(smoothing_options(transform, options))
+        self.lookahead = PathSmoother(smoothing_options(transform, options))
         self.builder = AxisPathBuilder(transform, options.flank_height)
         self.planner = FeedPlanner(machine)
         self.interpolator = Interpolator(options.period)

@@ -21,7 +21,7 @@ from cnc_interp.nodes.soundness import check_block
 from cnc_interp.nodes.streams import WindowedReceiver
 from cnc_interp.nodes.warming import warm_lookahead
 from cnc_interp.pipeline import ChainOptions, smoothing_options
-from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
 #: Blocks smoothed together, and segments that may wait before smoothing goes on.
@@ -41,7 +41,7 @@ class LookaheadNode(Node):
         self._peer_timeout = values['peer_timeout']
         self._heard = 0.0
         warm_lookahead(self._transform)
-        self._lookahead: LookAhead | None = None
+        self._lookahead: PathSmoother | None = None
         self._flank_height = 0.0
         self._blocks: deque[G1Block] = deque()
         self._last: PathSegments | None = None
@@ -67,7 +67,7 @@ class LookaheadNode(Node):
     def _begin(self, block: G1Block) -> None:
         """Forget the program before."""
         options = ChainOptions(flank_height=block.flank_height, **self._corners)
-        self._lookahead = LookAhead(smoothing_options(self._transform, options))
+        self._lookahead = PathSmoother(smoothing_options(self._transform, options))
         self._flank_height = block.flank_height
         self._blocks.clear()
         self._last = None

@@ -14,7 +14,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import JobSetup, Program, ReadOptions, read_program, read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.path_smoother import PathSmoother
 
 #: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
 BATCH, LONGEST_TEXT = 512, 16 << 20
@@ -118,7 +118,7 @@ def checked_length(
 ) -> float:
     """Run a program through look-ahead and kinematics and return the length of its path [m]."""
     chain_options = ChainOptions(flank_height=flank_height)
-    lookahead = LookAhead(smoothing_options(transform, chain_options))
+    lookahead = PathSmoother(smoothing_options(transform, chain_options))
     builder = AxisPathBuilder(transform, flank_height)
     length = 0.0
     for first in range(0, len(blocks) + BATCH, BATCH):

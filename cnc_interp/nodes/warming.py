@@ -14,7 +14,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, MM_PER_MIN
 
@@ -43,7 +43,7 @@ def tiny_program(transform: Transform) -> Blocks:
 
 def warm_lookahead(transform: Transform) -> PathSegments:
     """Load the kernels of the look-ahead."""
-    lookahead = LookAhead(smoothing_options(transform, ChainOptions()))
+    lookahead = PathSmoother(smoothing_options(transform, ChainOptions()))
     return PathSegments.concatenate([lookahead.push(tiny_program(transform)), lookahead.finish()])
 
 

@@ -130,15 +130,17 @@ class LookAhead:
     ----------
     options : SmoothingOptions
         How to smooth.
+    row : int
+        Row in the program of the first block to come.
 
     """
 
-    def __init__(self, options: SmoothingOptions | None = None):
+    def __init__(self, options: SmoothingOptions | None = None, row: int = 0):
         self.options = options or SmoothingOptions()
         self._style = self.options.style
         self._none = no_segments(self._style)
         self._blocks: Blocks | None = None
-        self._row = 0  # row in the program of the first block kept
+        self._row = row  # in the program, of the first block kept
         self._outer_before = 0.0  # L2 of the corner at the first kept vertex, unstretched
 
     def push(self, blocks: Blocks) -> PathSegments:

@@ -1,0 +1,235 @@
+"""
+Native 5-axis B-splines of the Siemens 840D -> spline rows of Blocks [B2013, section 4.1].
+
+``BSPLINE SD=3`` opens a curve; each block then gives one control point of the tool tip (X Y Z),
+one of a second point on the tool axis (XH YH ZH) and a knot interval (PL). Words not given keep
+their value, PL is then 1. The first control point is where the tool is.
+``docs/native_splines.md`` has the whole convention.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from math import isfinite, nan, sqrt
+
+import numpy as np
+
+from cnc_interp.errors import ProgramError
+from cnc_interp.program.blocks import Blocks
+
+Point = tuple[float, float, float]
+
+_NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:EX?[-+]?\d++)?'
+_WORD = re.compile(rf'(?<![A-Z0-9_])(XH|YH|ZH|PL|SD|PW)\s*=\s*({_NUMBER})(?![\w.])')
+#: Words of this room by their beginning, to look for before a line is taken apart.
+CURVE_WORDS = re.compile(r'(?:[XYZ]H|PL|SD|PW)\s*=')
+#: Two points on the tool axis must be further apart than this [m].
+_SHORTEST_TOOL = 1e-6
+#: A curve begins where the tool is: its tip [m] and its axis [-], as a program writes them.
+_SAME, _SAME_AXIS = 1e-9, 1e-6
+_LEAST_POINTS = 4
+#: A knot may be repeated so often that the curve passes through a control point.
+_MOST_REPEATED = 3
+
+
+def take_words(
+    line: str, fault: Callable[[str, str], ProgramError]
+) -> tuple[str, dict[str, float]]:
+    """
+    Take the words XH YH ZH PL SD PW out of a line in upper case.
+
+    Returns
+    -------
+    tuple of str and dict
+        What is left of the line, and the numbers by word; what stands behind a semicolon stays.
+
+    """
+    code, semicolon, comment = line.partition(';')
+    words: dict[str, float] = {}
+    for match in _WORD.finditer(code):
+        if match[1] in words:
+            raise fault(f'{match[1]} stands twice in one block; keep one of them', match[0])
+        words[match[1]] = float(match[2].replace('EX', 'E'))
+    if words.get('SD', 3.0) != 3.0:
+        raise fault('only cubic splines are supported; write SD=3', f'SD={words["SD"]:g}')
+    if words.get('PW', 1.0) != 1.0:
+        raise fault('weighted control points are not supported; write PW=1', f'PW={words["PW"]:g}')
+    if not words.get('PL', 0.0) >= 0.0:
+        raise fault('a knot interval must not be negative', f'PL={words["PL"]:g}')
+    return _WORD.sub(' ', code) + semicolon + comment, words
+
+
+def second_point(words: dict[str, float], unit: float, before: Point | None) -> Point | None:
+    """Return the second point on the tool axis that a block names [m]; None if it names none."""
+    named = [words.get(letter) for letter in ('XH', 'YH', 'ZH')]
+    if all(word is None for word in named):
+        return None
+    kept = before or (nan, nan, nan)
+    x, y, z = (k if word is None else word * unit for word, k in zip(named, kept, strict=True))
+    return x, y, z
+
+
+def tool_vector(tip: Point, second: Point) -> Point:
+    """Return the unit vector from the tip to the second point; NaN where there is none."""
+    x, y, z = (b - a for a, b in zip(tip, second, strict=True))
+    length = sqrt(x * x + y * y + z * z)
+    if not (isfinite(length) and length > _SHORTEST_TOOL):
+        return nan, nan, nan
+    return x / length, y / length, z / length
+
+
+class Curve:
+    """
+    The control points of one curve, collected block by block.
+
+    Parameters
+    ----------
+    tip, axis : tuple of float
+        Where the tool is: the first control point [m], and the unit tool axis [-].
+    second : tuple of float or None
+        The second point there where the program has named it [m].
+    height : float
+        Distance of the second point from the tip where the program names none [m].
+    source : str
+        File name for errors.
+
+    """
+
+    def __init__(self, tip: Point, axis: Point, second: Point | None, height: float, source: str):
+        self._tip, self._axis, self._height, self._source = tip, axis, height, source
+        self.second = second
+        self._first_second = second
+        self._named: bool | None = None  # whether the program names second points
+        self._rows: list[tuple[float, ...]] = []
+
+    def add(
+        self,
+        tip: Point,
+        words: dict[str, float],
+        unit: float,
+        speed_and_tolerances: tuple[float, float, float],
+        line_number: int,
+    ) -> None:
+        """
+        Take a control point.
+
+        Parameters
+        ----------
+        tip : tuple of float
+            Control point of the tip [m].
+        words : dict
+            XH YH ZH and PL as written.
+        unit : float
+            Metres per unit of the program.
+        speed_and_tolerances : tuple of float
+            Feedrate [m/s], contour and orientation tolerance [m].
+        line_number : int
+            Line of the block.
+
+        Raises
+        ------
+        ProgramError
+            If the block gives no tool axis, or the curve cannot begin with it.
+
+        """
+
+        def fault(message: str) -> ProgramError:
+            return ProgramError(message, self._source, line_number)
+
+        second = second_point(words, unit, self.second)
+        named = second is not None
+        if self._named is None:
+            self._named = named
+        elif named and not self._named:
+            raise fault('XH YH ZH must stand in the first block of a spline, or in none')
+        if not self._named:
+            second = _along(tip, self._axis, self._height)
+        second = second or self.second
+        assert second is not None
+        axis = tool_vector(tip, second)
+        if not isfinite(axis[0]):
+            raise fault('give XH YH ZH, all three at first, as a point above X Y Z')
+        self.second = second
+        if not self._rows and _apart(tip, self._tip) <= _SAME:
+            # One block per control point: the first one may be written out.
+            if _apart(axis, self._axis) > _SAME_AXIS:
+                raise fault('the spline begins with another tool axis than the tool has')
+            self._first_second = second
+            return
+        interval = words.get('PL', 1.0)
+        if not self._rows and interval == 0.0:
+            raise fault(
+                'PL of the first interval must be greater than 0; the two zeros that close a '
+                'spline belong to its last two blocks'
+            )
+        self._rows.append((*tip, *second, interval, *speed_and_tolerances, line_number))
+
+    def blocks(self, line_number: int) -> Blocks | None:
+        """
+        Return the curve as spline rows, the first control point first; None if it has no other.
+
+        Raises
+        ------
+        ProgramError
+            If it has too few control points, or its knots tear it.
+
+        """
+        count = len(self._rows) + 1
+        if count == 1:
+            return None
+        if count < _LEAST_POINTS:
+            raise ProgramError(
+                f'a cubic B-spline needs at least {_LEAST_POINTS} control points, the start '
+                f'included, not {count}',
+                self._source,
+                line_number,
+            )
+        table = np.array([self._rows[0], *self._rows])
+        length = sqrt(float(((table[1, 3:6] - table[1, 0:3]) ** 2).sum()))
+        if self._first_second is not None:
+            length = _apart(self._tip, self._first_second)
+        table[0, 0:3], table[0, 3:6] = self._tip, _along(self._tip, self._axis, length)
+        table[0, 6] = table[-2, 6] = table[-1, 6] = 0.0
+        intervals = np.flatnonzero(table[:, 6])
+        torn = np.flatnonzero(np.diff(intervals) > _MOST_REPEATED)
+        if len(torn):
+            raise ProgramError(
+                'more than two knot intervals (PL) of 0 in a row tear the spline',
+                self._source,
+                int(table[intervals[torn[0] + 1], 10]),
+            )
+        if intervals[-1] != len(table) - 3:
+            raise ProgramError(
+                'the knot interval (PL) two blocks before the end of a spline must be greater '
+                'than 0',
+                self._source,
+                int(table[-3, 10]),
+            )
+        tool = table[:, 3:6] - table[:, 0:3]
+        n = len(table)
+        return Blocks(
+            tip=table[:, 0:3].copy(),
+            axis=tool / np.sqrt((tool**2).sum(axis=1))[:, None],
+            rotary=np.full((n, 2), np.nan),
+            feedrate=table[:, 7].copy(),
+            duration=np.full(n, np.nan),
+            rapid=np.zeros(n, dtype=np.bool_),
+            exact_stop=np.zeros(n, dtype=np.bool_),
+            contour_tolerance=table[:, 8].copy(),
+            orientation_tolerance=table[:, 9].copy(),
+            line_number=table[:, 10].astype(np.int64),
+            top=table[:, 3:6].copy(),
+            knot_interval=table[:, 6].copy(),
+        )
+
+
+def _apart(a: Point, b: Point) -> float:
+    """Return the distance of two points."""
+    return sqrt(sum((y - x) ** 2 for x, y in zip(a, b, strict=True)))
+
+
+def _along(tip: Point, axis: Point, length: float) -> Point:
+    """Return the point at a distance from the tip on a tool axis."""
+    x, y, z = (p + length * o for p, o in zip(tip, axis, strict=True))
+    return x, y, z

@@ -10,6 +10,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.plan_files import PlanFiles
 from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.programmed_splines import with_chords
 from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.verify import corner_tolerances, measure
 
@@ -71,6 +72,7 @@ class Series:
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
     """Work out what is drawn from the files of a plan."""
+    plan = with_chords(plan, machine)
     tip, axis = Transform.of(machine).forward(plan.position)
     deviation = measure(plan, machine, tip, axis)
     contour, orientation = corner_tolerances(plan, deviation)

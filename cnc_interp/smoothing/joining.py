@@ -17,6 +17,7 @@ deviation from the programmed curves is bounded by the polynomials' coefficients
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 
@@ -24,9 +25,6 @@ from cnc_interp.program.blocks import FloatArray
 from cnc_interp.smoothing.bezier import derivatives
 from cnc_interp.smoothing.connection import hermite
 from cnc_interp.smoothing.orientation import cross, dot, norm
-
-#: Largest values of the quintic's Bernstein polynomials 1 and 2 (and 4 and 3) on [0, 1].
-LARGEST_1, LARGEST_2 = 0.4096, 0.3456
 
 
 @dataclass(frozen=True)
@@ -194,12 +192,19 @@ def connected(
             lacking[side] = _lacking(*inward, jets)
     # What moving the tip does to D far from a join is not E's affair: E acts at the joins only.
     connection = hermite(lacking[0], lacking[1], points)
-    change = norm(moved - bottom)
-    tip = LARGEST_1 * (change[:, 1] + change[:, 4]) + LARGEST_2 * (change[:, 2] + change[:, 3])
-    tool = tip + norm(connection).max(axis=1)
+    tip = _largest(moved - bottom)
+    tool = tip + _largest(connection)
     ratio = tool / shortest_tool(bottom, top)
     chord = np.where(ratio < 1.0, 2.0 * np.sin(0.5 * np.arcsin(np.minimum(ratio, 1.0))), np.inf)
     return Connected(moved, connection, np.stack([tip, tip + height * chord], axis=1))
+
+
+def _largest(points: FloatArray) -> FloatArray:
+    """Bound the length of Bezier curves by the largest values of the Bernstein polynomials."""
+    k, degree = np.arange(points.shape[1]), points.shape[1] - 1
+    share = k / degree
+    weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
+    return np.asarray((weight * norm(points)).sum(axis=1))
 
 
 def _take_up_tip(bottom: FloatArray, jets: Jets) -> None:

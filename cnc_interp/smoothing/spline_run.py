@@ -153,8 +153,9 @@ class SplineRun:
         pieces: list[tuple[Piece, bool]] = []
         for piece in self._spans():
             self._meet(piece, pieces)
+        segments = self._segments(pieces)
         self._forget()
-        return self._segments(pieces)
+        return segments
 
     def finish(self, after: Jets | None) -> PathSegments | None:
         """

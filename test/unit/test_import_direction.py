@@ -22,6 +22,7 @@ FLOW = (
     'plan_files',
     'machine',
     'programmed_path',
+    'programmed_splines',
     'proof',
     'verify',
     'pipeline',
@@ -34,7 +35,7 @@ FLOW = (
 )
 
 # The proof shares no code with the planner: what it may import, all of it.
-PROOF_ROOMS = ('programmed_path', 'proof', 'verify')
+PROOF_ROOMS = ('programmed_path', 'programmed_splines', 'proof', 'verify')
 PROOF_MAY_IMPORT = (
     'cnc_interp.units',
     'cnc_interp.errors',

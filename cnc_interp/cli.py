@@ -75,6 +75,19 @@ def parser() -> argparse.ArgumentParser:
         '--out', type=Path, metavar='DIR', required=True, help='folder for the plan files'
     )
 
+    convert = command(
+        commands, 'convert', convert_command,
+        'write a program in another dialect',
+        'cnc-interp convert examples/pyramid.apt --to siemens-bspline --out pyramid.mpf',
+    )  # fmt: skip
+    program_options(convert)
+    convert.add_argument(
+        '--to', choices=('siemens-bspline', 'gcode', 'cl'), required=True,
+        help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
+    )  # fmt: skip
+    convert.add_argument('--out', type=Path, metavar='FILE', help='file to write (the terminal)')
+    length(convert, '--fit-tolerance', 1e-4, 'how closely cubic curves follow the smooth path')
+
     check = command(
         commands, 'check', check_command,
         'prove every setpoint of a plan against limits and tolerances',
@@ -200,18 +213,11 @@ def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
     from cnc_interp.kinematics.machine import Machine
     from cnc_interp.kinematics.transform import Transform
-    from cnc_interp.pipeline import ChainOptions, describe, plan_program, summary_of, write_plan
+    from cnc_interp.pipeline import describe, plan_program, summary_of, write_plan
     from cnc_interp.program import read_program
 
     machine = Machine.load(options.machine)
-    chain = ChainOptions(
-        flank_height=options.flank_height * MM,
-        ratio=options.ratio,
-        parametrization=options.parametrization,
-        top=options.top,
-        septic=options.septic,
-        period=options.period * MS,
-    )
+    chain = chain_options(options)
     geometry = Transform.of(machine)
     program = read_program(options.program, geometry, read_options(options))
     tell(program.notices)
@@ -222,6 +228,41 @@ def plan_command(options: argparse.Namespace) -> int:
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
         print(f'plan files     {options.out}')
+    return FINE
+
+
+def chain_options(options: argparse.Namespace) -> Any:
+    """Turn the shop's units into the options of the chain."""
+    from cnc_interp.pipeline import ChainOptions
+
+    return ChainOptions(
+        flank_height=options.flank_height * MM,
+        ratio=options.ratio,
+        parametrization=options.parametrization,
+        top=options.top,
+        septic=options.septic,
+        period=options.period * MS,
+    )
+
+
+def convert_command(options: argparse.Namespace) -> int:
+    """Write a program in another dialect."""
+    from cnc_interp.convert import convert
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.kinematics.transform import Transform
+    from cnc_interp.program import read_program
+
+    machine = Machine.load(options.machine)
+    program = read_program(options.program, Transform.of(machine), read_options(options))
+    tell(program.notices)
+    tolerance = options.fit_tolerance * MM
+    made = convert(program, machine, chain_options(options), options.to, tolerance)
+    if options.out is None:
+        print(made.text, end='')
+    else:
+        options.out.write_text(made.text, encoding='utf-8')
+        print(f'program        {options.out}')
+    tell(made.notes)
     return FINE
 
 

@@ -58,7 +58,7 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     sample_rows, parts = plan.block.copy(), []
     grid_rows = np.array(plan.path['block'], dtype=np.int64) if plan.path else None
     count = 0
-    for first, last in _portions(on_spline, np.asarray(blocks['exact_stop'], dtype=bool)):
+    for first, last in portions(on_spline, np.asarray(blocks['exact_stop'], dtype=bool)):
         if not on_spline[first]:
             parts.append({name: column[first:last] for name, column in blocks.items()})
             place, rows = np.arange(first, last), np.arange(count, count + last - first)
@@ -66,7 +66,7 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
             if grid_rows is not None:
                 grid_rows = _renumbered(grid_rows, plan.path['block'], place, rows)
         else:
-            part, curve = _chords(blocks, first, last, plan.flank_height)
+            part, curve = chords(blocks, first, last, plan.flank_height)
             parts.append(part)
             inside = (plan.block >= first) & (plan.block < last)
             sample_rows[inside] = count + _rows_reached(curve, samples, inside, plan.flank_height)
@@ -83,8 +83,8 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     )
 
 
-def _portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last row (exclusive) of linear stretches and of curves."""
+def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:
+    """Return first and last row (exclusive) of linear stretches and of curves, in order."""
     changes = (on_spline[1:] != on_spline[:-1]) | (on_spline & exact_stop)[:-1]
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(on_spline)]))
 
@@ -96,10 +96,34 @@ def _renumbered(rows: IntArray, block: NDArray[Any], place: IntArray, new: IntAr
     return rows
 
 
-def _chords(
-    blocks: Columns, first: int, last: int, height: float
+def chords(
+    blocks: Columns, first: int, last: int, height: float, chord: float = CHORD
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
-    """Return the rows on one curve, and their tips and points at flank height, shape (n, 6)."""
+    """
+    Cut one native spline into linear rows.
+
+    Parameters
+    ----------
+    blocks : mapping
+        Columns of a program, as in ``blocks.npz``.
+    first, last : int
+        Rows of the control points, the last one exclusive.
+    height : float
+        Flank height [m].
+    chord : float
+        Largest distance of tip and of point at flank height from the curve [m].
+
+    Returns
+    -------
+    tuple of dict and ndarray, shape (n, 6)
+        The columns of the rows, and their tips and points at flank height [m].
+
+    Raises
+    ------
+    InterpError
+        If the control points make no curve.
+
+    """
     line = int(blocks['line'][first])
     interval = np.asarray(blocks['knot_interval'][first:last], dtype=float)
     if len(interval) < 4 or interval[0] or interval[-2:].any():
@@ -113,7 +137,7 @@ def _chords(
         begin, end = knots[i + 2], knots[i + 3]
         probe = _poses(curve, np.linspace(begin, end, PROBES), height)
         bend = np.abs(np.diff(probe, 2, axis=0)).max() * (PROBES - 1) ** 2
-        pieces = max(1, int(np.ceil(np.sqrt(3.0 * bend / (8.0 * CHORD)))))
+        pieces = max(1, int(np.ceil(np.sqrt(3.0 * bend / (8.0 * chord)))))
         u.append(np.linspace(begin, end, pieces + 1)[1:])
         row.append(np.full(pieces, first + i))
     places, rows = np.concatenate(u)[1:], np.concatenate(row)[1:]

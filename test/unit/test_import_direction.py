@@ -26,6 +26,7 @@ FLOW = (
     'proof',
     'verify',
     'pipeline',
+    'convert',
     'report',
     'description',
     'cam',

@@ -1,0 +1,178 @@
+"""
+Poses and curves -> the text of a part program: G-code, native Siemens B-splines, CL data.
+
+The writers know words and formats only; what is written is decided in ``convert.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import isfinite, isnan
+
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.units import DEG, MM, MM_PER_MIN
+
+#: Decimals of coordinates [mm], angles [deg] and tool axes [-]: 1 pm, below what doubles need.
+_LENGTH, _ANGLE, _AXIS = 9, 10, 12
+#: A spline needs a feedrate; this stands for rapid [mm/min].
+RAPID_FEED = 100_000.0
+
+
+def fixed(value: float, decimals: int) -> str:
+    """Write a number without needless zeros, and never as -0."""
+    text = f'{value:.{decimals}f}'.rstrip('0').rstrip('.') if decimals else f'{value:.0f}'
+    return '0' if text in ('-0', '') else text
+
+
+def feed_word(feedrate: float) -> str:
+    """Write a feedrate given in m/s in mm/min."""
+    return f'{min(feedrate / MM_PER_MIN, RAPID_FEED):.9g}'
+
+
+@dataclass
+class Modal:
+    """Words that keep their value, so that only changes are written."""
+
+    kept: dict[str, str]
+
+    @staticmethod
+    def empty() -> Modal:
+        """Return a state in which nothing has been written."""
+        return Modal({})
+
+    def words(self, pairs: Iterable[tuple[str, str]]) -> str:
+        """Return those letter and number pairs that differ from what was written last."""
+        changed = [(letter, text) for letter, text in pairs if self.kept.get(letter) != text]
+        self.kept.update(changed)
+        return ' '.join(letter + text for letter, text in changed)
+
+
+@dataclass(frozen=True)
+class GcodeMove:
+    """One block: tip [m], rotary positions or none [rad], feed [m/s] or duration [s], marks."""
+
+    tip: FloatArray
+    rotary: FloatArray | None
+    feedrate: float
+    duration: float
+    rapid: bool
+    exact_stop: bool
+    on_great_circle: bool
+    tolerance: float
+
+
+def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
+    """
+    Write G0 and G1 blocks with rotary words, tool-tip programming on.
+
+    The words ORIVECT and ORIAXES say whether the tool axis turns on the great circle or the rotary
+    axes run linearly.
+    """
+    state = Modal.empty()
+    lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
+    if rotary_letters:
+        lines.append('TRAORI')
+    motion, timed, orientation, tolerance = '', False, '', ''
+    for move in moves:
+        if (
+            rotary_letters
+            and (way := 'ORIVECT' if move.on_great_circle else 'ORIAXES') != orientation
+        ):
+            orientation = way
+            lines.append(way)
+        if (text := fixed(move.tolerance / MM, _LENGTH)) != tolerance:
+            tolerance = text
+            lines.append(f'G64 P{text}')
+        words = ['G9'] if move.exact_stop else []
+        if not move.rapid and isfinite(move.duration) != timed:
+            timed = not timed
+            words.append('G93' if timed else 'G94')
+            state.kept.pop('F', None)
+        if (code := 'G0' if move.rapid else 'G1') != motion:
+            motion = code
+            words.append(code)
+        pairs = [(k, fixed(v / MM, _LENGTH)) for k, v in zip('XYZ', move.tip, strict=True)]
+        if move.rotary is not None:
+            angles = zip(rotary_letters, move.rotary, strict=True)
+            pairs += [(letter, fixed(v / DEG, _ANGLE)) for letter, v in angles]
+        moved = state.words(pairs)
+        # A block that moves nothing is kept where it says something.
+        words.append(moved or (f'X{state.kept["X"]}' if words else ''))
+        if not move.rapid and timed:
+            words.append(f'F{60.0 / move.duration:.12g}')
+        elif not move.rapid:
+            words.append(state.words([('F', feed_word(move.feedrate))]))
+        lines.append(' '.join(filter(None, words)))
+    return '\n'.join([*filter(None, lines), 'M30', ''])
+
+
+@dataclass(frozen=True)
+class SiemensMove:
+    """One block: tip and second point [m], feed [m/s], PL (NaN on lines), marks."""
+
+    tip: FloatArray
+    second: FloatArray | None
+    feedrate: float
+    knot_interval: float
+    rapid: bool
+    exact_stop: bool
+
+
+def siemens(moves: Iterable[SiemensMove], notes: list[str]) -> str:
+    """Write lines and cubic B-splines of the Siemens 840D [B2013, section 4.1]."""
+    state = Modal.empty()
+    moves = list(moves)
+    lines = [f'; {note}' for note in notes]
+    if any(move.second is not None for move in moves):
+        lines += ['TRAORI', 'ORICURVE']
+    lines.append('G90 G94')
+    motion = ''
+    for move in moves:
+        words = []
+        on_spline = not isnan(move.knot_interval)
+        code = 'BSPLINE' if on_spline else 'G0' if move.rapid else 'G1'
+        if code != motion:
+            motion = code
+            words.append(code + (' SD=3' if on_spline else ''))
+        if move.exact_stop:
+            words.append('G9')
+        words += [f'{k}{fixed(v / MM, _LENGTH)}' for k, v in zip('XYZ', move.tip, strict=True)]
+        if move.second is not None:
+            second = zip(('XH', 'YH', 'ZH'), move.second, strict=True)
+            words += [f'{k}={fixed(v / MM, _LENGTH)}' for k, v in second]
+        if on_spline:
+            words.append(f'PL={move.knot_interval / MM:.15g}')
+        if on_spline or not move.rapid:
+            words.append(state.words([('F', feed_word(move.feedrate))]))
+        lines.append(' '.join(filter(None, words)))
+    return '\n'.join([*lines, 'M30', ''])
+
+
+@dataclass(frozen=True)
+class ClMove:
+    """One point: tip [m], tool axis [-], feed [m/s], marks."""
+
+    tip: FloatArray
+    axis: FloatArray
+    feedrate: float
+    rapid: bool
+    exact_stop: bool
+
+
+def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:
+    """Write GOTO points with tool axis vectors."""
+    lines = [f'PARTNO {name}', *(f'$$ {note}' for note in notes), 'UNITS/MM', 'MULTAX/ON']
+    feed = ''
+    for number, move in enumerate(moves):
+        if move.rapid:
+            lines.append('RAPID')
+        elif number and (text := feed_word(move.feedrate)) != feed:
+            feed = text
+            lines.append(f'FEDRAT/{text},MMPM')
+        words = [fixed(v / MM, _LENGTH) for v in move.tip]
+        words += [fixed(v, _AXIS) for v in move.axis]
+        lines.append(('GOTO/' if number else 'FROM/') + ','.join(words))
+        if move.exact_stop:
+            lines.append('DELAY/0')
+    return '\n'.join([*lines, 'FINI', ''])

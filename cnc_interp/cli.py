@@ -86,7 +86,7 @@ def parser() -> argparse.ArgumentParser:
         help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
     )  # fmt: skip
     convert.add_argument('--out', type=Path, metavar='FILE', help='file to write (the terminal)')
-    length(convert, '--fit-tolerance', 1e-4, 'how closely cubic curves follow the smooth path')
+    length(convert, '--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
 
     check = command(
         commands, 'check', check_command,

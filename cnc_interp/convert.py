@@ -29,7 +29,7 @@ from cnc_interp.program.writer import (
     siemens,
 )
 from cnc_interp.programmed_splines import chords, portions
-from cnc_interp.smoothing.cubic_curves import CubicCurve, cubic_curve, segment_jets
+from cnc_interp.smoothing.cubic_curves import CubicCurve, cubic_curve
 from cnc_interp.smoothing.curves import end_derivatives
 from cnc_interp.smoothing.joining import Jets, line_jets
 from cnc_interp.smoothing.orientation import dot, norm, turned_by
@@ -342,27 +342,30 @@ class _Path:
         ]
         corners = self.segments.kind == CORNER
         if corners.any() and self.segments.rotation.any():
-            plain = _plain_jump(self.segments) / DEG * MM
+            plain = self._plain_jump() / DEG * MM
             notes.append(
                 'with five control points for each corner, as in the paper, the rate would jump '
                 f'by up to {plain:.2g} deg/mm: the second points are more and carry the connection'
             )
         return notes
 
-
-def _plain_jump(segments: PathSegments) -> float:
-    """Return the largest jump of o_s at corners made of their polygons alone, f(u) = u [rad/m]."""
-    largest = 0.0
-    for i in np.flatnonzero(segments.kind == CORNER):
-        for u, step in ((0.0, 1), (1.0, -1)):
-            bottom, top = (
-                points[i : i + 1, :5][:, ::step] for points in (segments.bottom, segments.top)
-            )
-            p = end_derivatives(bottom)
-            plain = end_derivatives(top)[0] - p[0]
-            tool = top[:, 0] - bottom[:, 0]
-            axis = tool / norm(tool)[:, None]
-            rate = step * (plain - dot(plain, axis)[:, None] * axis)[0] / norm(tool)
-            exact = np.array([c[1] for c in segment_jets(segments, int(i), u)[1]])
-            largest = max(largest, float(norm(rate - exact) / norm(p[0])[0]))
-    return largest
+    def _plain_jump(self) -> float:
+        """Return the largest jump of o_s from lines to corners of five points each [rad/m]."""
+        segments, largest = self.segments, 0.0
+        for i in np.flatnonzero(segments.kind == CORNER):
+            for near, step in ((i - 1, 1), (i + 1, -1)):
+                if not 0 <= near < len(segments) or segments.kind[near] != LINE:
+                    continue
+                line = self._line_jets(int(near), at_end=step > 0)
+                assert line is not None
+                bottom, top = (
+                    points[i : i + 1, :5][:, ::step] for points in (segments.bottom, segments.top)
+                )
+                p = end_derivatives(bottom)[0]
+                plain = end_derivatives(top)[0] - p
+                tool = top[:, 0] - bottom[:, 0]
+                axis = tool / norm(tool)[:, None]
+                rate = plain - dot(plain, axis)[:, None] * axis
+                rate *= step / (norm(tool) * norm(p))[:, None]
+                largest = max(largest, float(norm(rate - line.axis[1])[0]))
+        return largest

@@ -114,9 +114,8 @@ REFUSED_KEYS: dict[str, str] = {
     'AMIRROR': 'mirroring is not supported; post the mirrored path',
     'ROTS': f'space angles are not supported; {_FRAME}',
     'AROTS': f'space angles are not supported; {_FRAME}',
-    'BSPLINE': 'native splines are not supported; post with linear moves',
-    'ASPLINE': 'native splines are not supported; post with linear moves',
-    'CSPLINE': 'native splines are not supported; post with linear moves',
+    'ASPLINE': 'of the native splines only BSPLINE is supported; post with linear moves',
+    'CSPLINE': 'of the native splines only BSPLINE is supported; post with linear moves',
     'POLY': 'native polynomials are not supported; post with linear moves',
     'CIP': 'arcs by three points are not supported; give I, J, K',
     'CT': 'tangential arcs are not supported; give I, J, K',
@@ -141,7 +140,10 @@ HARMLESS_KEYS = {
     'COMPSURF', 'DYNNORM', 'DYNROUGH', 'DYNSEMIFIN', 'DYNFINISH', 'DYNPOS', 'UPATH', 'SPATH',
     'FGROUP', 'WALIMON', 'WALIMOF', 'ORIEULER', 'ORIRPY', 'ORISOF', 'ORISON',
 }  # fmt: skip
-INTERPOLATION_KEYS = {'ORIVECT': True, 'ORIPLANE': True, 'ORIAXES': False, 'ORIMKS': False}
+# On linear blocks ORICURVE runs from one direction to the other like ORIVECT.
+INTERPOLATION_KEYS = {
+    'ORIVECT': True, 'ORIPLANE': True, 'ORICURVE': True, 'ORIAXES': False, 'ORIMKS': False,
+}  # fmt: skip
 
 
 def refused_key(key: str) -> str:

@@ -10,6 +10,7 @@ looked at in Python twice.
 from __future__ import annotations
 
 from array import array
+from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
 
@@ -65,6 +66,7 @@ class TargetColumns:
         self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
         self._before: FloatArray | None = None  # the last target already made into blocks
         self._parts: list[Blocks] = []
+        self._curve: Blocks | None = None  # added last, waits for a stop at its end
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
 
     def add(self, row: tuple[float, ...]) -> None:
@@ -97,6 +99,28 @@ class TargetColumns:
         if self._rows:
             self._rows[EXACT_STOP - WIDTH] = 1.0
 
+    def stand_at(self, rotary: FloatArray) -> None:
+        """Say where the rotary axes stand at the last target, which a tool direction gave."""
+        if self._rows:
+            last = len(self._rows) - WIDTH
+            self._rows[last + ROTARY.start : last + ROTARY.stop] = array('d', rotary)
+
+    def add_curve(self, curve: Blocks, end: tuple[float, ...]) -> None:
+        """
+        Append a native spline; it begins at the last target.
+
+        Parameters
+        ----------
+        curve : Blocks
+            Its control points.
+        end : tuple of 26 floats
+            Target at its end, as for ``add``: the next motion starts there.
+
+        """
+        self._convert(last=True)
+        self._curve, self._before = curve, None
+        self._rows.extend(end)
+
     @property
     def empty(self) -> bool:
         """True before the first target."""
@@ -127,13 +151,22 @@ class TargetColumns:
         self._rows = array('d', held.tobytes())
         self._full = min(4 * self._full, _BATCH_ROWS * WIDTH)
         if self._before is None and len(rows):
-            self._parts.append(self._start_pose(rows[:1]))
+            self._parts.append(self._beginning(rows[:1]))
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
             before = np.vstack([self._before, rows[:-1]])
             self._before = rows[-1]
             for part in _portions(before, rows):
                 self._parts.append(self._blocks(before[part], rows[part]))
+
+    def _beginning(self, row: FloatArray) -> Blocks:
+        """Return the start pose, or the curve that ends in this row."""
+        if self._curve is None:
+            return self._start_pose(row)
+        curve, self._curve = self._curve, None
+        stop = curve.exact_stop.copy()
+        stop[-1] |= row[0, EXACT_STOP] != 0.0
+        return replace(curve, exact_stop=stop)
 
     def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
         moves = Moves(self._geometry, self._zero, before, rows)

@@ -21,7 +21,9 @@ from cnc_interp.program.flow import G65_ARGUMENTS, Flow
 from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along
+from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.source import Source
+from cnc_interp.program.splines import Splines
 from cnc_interp.program.variables import ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.units import DEG
@@ -55,6 +57,7 @@ class GcodeReader:
         self.variables = ProgramVariables(self._system_variables)
         self.flow = Flow(source, self.variables, options.most_jumps)
         self.mover = Mover(geometry, options, self.flow, notices)
+        self.splines = Splines(self.mover)
         self.fault, self.notice = self.mover.fault, self.mover.notice
         self._cycle: CannedCycle | None = None
         self._tool = self._chosen_tool = 0
@@ -82,6 +85,7 @@ class GcodeReader:
                 if not flow.jumped:
                     flow.row = row + 1
             yield from targets.take()
+        self.splines.end()
         yield from targets.finish()
 
     def _run(self, first: int, end: int) -> None:
@@ -89,7 +93,7 @@ class GcodeReader:
         window = self.flow.window
         rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
         in_main = self.flow.source is self.flow.main
-        if len(rows) >= SHORTEST and self._cycle is None and in_main:
+        if len(rows) >= SHORTEST and self._cycle is None and in_main and not self.splines.open:
             lines = window.start.line + rows
             if move_along(self.mover, window.code[rows], window.values[rows], lines):
                 self.flow.row = end
@@ -149,10 +153,13 @@ class GcodeReader:
         calling = self._calling(words)
         if taking:
             self._take_axes(taking[0], words)
+        if any(key == 'BSPLINE' for key, _ in words.keys):
+            self._cycle = None
+            self.splines.begin()
         self._move(words, f is not None)
         mover.stop_once = False
         if codes.STOP_M & set(words.m):
-            mover.targets.stop_here()
+            self.splines.stop_here()
         if codes.END_M & set(words.m):
             self.flow.ended = True
         elif calling:
@@ -178,6 +185,7 @@ class GcodeReader:
                 setattr(mover, attribute, value)
                 if attribute == 'motion':
                     self._cycle = None
+                    self.splines.end()
             elif code in codes.WORK_OFFSETS:
                 self._choose_work_offset(code)
             elif code in codes.LENGTH or code in codes.TCP_ON or code in codes.TCP_OFF:
@@ -306,6 +314,8 @@ class GcodeReader:
         elif key == 'CYCLE800' and not any(given):
             mover.frames.reset_frame()
             mover.frames.update()
+        elif key == 'BSPLINE':
+            pass  # opens a curve when the settings of the block hold
         elif key in codes.HARMLESS_KEYS:
             self.notice(key, 'passed on, it does not move the tool')
         else:
@@ -334,7 +344,7 @@ class GcodeReader:
         """Carry out the assignments of a block; some names are words with a meaning."""
         mover = self.mover
         for name, value in words.sets:
-            if name in ('A3', 'B3', 'C3', 'RPL'):
+            if name in ('A3', 'B3', 'C3', 'RPL') or name in CURVE_WORDS:
                 continue
             if name == 'CR':
                 words.values['R'], words.texts['R'] = value, f'CR={value:g}'
@@ -349,7 +359,7 @@ class GcodeReader:
                     mover.contour = value * mover.unit
                 else:  # an angle: the deviation that it makes at flank height
                     mover.orientation = min(value, 90.0) * DEG * self.options.flank_height
-            elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2', 'XH', 'YH', 'ZH'):
+            elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'):
                 raise self.fault('this word is not supported; give the end point and I, J, K',
                                  str(name))  # fmt: skip
             elif isinstance(name, int):
@@ -388,7 +398,7 @@ class GcodeReader:
             if machine:
                 raise self.fault('machine coordinates in a canned cycle; write G80 before', 'G53')
             self._cycle.drill(mover, words, feed_given)
-        elif self._cycle is None:
+        elif self._cycle is None and not self.splines.take(words, feed_given):
             mover.move(words, feed_given, machine)
         for letter in list(values):
             if letter in 'STDH':
@@ -491,7 +501,7 @@ class GcodeReader:
         if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):
             raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
         self.notice('G4', 'exact stop; the dwell time is not kept')
-        self.mover.targets.stop_here()
+        self.splines.stop_here()
 
     # --- subprograms ---------------------------------------------------------------------------
 

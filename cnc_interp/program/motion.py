@@ -126,6 +126,7 @@ class Mover:
             pair + 2.0 * pi * np.round((self.rotary - pair) / (2.0 * pi)) for pair in solutions
         ]
         self.rotary = min(near, key=lambda pair: float(np.abs(pair - self.rotary).sum()))
+        self.targets.stand_at(self.rotary)
         self.vector = None
 
     # --- one block -----------------------------------------------------------------------------
@@ -242,12 +243,7 @@ class Mover:
         rapid: bool | None = None,
     ) -> None:
         """Add the target of one block."""
-        farthest = int(np.argmax(np.abs(point)))
-        if not abs(point[farthest]) <= FARTHEST:
-            raise self.fault(
-                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
-                f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}',
-            )
+        self.check_point(point)
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
             raise self.fault(
@@ -274,6 +270,15 @@ class Mover:
                 self.flow.main_line, self.by_axes, turn_rate, *arc,
             )
         )  # fmt: skip
+
+    def check_point(self, point: FloatArray) -> None:
+        """Refuse a point that no machine can reach."""
+        farthest = int(np.argmax(np.abs(point)))
+        if not abs(point[farthest]) <= FARTHEST:
+            raise self.fault(
+                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
+                f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}',
+            )
 
     def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
         """Tell of rotary words that turn an axis the long way round while cutting."""

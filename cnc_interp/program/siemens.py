@@ -4,13 +4,11 @@ Native 5-axis B-splines of the Siemens 840D -> spline rows of Blocks [B2013, sec
 ``BSPLINE SD=3`` opens a curve; each block then gives one control point of the tool tip (X Y Z),
 one of a second point on the tool axis (XH YH ZH) and a knot interval (PL). Words not given keep
 their value, PL is then 1. The first control point is where the tool is.
-``docs/native_splines.md`` has the whole convention.
+``docs/native_splines.md`` has the whole convention; ``splines.py`` follows the blocks.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from math import isfinite, nan, sqrt
 
 import numpy as np
@@ -20,10 +18,8 @@ from cnc_interp.program.blocks import Blocks
 
 Point = tuple[float, float, float]
 
-_NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:EX?[-+]?\d++)?'
-_WORD = re.compile(rf'(?<![A-Z0-9_])(XH|YH|ZH|PL|SD|PW)\s*=\s*({_NUMBER})(?![\w.])')
-#: Words of this room by their beginning, to look for before a line is taken apart.
-CURVE_WORDS = re.compile(r'(?:[XYZ]H|PL|SD|PW)\s*=')
+#: Words of curves and of second points, written with an equals sign.
+CURVE_WORDS = frozenset(('XH', 'YH', 'ZH', 'PL', 'SD', 'PW'))
 #: Two points on the tool axis must be further apart than this [m].
 _SHORTEST_TOOL = 1e-6
 #: A curve begins where the tool is: its tip [m] and its axis [-], as a program writes them.
@@ -31,43 +27,6 @@ _SAME, _SAME_AXIS = 1e-9, 1e-6
 _LEAST_POINTS = 4
 #: A knot may be repeated so often that the curve passes through a control point.
 _MOST_REPEATED = 3
-
-
-def take_words(
-    line: str, fault: Callable[[str, str], ProgramError]
-) -> tuple[str, dict[str, float]]:
-    """
-    Take the words XH YH ZH PL SD PW out of a line in upper case.
-
-    Returns
-    -------
-    tuple of str and dict
-        What is left of the line, and the numbers by word; what stands behind a semicolon stays.
-
-    """
-    code, semicolon, comment = line.partition(';')
-    words: dict[str, float] = {}
-    for match in _WORD.finditer(code):
-        if match[1] in words:
-            raise fault(f'{match[1]} stands twice in one block; keep one of them', match[0])
-        words[match[1]] = float(match[2].replace('EX', 'E'))
-    if words.get('SD', 3.0) != 3.0:
-        raise fault('only cubic splines are supported; write SD=3', f'SD={words["SD"]:g}')
-    if words.get('PW', 1.0) != 1.0:
-        raise fault('weighted control points are not supported; write PW=1', f'PW={words["PW"]:g}')
-    if not words.get('PL', 0.0) >= 0.0:
-        raise fault('a knot interval must not be negative', f'PL={words["PL"]:g}')
-    return _WORD.sub(' ', code) + semicolon + comment, words
-
-
-def second_point(words: dict[str, float], unit: float, before: Point | None) -> Point | None:
-    """Return the second point on the tool axis that a block names [m]; None if it names none."""
-    named = [words.get(letter) for letter in ('XH', 'YH', 'ZH')]
-    if all(word is None for word in named):
-        return None
-    kept = before or (nan, nan, nan)
-    x, y, z = (k if word is None else word * unit for word, k in zip(named, kept, strict=True))
-    return x, y, z
 
 
 def tool_vector(tip: Point, second: Point) -> Point:
@@ -106,8 +65,8 @@ class Curve:
     def add(
         self,
         tip: Point,
-        words: dict[str, float],
-        unit: float,
+        second: Point | None,
+        interval: float,
         speed_and_tolerances: tuple[float, float, float],
         line_number: int,
     ) -> None:
@@ -116,12 +75,11 @@ class Curve:
 
         Parameters
         ----------
-        tip : tuple of float
-            Control point of the tip [m].
-        words : dict
-            XH YH ZH and PL as written.
-        unit : float
-            Metres per unit of the program.
+        tip, second : tuple of float
+            Control points of the tip and of the second curve; None where the block has no word
+            of the second one [m].
+        interval : float
+            Knot interval [-].
         speed_and_tolerances : tuple of float
             Feedrate [m/s], contour and orientation tolerance [m].
         line_number : int
@@ -137,7 +95,6 @@ class Curve:
         def fault(message: str) -> ProgramError:
             return ProgramError(message, self._source, line_number)
 
-        second = second_point(words, unit, self.second)
         named = second is not None
         if self._named is None:
             self._named = named
@@ -157,7 +114,6 @@ class Curve:
                 raise fault('the spline begins with another tool axis than the tool has')
             self._first_second = second
             return
-        interval = words.get('PL', 1.0)
         if not self._rows and interval == 0.0:
             raise fault(
                 'PL of the first interval must be greater than 0; the two zeros that close a '

@@ -22,6 +22,7 @@ _NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)'
 _TOKEN = re.compile(
     rf"""
     (?P<letter>[A-Z])\s*=?\s*(?P<number>{_NUMBER})(?![\d.=])(?!\s*=)
+    | (?P<name>[XYZ]H|[ABC]3|PL|SD|PW)\s*=\s*(?P<value>{_NUMBER})(?![\d.]|EX|\s*[-+*/\[])
     | (?P<text>T\s*=\s*"[^"]*")
     | (?P<key>\#\s*TRAFO\s+(?:ON|OFF)\b | [A-Z_][A-Z_]++\w*+(?!\s*[=(]))
     | (?P<space>\s+)
@@ -141,6 +142,8 @@ def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
         letter, key = token['letter'], token['key']
         if letter or token['text']:
             _add(words, letter or 'T', float(token['number'] or 0.0), token[0], fault)
+        elif token['name']:
+            words.sets.append((token['name'], float(token['value'])))
         elif key:
             words.keys.append((re.sub(r'\s+', ' ', key).replace('# ', '#'), ()))
     return words

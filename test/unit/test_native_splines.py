@@ -282,7 +282,7 @@ POINTS = ''.join(f'X{5 * i} Y{i * i % 3} XH={5 * i}\n' for i in range(1, 6))
         (HEAD + 'BSPLINE SD=3\nX5 XH=5 PW=0.5\n', 5, 'PW=1'),
         (HEAD + 'BSPLINE SD=3\nX5 XH=5 PL=-1\n', 5, 'must not be negative'),
         (HEAD + 'BSPLINE SD=3\nX5 XH=5 PL=0\n', 5, 'first interval'),
-        (HEAD + 'BSPLINE SD=3\nX5 XH=5 PL=1 PL=2\n', 5, 'twice'),
+        (HEAD + 'BSPLINE SD=3\nX5 XH=5 PL=1 PL=2\n', 5, 'stands twice'),
         (HEAD + 'BSPLINE SD=3\nX5 XH=5\nX9 XH=9\nG1 X20\n', 7, 'at least 4 control points'),
         (HEAD + 'BSPLINE SD=3\nX5 Y0 Z10 XH=5 YH=0 ZH=10\n', 5, 'a point above'),
         (HEAD + 'BSPLINE SD=3\nX5\nX9 XH=9 YH=0 ZH=10\n', 6, 'or in none'),
@@ -316,8 +316,11 @@ def test_splines_without_second_points_keep_the_tool_axis():
         'TRAORI\nF600\nG0 X0 Y0 Z0 A20 C30\nBSPLINE SD=3\nX5 Y1\nX9 Y2\nX12 Y5\nX14 Y9\n'
         'G1 X20 A20 C31\nM30\n'
     ).blocks
-    assert np.abs(blocks.axis[:-1] - blocks.axis[0]).max() < 1e-15
-    assert not np.isfinite(blocks.rotary[-1]).all()  # great circle out of the curve's last axis
+    after = np.flatnonzero(blocks.on_spline)[-1] + 1
+    assert np.abs(blocks.axis[:after] - blocks.axis[0]).max() < 1e-15
+    # the rotary axes run on from where the curve has left them
+    assert np.allclose(np.degrees(blocks.rotary[after:, 0]), 20.0, atol=1e-9)
+    assert (np.degrees(blocks.rotary[after:, 1]) > 30.0).all()
 
 
 def test_curves_that_are_none_are_refused_in_the_stream_too():

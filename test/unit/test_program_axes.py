@@ -246,3 +246,11 @@ def test_runs_of_plain_lines_mean_what_their_lines_mean(lines, tcp, incremental,
         np.testing.assert_allclose(
             getattr(first, name), getattr(second, name), rtol=0, atol=1e-12, err_msg=name
         )
+
+
+def test_rotary_words_after_a_tool_direction_start_where_the_axes_stand():
+    """Linear rotary axes out of A3 B3 C3 began at the rotary words before it."""
+    text = 'TRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F600 X5 A3=0 B3=0.5 C3=1\nX10 A40 C60\n'
+    blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), ReadOptions()).blocks
+    tilt = np.degrees(np.arccos(blocks.axis[blocks.line_number == 4, 2]))
+    assert len(tilt) > 1 and tilt[0] > np.degrees(np.arctan(0.5))

@@ -241,10 +241,13 @@ class TargetColumns:
         """Row 0: where the tool stands; it has no motion, so neither feed nor duration."""
         here = Moves(self._geometry, self._zero, row, row)
         tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
+        rotary = row[:, ROTARY].copy()
+        if np.abs(self._geometry.tool_axis(rotary) - row[:, AXIS]).max() > _SAME:
+            rotary[:] = nan  # a tool direction rules
         return Blocks(
             tip=tip,
             axis=row[:, AXIS].copy(),
-            rotary=row[:, ROTARY].copy(),
+            rotary=rotary,
             feedrate=np.full(1, inf),
             duration=np.full(1, nan),
             rapid=row[:, RAPID] != 0.0,

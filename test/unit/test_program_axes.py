@@ -254,3 +254,10 @@ def test_rotary_words_after_a_tool_direction_start_where_the_axes_stand():
     blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), ReadOptions()).blocks
     tilt = np.degrees(np.arccos(blocks.axis[blocks.line_number == 4, 2]))
     assert len(tilt) > 1 and tilt[0] > np.degrees(np.arctan(0.5))
+
+
+def test_start_pose_by_a_tool_direction_names_no_rotary_positions():
+    text = 'TRAORI\nG0 X0 Y0 Z0 A3=0 B3=0.5 C3=1\nG1 F600 X5\n'
+    blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), ReadOptions()).blocks
+    assert np.isnan(blocks.rotary).all()
+    assert blocks.axis[0] == pytest.approx([0.0, 5**-0.5, 2 * 5**-0.5])

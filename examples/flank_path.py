@@ -4,9 +4,9 @@ Write a 5-axis path given as two cubic B-splines as a part program with native s
     python examples/flank_path.py PATH.json > flank.mpf
     cnc-interp plan flank.mpf --out out/flank && cnc-interp check out/flank
 
-The JSON file holds ``knots`` (clamped, shared by both curves), ``control_points_bottom`` (tool tip)
-and ``control_points_top`` (second point on the tool axis), in mm: the form in which flank milling
-paths are published.
+The JSON file holds ``knots`` (clamped, shared by both curves), ``control_points_bottom`` (tool
+tip) and ``control_points_top`` (second point on the tool axis), in mm: the form in which flank
+milling paths are published.
 """
 
 from __future__ import annotations

@@ -242,8 +242,10 @@ class TargetColumns:
         here = Moves(self._geometry, self._zero, row, row)
         tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
         rotary = row[:, ROTARY].copy()
-        if np.abs(self._geometry.tool_axis(rotary) - row[:, AXIS]).max() > _SAME:
-            rotary[:] = nan  # a tool direction rules
+        if np.isfinite(rotary).all():
+            axis = self._geometry.tool_axis(rotary)
+            if np.abs(axis - row[:, AXIS]).max() > _SAME:
+                rotary[:] = nan  # a tool direction rules
         return Blocks(
             tip=tip,
             axis=row[:, AXIS].copy(),

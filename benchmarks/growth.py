@@ -40,7 +40,6 @@ def chain_time(count: int) -> dict[str, float]:
         motion = chain.pieces[-1].law.end_time if chain.pieces else motion
         for held in (chain.segments, chain.pieces, chain.setpoints):
             held.clear()
-    # the end needs one piece to tell that there was motion
     chain.finish()
     motion = chain.pieces[-1].law.end_time if chain.pieces else motion
     return {**chain.seconds, 'motion': motion}

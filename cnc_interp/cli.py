@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -213,18 +214,20 @@ def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
     from cnc_interp.kinematics.machine import Machine
     from cnc_interp.kinematics.transform import Transform
-    from cnc_interp.pipeline import describe, plan_program, summary_of, write_plan
-    from cnc_interp.program import read_program
+    from cnc_interp.pipeline import describe, plan_to_files
+    from cnc_interp.program import open_program
 
     machine = Machine.load(options.machine)
     chain = chain_options(options)
     geometry = Transform.of(machine)
-    program = read_program(options.program, geometry, read_options(options))
-    tell(program.notices)
-    progress = show_progress if sys.stderr.isatty() and not options.json else None
-    plan = plan_program(program, machine, chain, progress)
-    write_plan(plan, options.out)
-    summary = summary_of(plan)
+    stream = open_program(options.program, geometry, read_options(options))
+    progress = Progress('planning') if sys.stderr.isatty() and not options.json else None
+    try:
+        summary = plan_to_files(stream, machine, options.out, chain, progress)
+    finally:
+        if progress:
+            progress.end()
+        tell(stream.notices)
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
         print(f'plan files     {options.out}')
@@ -334,10 +337,29 @@ def tell(notices: Sequence[str]) -> None:
         print(f'note: {notice}', file=sys.stderr)
 
 
-def show_progress(share: float) -> None:
-    """Draw the progress on a terminal."""
-    end = '\n' if share >= 1.0 else ''
-    print(f'\rplanning {share:4.0%}', end=end, file=sys.stderr, flush=True)
+class Progress:
+    """
+    Draws progress and remaining time on a terminal.
+
+    Parameters
+    ----------
+    work : str
+        What is being done.
+
+    """
+
+    def __init__(self, work: str):
+        self._work, self._begin = work, time.monotonic()
+
+    def __call__(self, share: float) -> None:
+        """Show a share of the work, 0 to 1."""
+        left = (time.monotonic() - self._begin) * (1.0 - share) / max(share, 1e-3)
+        text = f'\r{self._work} {share:4.0%}, {left:.0f} s left   '
+        print(text, end='', file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave the line."""
+        print(file=sys.stderr)
 
 
 if __name__ == '__main__':

@@ -17,7 +17,8 @@ from cnc_interp.errors import BlockError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import BATCH, ChainOptions, effective_feed, smoothing_options
+from cnc_interp.pipeline import BATCH, ChainOptions, smoothing_options
+from cnc_interp.plan_writer import effective_feed
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.program.writer import (
@@ -162,7 +163,7 @@ def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
 
 def _cl(blocks: Blocks, source: str, height: float) -> Converted:
     """Write blocks as GOTO points."""
-    feed = effective_feed(blocks, height)
+    feed = effective_feed(blocks)
     notes = []
     turning = np.isfinite(blocks.rotary[1:]).all(axis=1) & (
         norm(np.diff(blocks.tip, axis=0)) < SAME_POINT

@@ -6,37 +6,31 @@ The ROS nodes run the same rooms in the same order, one room per node; see ``doc
 
 from __future__ import annotations
 
-import json
-import platform
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cnc_interp import __version__
 from cnc_interp.errors import BlockError, ProgramError
-from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.interpolator import Interpolator, Setpoints
-from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Program
-from cnc_interp.program.blocks import Blocks, FloatArray
+from cnc_interp.plan_writer import PlanFigures, PlanWriter
+from cnc_interp.program import Program, ProgramStream
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.lookahead import SmoothingOptions
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, MS
 
-#: Blocks that go through the chain together.
-BATCH = 512
+#: Blocks that go through the chain together: up to 0.7 MB each, for the samples of their corners.
+BATCH = 256
 
 
 @dataclass(frozen=True)
@@ -101,6 +95,7 @@ class Chain:
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []
         self.setpoints: list[Setpoints] = []
+        self.moved = False
 
     def push(self, blocks: Blocks) -> None:
         """Send further blocks through all rooms."""
@@ -110,8 +105,18 @@ class Chain:
         """Bring the motion to its end."""
         self._through(self._timed('smoothing', self.lookahead.finish))
         self._sample(self._timed('feedrate', self.planner.finish))
-        if self.pieces:
+        if self.moved:
             self.setpoints.append(self.interpolator.finish())
+
+    def drain(self, writer: PlanWriter) -> None:
+        """Write what has come out so far, and forget it."""
+        for segments in self.segments:
+            writer.segments(segments)
+        for piece in self.pieces:
+            writer.piece(piece)
+        for samples in self.setpoints:
+            writer.setpoints(samples)
+        self.segments, self.pieces, self.setpoints = [], [], []
 
     def _through(self, segments: PathSegments) -> None:
         """Pass final segments on."""
@@ -123,6 +128,7 @@ class Chain:
     def _sample(self, pieces: list[PlannedPiece]) -> None:
         """Interpolate what the planner committed."""
         for piece in pieces:
+            self.moved = True
             self.pieces.append(piece)
             self.setpoints.append(self._timed('interpolation', self.interpolator.push, piece))
 
@@ -155,10 +161,9 @@ def plan_program(
     program: Program,
     machine: Machine,
     options: ChainOptions | None = None,
-    progress: Callable[[float], None] | None = None,
 ) -> Plan:
     """
-    Plan a whole program, as fast as possible.
+    Plan a whole program and keep everything; ``plan_to_files`` keeps nothing.
 
     Parameters
     ----------
@@ -168,8 +173,6 @@ def plan_program(
         The machine it shall run on.
     options : ChainOptions, optional
         The user's choices.
-    progress : callable, optional
-        Told the share done, 0 to 1.
 
     Returns
     -------
@@ -185,17 +188,12 @@ def plan_program(
     options = options or ChainOptions()
     chain = Chain(machine, options)
     blocks = program.blocks
-    try:
+    with at_fault(program.source):
         for first in range(0, len(blocks), BATCH):
             chain.push(blocks[first : first + BATCH])
-            if progress:
-                progress(min(1.0, (first + BATCH) / len(blocks)))
         chain.finish()
-    except BlockError as problem:
-        problem.source = program.source
-        raise
-    if not chain.pieces:
-        raise ProgramError('holds no motion; add blocks after the start pose', program.source)
+    if not chain.moved:
+        raise no_motion(program.source)
     return Plan(
         program=program,
         machine=machine,
@@ -207,51 +205,78 @@ def plan_program(
     )
 
 
+def plan_to_files(
+    stream: ProgramStream,
+    machine: Machine,
+    directory: Path,
+    options: ChainOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """
+    Plan a program while it is read and write its plan files; memory does not grow with it.
+
+    Parameters
+    ----------
+    stream : ProgramStream
+        The program, not read yet.
+    machine : Machine
+        The machine it shall run on.
+    directory : Path
+        For the plan files; files in it are replaced once all is planned.
+    options : ChainOptions, optional
+        The user's choices.
+    progress : callable, optional
+        Told the share of the text that has been planned, 0 to 1.
+
+    Returns
+    -------
+    dict
+        The summary as written to ``summary.json``; SI units.
+
+    Raises
+    ------
+    InterpError
+        If the program cannot be read, or cannot run on the machine.
+
+    """
+    options = options or ChainOptions()
+    chain = Chain(machine, options)
+    with PlanWriter(directory, machine, options.period, options.flank_height) as writer:
+        with at_fault(stream.source):
+            for part in stream:
+                writer.blocks(part)
+                for first in range(0, len(part), BATCH):
+                    chain.push(part[first : first + BATCH])
+                    chain.drain(writer)
+                if progress:
+                    progress(stream.share)
+            chain.finish()
+            chain.drain(writer)
+        if not chain.moved:
+            raise no_motion(stream.source)
+        return writer.finish(stream.source, chain.seconds)
+
+
+@contextmanager
+def at_fault(source: str) -> Iterator[None]:
+    """Name the program in refusals of its blocks."""
+    try:
+        yield
+    except BlockError as problem:
+        problem.source = source
+        raise
+
+
+def no_motion(source: str) -> ProgramError:
+    """Make the error of a program that moves nothing."""
+    return ProgramError('holds no motion; add blocks after the start pose', source)
+
+
 def summary_of(plan: Plan) -> dict[str, Any]:
     """Return the plan's summary as written to ``summary.json``; SI units."""
-    machine, samples, period = plan.machine, plan.setpoints, plan.options.period
-    use = {}
-    for order, (name, limit) in enumerate(
-        (
-            ('velocity', machine.max_velocity),
-            ('acceleration', machine.max_acceleration),
-            ('jerk', machine.max_jerk),
-        ),
-        start=1,
-    ):
-        held = np.concatenate(
-            [samples.position[:1]] * order + [samples.position] + [samples.position[-1:]] * order
-        )
-        ratio = np.abs(np.diff(held, order, axis=0)).max(axis=0) / (limit * period**order)
-        use[name] = dict(zip(machine.axis_names, ratio.tolist(), strict=True))
-    return {
-        'program': plan.program.source,
-        'machine': machine.file or machine.name,
-        'cycle_time': plan.pieces[-1].law.end_time,
-        'interpolation_period': period,
-        'flank_height': plan.options.flank_height,
-        'samples': len(samples),
-        'blocks': len(plan.program.blocks) - 1,
-        'segments': len(plan.segments),
-        'path_length': float(samples.s[-1]),
-        'planning_time': sum(plan.planning_time.values()),
-        'planning_time_by_room': plan.planning_time,
-        'largest_use': use,
-        'largest_contour_error': float(plan.segments.deviation[:, 0].max(initial=0.0)),
-        'largest_orientation_error': float(plan.segments.deviation[:, 1].max(initial=0.0)),
-        'versions': versions(),
-    }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what made the plan."""
-    found = {'cnc_interp': __version__, 'python': platform.python_version()}
-    for name in ('numpy', 'numba', 'scipy', 'toppra', 'ruckig'):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+    figures = PlanFigures(plan.machine, plan.options.period, plan.options.flank_height)
+    pass_on(plan, figures)
+    return figures.summary(plan.program.source, plan.planning_time)
 
 
 def write_plan(plan: Plan, directory: Path) -> None:
@@ -266,62 +291,19 @@ def write_plan(plan: Plan, directory: Path) -> None:
         Created if missing; files in it are replaced.
 
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    samples = plan.setpoints
-    np.savez(
-        directory / 'setpoints.npz',
-        time=samples.time, position=samples.position, velocity=samples.velocity,
-        acceleration=samples.acceleration, jerk=samples.jerk, block=samples.block, s=samples.s,
-    )  # fmt: skip
-    np.savez(directory / 'path.npz', **path_columns(plan))
-    columns = {field.name: getattr(plan.segments, field.name) for field in fields(plan.segments)}
-    np.savez(directory / 'segments.npz', **columns)
-    blocks = plan.program.blocks
-    np.savez(
-        directory / 'blocks.npz',
-        tip=blocks.tip, axis=blocks.axis, feed=effective_feed(blocks, plan.options.flank_height),
-        line=blocks.line_number, contour_tolerance=blocks.contour_tolerance,
-        orientation_tolerance=blocks.orientation_tolerance, rapid=blocks.rapid,
-        rotary=blocks.rotary, duration=blocks.duration, exact_stop=blocks.exact_stop,
-        top=blocks.top, knot_interval=blocks.knot_interval,
-    )  # fmt: skip
-    text = json.dumps(summary_of(plan), indent=2)
-    (directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
+    options = plan.options
+    with PlanWriter(directory, plan.machine, options.period, options.flank_height) as writer:
+        pass_on(plan, writer)
+        writer.finish(plan.program.source, plan.planning_time)
 
 
-def effective_feed(blocks: Blocks, flank_height: float) -> FloatArray:
-    """
-    Return the programmed speed of each row [m/s].
-
-    Inverse-time feeds become length / duration; rotations of the resting tip have none (infinite).
-    """
-    length = np.concatenate([[0.0], np.sqrt((np.diff(blocks.tip, axis=0) ** 2).sum(axis=1))])
-    timed = np.isfinite(blocks.duration) & (length > 0.0)
-    feed = np.where(timed, length / np.where(timed, blocks.duration, 1.0), blocks.feedrate)
-    return np.where(np.isnan(feed), np.inf, feed)
-
-
-def path_columns(plan: Plan) -> dict[str, Any]:
-    """Return the columns of ``path.npz``, on the planner's grid."""
-    path = AxisPath.join([piece.path for piece in plan.pieces])
-    pieces = plan.pieces
-    tip, axis = Transform.of(plan.machine).forward(path.q)
-    feed = np.concatenate([piece.law.s_dot for piece in pieces] + [[0.0]])  # one piece a cell
-    cells = path.cell_feed
-    programmed = np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]])
-    return {
-        's': path.s,
-        'tip': tip,
-        'axis': axis,
-        'q': path.q,
-        'cell_left': path.cell_left,
-        'cell_right': path.cell_right,
-        'programmed_feed': programmed,
-        'feed_limit': feed_limit(path, plan.machine),
-        'feed': feed,
-        'block': np.r_[path.cell_block, path.cell_block[-1:]],
-        'stop': path.stop,
-    }
+def pass_on(plan: Plan, taker: PlanWriter | PlanFigures) -> None:
+    """Hand over a whole plan."""
+    taker.blocks(plan.program.blocks)
+    taker.segments(plan.segments)
+    for piece in plan.pieces:
+        taker.piece(piece)
+    taker.setpoints(plan.setpoints)
 
 
 def describe(summary: dict[str, Any]) -> str:

@@ -28,9 +28,9 @@ from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
 from cnc_interp.cam.vectors import cross, unit
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, plan_program, write_plan
+from cnc_interp.pipeline import plan_to_files
 from cnc_interp.plan_files import read_plan
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import ReadOptions, open_program
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
 
@@ -64,12 +64,11 @@ def make_program(options: argparse.Namespace) -> int:
         reading = ReadOptions(contour_tolerance=tolerance, orientation_tolerance=tolerance)
         motions.append(programmed(program, machine, reading))
         if options.run:
-            plan = plan_program(
-                read_program(program, Transform.of(machine), reading), machine, ChainOptions(),
-                _progress('planning', options.json),
+            plan = plan_to_files(
+                open_program(program, Transform.of(machine), reading), machine, out / 'plan',
+                progress=_progress('planning', options.json),
             )  # fmt: skip
-            write_plan(plan, out / 'plan')
-            summary['cycle_time'] = plan.pieces[-1].law.end_time
+            summary['cycle_time'] = plan['cycle_time']
             files = read_plan(out / 'plan')
             motions += [planned(files, machine), executed(files, machine)]
     figures = _path_figures(paths)

@@ -13,13 +13,33 @@ import re
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import JobSetup, ReadOptions, read_program
+
 #: One unit of the last decimal printed.
 LAST_DIGIT = 1e-4
+#: Public programs that LinuxCNC reads: the machine for their words, and whether only to a part.
+PROGRAMS = {
+    'camotics-heart': ('xyz', False),
+    'cnclite-blend-mpf': ('xyz', False),
+    'fanuc-test-g91': ('xyz', False),
+    'linuxcnc-cds': ('xyz', False),
+    'linuxcnc-impeller-xyzac': ('xyzac', False),
+    'linuxcnc-stellabee': ('xyz', False),
+    'mach-pulley-r-arcs': ('xyz', False),
+    'nist-box-op5': ('xyz', True),
+    'opencn-congee-5x': ('xyzbc', False),
+    'pycam-sample': ('xyz', False),
+    'qtpyvcp-bezel': ('xyz', False),
+    'solidcam-4x-rotx': ('xyza', False),
+    'ugs-gates': ('xyz', False),
+}
 _CALL = re.compile(r'^\s*\d+\s+\S+\s+(\w+)\((.*)\)\s*$')
 _PLANES = {'XY': (0, 1, 2), 'XZ': (2, 0, 1), 'YZ': (1, 2, 0)}
 
@@ -269,3 +289,22 @@ def _follow_arc(points, row, before, motion, result, line):
     if abs(run - sweep) > 2 * unsure:
         result.faults.append(f'line {line}: an arc of {run:.4f} rad, LinuxCNC {sweep:.4f}')
     return row
+
+
+def judged(path, machine_name, partly, tools=None):
+    """Compare a file; machine coordinates are LinuxCNC's: zero at the workpiece zero."""
+    machine = Machine.load(machine_name)
+    machine = replace(machine, offsets=np.zeros((3, 3)))
+    geometry = Transform.of(machine)
+    at_zero = {f'G{number}': dict.fromkeys('XYZ', 0.0) for number in range(54, 60)}
+    lengths = {number: length / 1e3 for number, length in (tools or {}).items()}
+    options = ReadOptions(feedrate=0.05, setup=JobSetup(at_zero, lengths))
+    blocks = read_program(path, geometry, options).blocks
+    motions, complaint = run_linuxcnc(path, tools)
+    assert partly or not complaint, complaint
+    points, columns = None, []
+    if machine.has_rotary:
+        columns = ['ABC'.index(letter) for letter in machine.axis_names[3:]]
+        if machine_name != 'xyzac' or tools is not None:  # there, words are tool tips
+            points = geometry.linear(blocks.tip, np.nan_to_num(blocks.rotary))
+    return compare(blocks, motions, points, columns, partly)

@@ -19,6 +19,7 @@ FLOW = (
     'kinematics',
     'feedrate',
     'interpolator',
+    'plan_writer',
     'plan_files',
     'machine',
     'programmed_path',

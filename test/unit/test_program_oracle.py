@@ -5,31 +5,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from linuxcnc_oracle import compare, interpreter, run_linuxcnc
+from linuxcnc_oracle import PROGRAMS, compare, interpreter, judged, run_linuxcnc
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, ReadOptions, read_program
+from cnc_interp.program import ReadOptions, read_program
 
 if interpreter() is None:
     pytest.skip('no rs274: run tools/get_rs274, set RS274', allow_module_level=True)
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
-#: Programs that LinuxCNC reads, the machine for their words, and how many motions at least.
-PROGRAMS = {
-    'camotics-heart': ('xyz', 160),
-    'cnclite-blend-mpf': ('xyz', 3200),
-    'fanuc-test-g91': ('xyz', 130),
-    'linuxcnc-cds': ('xyz', 260),
-    'linuxcnc-impeller-xyzac': ('xyzac', 4400),
-    'linuxcnc-stellabee': ('xyz', 169000),
-    'mach-pulley-r-arcs': ('xyz', 43000),
-    'nist-box-op5': ('xyz', 3500),
-    'opencn-congee-5x': ('xyzbc', 50),
-    'pycam-sample': ('xyz', 33000),
-    'qtpyvcp-bezel': ('xyz', 32000),
-    'solidcam-4x-rotx': ('xyza', 12000),
-    'ugs-gates': ('xyz', 15000),
+#: How many motions are compared at least.
+MOTIONS = {
+    'camotics-heart': 160,
+    'cnclite-blend-mpf': 3200,
+    'fanuc-test-g91': 130,
+    'linuxcnc-cds': 260,
+    'linuxcnc-impeller-xyzac': 4400,
+    'linuxcnc-stellabee': 169000,
+    'mach-pulley-r-arcs': 43000,
+    'nist-box-op5': 3500,
+    'opencn-congee-5x': 50,
+    'pycam-sample': 33000,
+    'qtpyvcp-bezel': 32000,
+    'solidcam-4x-rotx': 12000,
+    'ugs-gates': 15000,
 }
 SNIPPETS = {
     'planes': 'G18 G2 X4.5 Z0 I2 K0\nG19 G3 Y2 Z0 J1 K0\nG17 G2 X1 Y2 R5\nG3 X3 Y4 R-6',
@@ -58,34 +58,15 @@ SNIPPETS = {
 }  # fmt: skip
 
 
-def judged(path, machine_name, partly, tools=None):
-    """Compare a file; machine coordinates are LinuxCNC's: zero at the workpiece zero."""
-    machine = Machine.load(machine_name)
-    machine = replace(machine, offsets=np.zeros((3, 3)))
-    geometry = Transform.of(machine)
-    at_zero = {f'G{number}': dict.fromkeys('XYZ', 0.0) for number in range(54, 60)}
-    lengths = {number: length / 1e3 for number, length in (tools or {}).items()}
-    options = ReadOptions(feedrate=0.05, setup=JobSetup(at_zero, lengths))
-    blocks = read_program(path, geometry, options).blocks
-    motions, complaint = run_linuxcnc(path, tools)
-    assert partly or not complaint, complaint
-    points, columns = None, []
-    if machine.has_rotary:
-        columns = ['ABC'.index(letter) for letter in machine.axis_names[3:]]
-        if machine_name != 'xyzac' or tools is not None:  # there, words are tool tips
-            points = geometry.linear(blocks.tip, np.nan_to_num(blocks.rotary))
-    return compare(blocks, motions, points, columns, partly)
-
-
 @pytest.mark.parametrize('name', PROGRAMS)
 def test_public_programs(name):
     if not (SHARED / name).is_dir():
         pytest.skip('the collection of real programs is not at hand')
     path = next(path for path in (SHARED / name).iterdir() if path.name != 'SOURCE')
-    machine, least = PROGRAMS[name]
-    agreement = judged(path, machine, partly=name == 'nist-box-op5')
+    machine, partly = PROGRAMS[name]
+    agreement = judged(path, machine, partly)
     assert not agreement.faults, agreement.faults[:3]
-    assert agreement.motions >= least
+    assert agreement.motions >= MOTIONS[name]
 
 
 @pytest.mark.parametrize('name', SNIPPETS)

@@ -1,0 +1,233 @@
+"""
+Every public program: read, compared with LinuxCNC's interpreter, planned and proven; a table.
+
+    python benchmarks/programs.py [--only NAME ...]
+
+One process per program, its plan files in a temporary folder, its figures in ``out/programs``; the
+table, ``docs/programs_table.md``, is made of all figures that are there. Programs whose motion is
+long are proven in parts of about ten minutes, each from its own start pose.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
+from linuxcnc_oracle import PROGRAMS as ORACLE_PROGRAMS
+from linuxcnc_oracle import interpreter, judged
+
+from cnc_interp.errors import InterpError, ProgramError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.pipeline import plan_program, summary_of, write_plan
+from cnc_interp.program import Blocks, JobSetup, Program, ReadOptions, open_program
+from cnc_interp.units import MM_PER_MIN
+from cnc_interp.verify import verify_plan
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = ROOT.parent / 'shared' / 'programs'
+TABLE, RESULTS = ROOT / 'docs' / 'programs_table.md', ROOT / 'out' / 'programs'
+#: A part of a program takes about this long [s], if its feed were reached.
+PART = 600.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """How a program is run: the machine it was written for, and what its operator set."""
+
+    machine: str = 'xyz'
+    setup: JobSetup = field(default_factory=JobSetup)
+    feed: float | None = None
+    remark: str = ''
+
+
+CASES = {
+    'camotics-heart': Case(),
+    'cnclite-blend-mpf': Case(),
+    'cnclite-square-apt': Case('xyzac', feed=1000.0, remark='--feed 1000'),
+    'cnclite-tulsyan-apt': Case('xyzac', feed=1000.0, remark='--feed 1000'),
+    'creo-finition-ncl': Case('head_head', remark='a part of 6 m'),
+    'dmu50-boss-h': Case('xyzbc'),
+    'fanuc-test-g91': Case('vmc'),
+    'gcws-sinumerik840d': Case('bc_trunnion'),
+    'hust-yelun-cl': Case('xyzac', feed=1000.0, remark='--feed 1000'),
+    'linuxcnc-cds': Case(),
+    'linuxcnc-impeller-xyzac': Case('xyzac'),
+    'linuxcnc-stellabee': Case(),
+    'mach-pulley-r-arcs': Case(),
+    'nist-box-op5': Case(
+        'vmc',
+        JobSetup(work_offsets={'G58': {'X': 0.05, 'Y': 0.02, 'Z': -0.4}}),
+        remark='--setup with G58',
+    ),
+    'opencn-congee-5x': Case('xyzbc', remark='TCP off'),
+    'pycam-sample': Case(),
+    'qtpyvcp-bezel': Case('vmc'),
+    'solidcam-4x-rotx': Case('xyza', remark='4-axis, TCP off'),
+    'spinner-achskreuz-mpf': Case('bc_trunnion', remark='AROT, TRAORI'),
+    'ugs-gates': Case(),
+}
+
+
+def program_file(name: str) -> Path:
+    """Return the program in a folder of the collection."""
+    return next(path for path in sorted((PROGRAMS / name).iterdir()) if path.name != 'SOURCE')
+
+
+def read(name: str, geometry: Transform) -> tuple[Program, float, float]:
+    """Read a program; also the time to the first block and to the last [s]."""
+    case = CASES[name]
+    feed = None if case.feed is None else case.feed * MM_PER_MIN
+    options = ReadOptions(feedrate=feed, setup=case.setup)
+    begin = time.perf_counter()
+    stream = open_program(program_file(name), geometry, options)
+    first, parts = 0.0, []
+    for blocks in stream:
+        first = first or time.perf_counter() - begin
+        parts.append(blocks)
+    whole = time.perf_counter() - begin
+    program = Program(Blocks.concatenate(parts), stream.notices, stream.source, stream.dialect)
+    return program, first, whole
+
+
+def parts_of(program: Program) -> list[Program]:
+    """Cut a long program into parts; each begins where the one before ended."""
+    blocks = program.blocks
+    way = np.linalg.norm(np.diff(blocks.tip, axis=0), axis=1)
+    speed = np.where(np.isfinite(blocks.feedrate[1:]), blocks.feedrate[1:], 0.5)
+    seconds = np.where(np.isfinite(blocks.duration[1:]), blocks.duration[1:], way / speed)
+    part = np.concatenate([[0], np.floor(np.cumsum(seconds) / PART)])
+    edges = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(blocks) - 1]
+    return [
+        replace(program, blocks=blocks[first : last + 1])
+        for first, last in pairwise(edges)
+        if last > first
+    ]
+
+
+def run_one(name: str) -> dict[str, Any]:
+    """Read, compare, plan and prove one program."""
+    case, file = CASES[name], program_file(name)
+    machine = Machine.load(case.machine)
+    geometry = Transform.of(machine)
+    result: dict[str, Any] = {'lines': len(file.read_bytes().splitlines())}
+    try:
+        read(name, geometry)  # kernels and file cache warm
+        program, first, whole = read(name, geometry)
+    except ProgramError as problem:
+        why = str(problem).partition(f'{problem.word}: ')[2]
+        return result | {'refused': f'line {problem.line_number}, {problem.word}: {why}'}
+    result |= {
+        'blocks': len(program.blocks) - 1,
+        'first_block': first,
+        'lines_per_second': result['lines'] / whole,
+        'notices': len(program.notices),
+        'oracle': agreement(name),
+        'cycle_time': 0.0,
+        'planning': 0.0,
+        'contour': 0.0,
+        'failures': [],
+    }
+    try:
+        for part in parts_of(program):
+            plan_and_prove(part, machine, result)
+            print(f'{name}: {result["cycle_time"]:.0f} s', file=sys.stderr, flush=True)
+    except InterpError as problem:
+        result['failures'].append(str(problem))
+    return result
+
+
+def plan_and_prove(part: Program, machine: Machine, result: dict[str, Any]) -> None:
+    """Plan a part of a program, prove its plan files and add up the figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.perf_counter()
+        plan = plan_program(part, machine)
+        result['planning'] += time.perf_counter() - begin
+        write_plan(plan, Path(folder))
+        summary = summary_of(plan)
+        del plan
+        proof = verify_plan(Path(folder), machine)
+    result['cycle_time'] += summary['cycle_time']
+    result['contour'] = max(result['contour'], summary['largest_contour_error'])
+    if not proof.ok:
+        result['failures'].extend(proof.failures[:3])
+
+
+def agreement(name: str) -> str:
+    """Compare the blocks of a program with what LinuxCNC's interpreter makes of it."""
+    if name not in ORACLE_PROGRAMS or interpreter() is None:
+        return '-'
+    machine, partly = ORACLE_PROGRAMS[name]
+    return str(judged(program_file(name), machine, partly))
+
+
+def table_of(results: dict[str, dict[str, Any]]) -> str:
+    """Write the table."""
+    ran = [r for r in results.values() if 'refused' not in r and not r['failures']]
+    lines = [
+        '# The public programs',
+        '',
+        f'{len(ran)} of {len(results)} programs run with every sample proven. Made by '
+        '`python benchmarks/programs.py`;',
+        'what is refused, and why, is in [programs.md](programs.md).',
+        '',
+        'klines/s: reading alone. First: time to the first blocks [ms]. LinuxCNC: motions in '
+        'which its interpreter and',
+        'ours agree; "-": it does not read this. Planning: blocks/s from blocks to setpoints, on '
+        'one of two busy cores.',
+        '',
+        '| program | lines | machine | blocks | klines/s | first | LinuxCNC | motion [s] '
+        '| planning | check |',
+        '|---|--:|---|--:|--:|--:|---|--:|--:|---|',
+    ]
+    return '\n'.join([*lines, *(row_of(name, results[name]) for name in results)]) + '\n'
+
+
+def row_of(name: str, result: dict[str, Any]) -> str:
+    """Write the table's row of a program."""
+    case = CASES[name]
+    if 'refused' in result:
+        refused = f'refused at {result["refused"]}'
+        return f'| {name} | {result["lines"]:,} | {refused} | | | | - | | | |'
+    machine = ', '.join(filter(None, (case.machine, case.remark)))
+    return (
+        f'| {name} | {result["lines"]:,} | {machine} | {result["blocks"]:,} '
+        f'| {result["lines_per_second"] / 1e3:,.0f} | {result["first_block"] * 1e3:,.0f} '
+        f'| {result["oracle"]} | {result["cycle_time"]:,.1f} '
+        f'| {result["blocks"] / max(result["planning"], 1e-9):,.0f} '
+        f'| {"; ".join(result["failures"][:1]) or "proven"} |'
+    )
+
+
+def main() -> None:
+    """Run the programs, each in a process of its own, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--only', choices=sorted(CASES), nargs='+', default=sorted(CASES))
+    parser.add_argument('--here', choices=sorted(CASES), help='run one in this process')
+    options = parser.parse_args()
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    if options.here:
+        text = json.dumps(run_one(options.here), indent=2)
+        (RESULTS / f'{options.here}.json').write_text(text + '\n', encoding='utf-8')
+        return
+    for name in options.only:
+        subprocess.run([sys.executable, __file__, '--here', name], check=True)
+        found = sorted(RESULTS.glob('*.json'))
+        results = {file.stem: json.loads(file.read_text(encoding='utf-8')) for file in found}
+        print(row_of(name, results[name]), flush=True)
+        TABLE.write_text(table_of(results), encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()

@@ -16,11 +16,14 @@ follows the iterates.
 
 Minimised is the time, sum of 2 H/(v_i + v_{i+1}); rows are scaled so that each reads |g| <= 1:
 
-    jerk at both ends   alpha j + v (gamma b + beta a),  j = (a_{i+1} - a_i)(v_i + v_{i+1})/(2 H)
+    jerk at both ends   alpha j + beta v a + gamma v b,  j = (a_{i+1} - a_i)(v_i + v_{i+1})/(2 H)
     acceleration        q_s a + q_ss b
     caps                m_i <= cap_i,  b_i <= min(cap_{i-1}, cap_i)
 
-Each touches m_{i-1}, m_i, m_{i+1}: the Newton matrix is pentadiagonal.
+So a row is a fixed combination of at most three terms of its cell: (j, v a, v b) at the left end,
+the same at the right end, (a, b) at the left node. Only these terms and their derivatives depend
+on the iterate, and each touches m_{i-1}, m_i, m_{i+1}: the Newton matrix is pentadiagonal, and
+an axis costs three multiplications.
 """
 
 from __future__ import annotations
@@ -67,28 +70,24 @@ def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def rows_and_time(
-    n_axes: int,
-    jerk: FloatArray,
-    acceleration: FloatArray,
-    cap: FloatArray,
-    m: FloatArray,
+def terms_and_time(
     width: FloatArray,
     b: FloatArray,
     a: FloatArray,
     v: FloatArray,
-    g: FloatArray,
-    grad: FloatArray,
+    terms: FloatArray,
+    slopes: FloatArray,
     slope: FloatArray,
     d0: FloatArray,
     d1: FloatArray,
     d2: FloatArray,
 ) -> float:
     """
-    Evaluate the rows with their gradients, and the time with gradient and Hessian.
+    Evaluate the terms of the rows with their derivatives, and the time with gradient and Hessian.
 
-    ``grad[i, r]`` are the derivatives of row r of cell i by m_{i-1}, m_i, m_{i+1}; those by the
-    fixed first and last coefficient are zero.
+    ``terms[i, q]`` are those of cell i: q = 0 (j, v a, v b) at its left end, 1 the same at its
+    right end, 2 (a, b, 0) at its left node; ``slopes[i, q, f]`` the derivatives of term f by
+    m_{i-1}, m_i, m_{i+1}. Those by the fixed first and last coefficient are zero.
     """
     n = len(width)
     total = 0.0
@@ -97,7 +96,7 @@ def rows_and_time(
     d1[:] = 0.0
     d2[:] = 0.0
     da0, da1, db0 = np.zeros(3), np.zeros(3), np.zeros(3)
-    db1, dj, ds = np.zeros(3), np.zeros(3), np.zeros(3)
+    db1, ds = np.zeros(3), np.zeros(3)
     for i in range(n):
         da0[:] = 0.0
         da1[:] = 0.0
@@ -120,11 +119,24 @@ def rows_and_time(
         r0 = 0.5 / v0 if v0 > 0.0 else 0.0
         r1 = 0.5 / v1 if v1 > 0.0 else 0.0
         sum_v = v0 + v1
+        half = sum_v / (2 * w)
         rise = (a[i + 1] - a[i]) / (2 * w)
-        j = rise * sum_v
+        terms[i, 0, 0], terms[i, 0, 1], terms[i, 0, 2] = rise * sum_v, v0 * a[i], v0 * b[i]
+        terms[i, 1, 0], terms[i, 1, 1], terms[i, 1, 2] = rise * sum_v, v1 * a[i + 1], v1 * b[i + 1]
+        terms[i, 2, 0], terms[i, 2, 1], terms[i, 2, 2] = a[i], b[i], 0.0
         for c in range(3):
-            ds[c] = r0 * db0[c] + r1 * db1[c]
-            dj[c] = (da1[c] - da0[c]) * sum_v / (2 * w) + rise * ds[c]
+            s0, s1 = r0 * db0[c], r1 * db1[c]
+            ds[c] = s0 + s1
+            dj = (da1[c] - da0[c]) * half + rise * ds[c]
+            slopes[i, 0, 0, c] = dj
+            slopes[i, 0, 1, c] = v0 * da0[c] + a[i] * s0
+            slopes[i, 0, 2, c] = v0 * db0[c] + b[i] * s0
+            slopes[i, 1, 0, c] = dj
+            slopes[i, 1, 1, c] = v1 * da1[c] + a[i + 1] * s1
+            slopes[i, 1, 2, c] = v1 * db1[c] + b[i + 1] * s1
+            slopes[i, 2, 0, c] = da0[c]
+            slopes[i, 2, 1, c] = db0[c]
+            slopes[i, 2, 2, c] = 0.0
         time = 2 * w / sum_v
         total += time
         # d2(time) = 2 time/sum^2 ds ds^T - time/sum * (second derivative of sum_v, negative)
@@ -143,34 +155,4 @@ def rows_and_time(
                 )
             if c == 0:
                 d2[slot] += k2 * ds[0] * ds[2]
-        for k in range(n_axes):
-            alpha, beta, gamma = jerk[i, 0, k, 0], jerk[i, 0, k, 1], jerk[i, 0, k, 2]
-            inner = gamma * b[i] + beta * a[i]
-            g[i, k] = alpha * j + v0 * inner
-            for c in range(3):
-                grad[i, k, c] = (
-                    alpha * dj[c] + v0 * (gamma * db0[c] + beta * da0[c]) + inner * r0 * db0[c]
-                )
-            alpha, beta, gamma = jerk[i, 1, k, 0], jerk[i, 1, k, 1], jerk[i, 1, k, 2]
-            inner = gamma * b[i + 1] + beta * a[i + 1]
-            row = n_axes + k
-            g[i, row] = alpha * j + v1 * inner
-            for c in range(3):
-                grad[i, row, c] = (
-                    alpha * dj[c] + v1 * (gamma * db1[c] + beta * da1[c]) + inner * r1 * db1[c]
-                )
-            row = 2 * n_axes + k
-            first, second = acceleration[i, k, 0], acceleration[i, k, 1]
-            g[i, row] = first * a[i] + second * b[i]
-            for c in range(3):
-                grad[i, row, c] = first * da0[c] + second * db0[c]
-        row = 3 * n_axes
-        grad[i, row, :] = 0.0
-        if 0 < i < n - 1:
-            grad[i, row, 1] = 1.0 / cap[i]
-        g[i, row] = m[i] / cap[i]
-        node_cap = cap[i] if i == 0 else min(cap[i - 1], cap[i])
-        for c in range(3):
-            grad[i, row + 1, c] = db0[c] / node_cap
-        g[i, row + 1] = b[i] / node_cap
     return total

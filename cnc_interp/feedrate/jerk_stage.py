@@ -111,23 +111,23 @@ def build_rows(
     right: FloatArray,
     table: FloatArray,
     scale: FloatArray,
-    jerk: FloatArray,
-    acceleration: FloatArray,
+    rows: FloatArray,
 ) -> None:
     """Write the rows of the interior point: derivatives over the scaled limits."""
     n, n_axes = left.shape[1], left.shape[2]
     for i in range(n):
         for k in range(n_axes):
             by_jerk = 1.0 / (table[2, k] * scale[i, 2, k])
-            jerk[i, 0, k, 0] = left[1, i, k] * by_jerk
-            jerk[i, 0, k, 1] = 3 * left[2, i, k] * by_jerk
-            jerk[i, 0, k, 2] = left[3, i, k] * by_jerk
-            jerk[i, 1, k, 0] = right[1, i, k] * by_jerk
-            jerk[i, 1, k, 1] = 3 * right[2, i, k] * by_jerk
-            jerk[i, 1, k, 2] = right[3, i, k] * by_jerk
+            rows[i, 0, 0, k] = left[1, i, k] * by_jerk
+            rows[i, 0, 1, k] = 3 * left[2, i, k] * by_jerk
+            rows[i, 0, 2, k] = left[3, i, k] * by_jerk
+            rows[i, 1, 0, k] = right[1, i, k] * by_jerk
+            rows[i, 1, 1, k] = 3 * right[2, i, k] * by_jerk
+            rows[i, 1, 2, k] = right[3, i, k] * by_jerk
             smaller = scale[i, 1, k] if i == 0 else min(scale[i - 1, 1, k], scale[i, 1, k])
-            acceleration[i, k, 0] = left[1, i, k] / (table[1, k] * smaller)
-            acceleration[i, k, 1] = left[2, i, k] / (table[1, k] * smaller)
+            rows[i, 2, 0, k] = left[1, i, k] / (table[1, k] * smaller)
+            rows[i, 2, 1, k] = left[2, i, k] / (table[1, k] * smaller)
+            rows[i, 2, 2, k] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -176,8 +176,7 @@ class Problem:
             if squared is not None:
                 guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = first_coefficients(self.h, grid.bounds, guess)
-        self.jerk = np.empty((n, 2, n_axes, 3))
-        self.acceleration = np.empty((n, n_axes, 2))
+        self.rows = np.empty((n, 3, 3, n_axes))
         self.use = np.empty((2, n, 4, n_axes))
         self.slack = np.ones((n, 3 * n_axes + 2, 2))
         self.dual = np.zeros((n, 3 * n_axes + 2, 2))
@@ -194,14 +193,13 @@ class Problem:
 
     def solve(self, m: FloatArray, warm: bool) -> tuple[Stretch | None, bool]:
         """Solve with the present limits; m takes the solution. Tells whether it converged."""
-        build_rows(self.left, self.right, self.table, self.scale, self.jerk, self.acceleration)
+        build_rows(self.left, self.right, self.table, self.scale, self.rows)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
         cap = (self.grid.bounds[:, 0] * part) ** 2
         width = self.reset_widths()
         status, _, _ = solve(
             self.h,
-            self.jerk,
-            self.acceleration,
+            self.rows,
             cap,
             self.ends,
             m,

@@ -1,0 +1,389 @@
+"""
+What the rows of the jerk stage do in an interior-point iteration: to the matrix, to the step.
+
+Each row g <= 1 has a slack w and a dual y, for |g| <= 1 one of each per side. A row of an axis is
+a fixed combination of three terms of its cell (``jerk_rows``), so sums over the axes are made in
+the terms and brought to the coefficients m_{i-1}, m_i, m_{i+1} once per cell. ``rows[i, q, f, k]``
+is the factor of term f at place q of cell i for axis k, in row q n_axes + k. The last two rows are
+the caps, of the cell and of its left node. A row without a free coefficient is none.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from cnc_interp.program.blocks import FloatArray
+
+WARM_SLACK, WARM_GAP = 1e-2, 1e-4
+"""Least slack, and complementarity over the time, with which a warm start begins."""
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def moves(slopes: FloatArray) -> bool:
+    """Tell whether terms depend on any free coefficient; rows that do not are no rows."""
+    for f in range(3):
+        for c in range(3):
+            if slopes[f, c] != 0.0:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def fixed_cap(i: int, n: int, which: int) -> bool:
+    """Tell whether a cap's row, of the cell (0) or of its node (1), has no free coefficient."""
+    return i == 0 or n < 3 or (which == 0 and i == n - 1)
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def gather(
+    rows: FloatArray,
+    caps: FloatArray,
+    m: FloatArray,
+    terms: FloatArray,
+    slopes: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    inverse: FloatArray,
+    d0: FloatArray,
+    d1: FloatArray,
+    d2: FloatArray,
+    residual: FloatArray,
+    rhs: FloatArray,
+) -> tuple[float, float, float, int]:
+    """
+    Add the rows to the Newton matrix and to the predictor's right-hand side.
+
+    Returns the gap (sum of dual times slack), the weighted one, the largest violation of a row,
+    and the number of one-sided rows.
+    """
+    n, n_axes = rows.shape[0], rows.shape[3]
+    gap, weighted, violation = 0.0, 0.0, 0.0
+    count = 0
+    square, push_by, pull_by = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    for i in range(n):
+        square[:] = 0.0
+        push_by[:] = 0.0
+        pull_by[:] = 0.0
+        cell_gap = 0.0
+        for q in range(3):
+            if not moves(slopes[i, q]):
+                continue
+            x0, x1, x2 = terms[i, q, 0], terms[i, q, 1], terms[i, q, 2]
+            s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            p0, p1, p2, u0, u1, u2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(n_axes):
+                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
+                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
+                    continue
+                r = q * n_axes + k
+                w0, w1, y0, y1 = slack[i, r, 0], slack[i, r, 1], dual[i, r, 0], dual[i, r, 1]
+                g = c0 * x0 + c1 * x1 + c2 * x2
+                i0, i1 = 1.0 / w0, 1.0 / w1
+                inverse[i, r, 0], inverse[i, r, 1] = i0, i1
+                r0, r1 = y0 * i0, y1 * i1
+                push, pull, both = r0 * (w0 - 1.0 + g) - r1 * (w1 - 1.0 - g), y0 - y1, r0 + r1
+                cell_gap += y0 * w0 + y1 * w1
+                violation = max(violation, abs(g) - 1.0)
+                count += 2
+                s00 += both * c0 * c0
+                s01 += both * c0 * c1
+                s02 += both * c0 * c2
+                s11 += both * c1 * c1
+                s12 += both * c1 * c2
+                s22 += both * c2 * c2
+                p0 += push * c0
+                p1 += push * c1
+                p2 += push * c2
+                u0 += pull * c0
+                u1 += pull * c1
+                u2 += pull * c2
+            for c in range(3):
+                e0, e1, e2 = slopes[i, q, 0, c], slopes[i, q, 1, c], slopes[i, q, 2, c]
+                push_by[c] += p0 * e0 + p1 * e1 + p2 * e2
+                pull_by[c] += u0 * e0 + u1 * e1 + u2 * e2
+                t0 = s00 * e0 + s01 * e1 + s02 * e2
+                t1 = s01 * e0 + s11 * e1 + s12 * e2
+                t2 = s02 * e0 + s12 * e1 + s22 * e2
+                for d in range(c, 3):
+                    square[c, d] += (
+                        t0 * slopes[i, q, 0, d] + t1 * slopes[i, q, 1, d] + t2 * slopes[i, q, 2, d]
+                    )
+        for which in range(2):
+            if fixed_cap(i, n, which):
+                continue
+            r, cap = 3 * n_axes + which, caps[i, which]
+            g = m[i] / cap if which == 0 else terms[i, 2, 1] / cap
+            w, y = slack[i, r, 0], dual[i, r, 0]
+            inverse[i, r, 0] = 1.0 / w
+            ratio = y / w
+            push = ratio * (g + w - 1.0)
+            cell_gap += y * w
+            violation = max(violation, g - 1.0)
+            count += 1
+            for c in range(3):
+                e = cap_slope(slopes[i], cap, which, c)
+                push_by[c] += push * e
+                pull_by[c] += y * e
+                for d in range(c, 3):
+                    square[c, d] += ratio * e * cap_slope(slopes[i], cap, which, d)
+        gap += cell_gap
+        weighted += cell_gap / weight[i]
+        for c in range(3):
+            slot = i - 1 + c
+            if slot < 0 or slot >= n:
+                continue
+            rhs[slot] -= push_by[c]
+            residual[slot] += pull_by[c]
+            d0[slot] += square[c, c]
+            if c < 2:
+                d1[slot] += square[c, c + 1]
+            if c == 0:
+                d2[slot] += square[0, 2]
+    return gap, weighted, violation, count
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def cap_slope(slopes: FloatArray, cap: float, which: int, c: int) -> float:
+    """Differentiate a cap's row, of the cell (0) or of its node (1), by m_{i-1}, m_i, m_{i+1}."""
+    if which == 1:
+        return float(slopes[2, 1, c] / cap)
+    return 1.0 / cap if c == 1 else 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def shifted(
+    terms: FloatArray, slopes: FloatArray, before: float, here: float, after: float
+) -> tuple[float, float, float]:
+    """Linearise three terms about the iterate."""
+    return (
+        terms[0] + slopes[0, 0] * before + slopes[0, 1] * here + slopes[0, 2] * after,
+        terms[1] + slopes[1, 0] * before + slopes[1, 1] * here + slopes[1, 2] * after,
+        terms[2] + slopes[2, 0] * before + slopes[2, 1] * here + slopes[2, 2] * after,
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def predict(
+    rows: FloatArray,
+    caps: FloatArray,
+    m: FloatArray,
+    terms: FloatArray,
+    slopes: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    inverse: FloatArray,
+    dm: FloatArray,
+    change: FloatArray,
+) -> tuple[float, float]:
+    """
+    Step of slacks and duals along the predictor: how far it gets, and the sum of dw dy there.
+
+    With t = dw/w the slack allows a step of -1/t, and the dual, dy = -y (1 + t), one of
+    1/(1 + t). ``change`` takes the products dw dy that the corrector needs.
+    """
+    n, n_axes = rows.shape[0], rows.shape[3]
+    worst, square = 1.0, 0.0
+    for i in range(n):
+        before = dm[i - 1] if i > 0 else 0.0
+        after = dm[i + 1] if i < n - 1 else 0.0
+        cell_square = 0.0
+        for q in range(3):
+            if not moves(slopes[i, q]):
+                continue
+            x0, x1, x2 = shifted(terms[i, q], slopes[i, q], before, dm[i], after)
+            for k in range(n_axes):
+                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
+                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
+                    continue
+                r = q * n_axes + k
+                g = c0 * x0 + c1 * x1 + c2 * x2
+                dw0, dw1 = 1.0 - slack[i, r, 0] - g, 1.0 - slack[i, r, 1] + g
+                t0, t1 = dw0 * inverse[i, r, 0], dw1 * inverse[i, r, 1]
+                worst = max(worst, max(max(-t0, -t1), 1.0 + max(t0, t1)))
+                change[i, r, 0] = -dual[i, r, 0] * dw0 * (1.0 + t0)
+                change[i, r, 1] = -dual[i, r, 1] * dw1 * (1.0 + t1)
+                cell_square += change[i, r, 0] + change[i, r, 1]
+        for which in range(2):
+            if fixed_cap(i, n, which):
+                continue
+            r, cap = 3 * n_axes + which, caps[i, which]
+            g = shifted_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
+            dw = 1.0 - slack[i, r, 0] - g
+            t = dw * inverse[i, r, 0]
+            worst = max(worst, max(-t, 1.0 + t))
+            change[i, r, 0] = -dual[i, r, 0] * dw * (1.0 + t)
+            cell_square += change[i, r, 0]
+        square += cell_square / weight[i]
+    return 1.0 / worst, square
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def shifted_cap(
+    m: FloatArray,
+    terms: FloatArray,
+    slopes: FloatArray,
+    cap: float,
+    which: int,
+    i: int,
+    before: float,
+    here: float,
+    after: float,
+) -> float:
+    """Linearise a cap's row about the iterate."""
+    if which == 0:
+        return float((m[i] + here) / cap)
+    b = terms[2, 1] + slopes[2, 1, 0] * before + slopes[2, 1, 1] * here + slopes[2, 1, 2] * after
+    return float(b / cap)
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def correct(
+    target: float,
+    second_order: float,
+    rows: FloatArray,
+    caps: FloatArray,
+    slopes: FloatArray,
+    weight: FloatArray,
+    inverse: FloatArray,
+    change: FloatArray,
+    rhs: FloatArray,
+) -> None:
+    """Turn the predictor's right-hand side into the corrector's, aiming at ``target`` * weight."""
+    n, n_axes = rows.shape[0], rows.shape[3]
+    push_by = np.zeros(3)
+    for i in range(n):
+        aim = target * weight[i]
+        push_by[:] = 0.0
+        for q in range(3):
+            if not moves(slopes[i, q]):
+                continue
+            p0, p1, p2 = 0.0, 0.0, 0.0
+            for k in range(n_axes):
+                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
+                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
+                    continue
+                r = q * n_axes + k
+                push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
+                push -= (aim - second_order * change[i, r, 1]) * inverse[i, r, 1]
+                p0 += push * c0
+                p1 += push * c1
+                p2 += push * c2
+            for c in range(3):
+                push_by[c] += (
+                    p0 * slopes[i, q, 0, c] + p1 * slopes[i, q, 1, c] + p2 * slopes[i, q, 2, c]
+                )
+        for which in range(2):
+            if fixed_cap(i, n, which):
+                continue
+            r = 3 * n_axes + which
+            push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
+            for c in range(3):
+                push_by[c] += push * cap_slope(slopes[i], caps[i, which], which, c)
+        for c in range(3):
+            if 0 <= i - 1 + c < n:
+                rhs[i - 1 + c] -= push_by[c]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def advance(
+    target: float,
+    second_order: float,
+    keep: float,
+    rows: FloatArray,
+    caps: FloatArray,
+    terms: FloatArray,
+    slopes: FloatArray,
+    weight: FloatArray,
+    m: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    inverse: FloatArray,
+    change: FloatArray,
+    dm: FloatArray,
+    next_dual: FloatArray,
+) -> tuple[float, float]:
+    """Take the corrected step, as far as slacks, duals and coefficients stay positive."""
+    n, n_axes = rows.shape[0], rows.shape[3]
+    primal_worst, dual_worst = keep, keep
+    for i in range(n):
+        before = dm[i - 1] if i > 0 else 0.0
+        after = dm[i + 1] if i < n - 1 else 0.0
+        aim = target * weight[i]
+        for q in range(3):
+            if not moves(slopes[i, q]):
+                continue
+            x0, x1, x2 = shifted(terms[i, q], slopes[i, q], before, dm[i], after)
+            for k in range(n_axes):
+                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
+                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
+                    continue
+                r = q * n_axes + k
+                g = c0 * x0 + c1 * x1 + c2 * x2
+                y0, y1 = dual[i, r, 0], dual[i, r, 1]
+                i0, i1 = inverse[i, r, 0], inverse[i, r, 1]
+                dw0, dw1 = 1.0 - slack[i, r, 0] - g, 1.0 - slack[i, r, 1] + g
+                dy0 = (aim - second_order * change[i, r, 0] - y0 * dw0) * i0 - y0
+                dy1 = (aim - second_order * change[i, r, 1] - y1 * dw1) * i1 - y1
+                primal_worst = max(primal_worst, max(-dw0 * i0, -dw1 * i1))
+                dual_worst = max(dual_worst, max(-dy0 / y0, -dy1 / y1))
+                change[i, r, 0], change[i, r, 1] = dw0, dw1
+                next_dual[i, r, 0], next_dual[i, r, 1] = dy0, dy1
+        for which in range(2):
+            if fixed_cap(i, n, which):
+                continue
+            r, cap = 3 * n_axes + which, caps[i, which]
+            g = shifted_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
+            y = dual[i, r, 0]
+            dw = 1.0 - slack[i, r, 0] - g
+            dy = (aim - second_order * change[i, r, 0] - y * dw) * inverse[i, r, 0] - y
+            primal_worst = max(primal_worst, -dw * inverse[i, r, 0])
+            dual_worst = max(dual_worst, -dy / y)
+            change[i, r, 0], next_dual[i, r, 0] = dw, dy
+    primal, adjoint = keep / primal_worst, keep / dual_worst
+    for i in range(1, n - 1):
+        if dm[i] * primal < -0.9 * m[i]:
+            primal = -0.9 * m[i] / dm[i]
+    for i in range(n):
+        m[i] += primal * dm[i]
+        for r in range(slack.shape[1]):
+            for side in range(2):
+                slack[i, r, side] += primal * change[i, r, side]
+                dual[i, r, side] += adjoint * next_dual[i, r, side]
+    return primal, adjoint
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def start_rows(
+    total: float,
+    rows: FloatArray,
+    caps: FloatArray,
+    m: FloatArray,
+    terms: FloatArray,
+    width: FloatArray,
+    v: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    warm: bool,
+) -> None:
+    """Weigh the cells by their time; start slacks and duals, cold or from the last solution."""
+    n, n_axes = rows.shape[0], rows.shape[3]
+    least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
+    for i in range(n):
+        share = 2 * width[i] / (v[i] + v[i + 1]) / total
+        weight[i] = max(n * share, 1e-3)
+        for r in range(3 * n_axes + 2):
+            q, k = r // n_axes, r % n_axes
+            if q < 3:
+                g = rows[i, q, 0, k] * terms[i, q, 0] + rows[i, q, 1, k] * terms[i, q, 1]
+                g += rows[i, q, 2, k] * terms[i, q, 2]
+            else:
+                g = (m[i] if k == 0 else terms[i, 2, 1]) / caps[i, k]
+            slack[i, r, 0] = max(1.0 - g, least)
+            slack[i, r, 1] = max(1.0 + g, least)
+            for side in range(2):
+                balanced = level * total / n * weight[i] / slack[i, r, side]
+                dual[i, r, side] = max(dual[i, r, side], balanced) if warm else balanced

@@ -25,9 +25,9 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 UP: Vector = (0.0, 0.0, 1.0)
 
 IRON: Colour = (0.33, 0.38, 0.43, 1.0)
-SLIDE: Colour = (0.62, 0.67, 0.72, 1.0)
+SLIDE: Colour = (0.50, 0.56, 0.62, 1.0)
 TURNING: Colour = (0.24, 0.47, 0.66, 1.0)
-STEEL: Colour = (0.80, 0.82, 0.84, 1.0)
+STEEL: Colour = (0.58, 0.63, 0.68, 1.0)
 CUTTER: Colour = (0.88, 0.55, 0.14, 1.0)
 STOCK: Colour = (0.70, 0.74, 0.78, 0.35)
 

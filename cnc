@@ -3,6 +3,7 @@
 #
 #   ./cnc run [PROGRAM ...]   stream a part program through the ROS 2 nodes to the simulated
 #                             machine; without PROGRAM the bundled examples/pyramid.ngc
+#   ./cnc panel [PROGRAM]     the operator page in a browser, with a simulated machine behind it
 #   ./cnc test [ARGUMENTS]    the whole test suite; arguments go to pytest
 #   ./cnc lint                ruff and mypy
 #   ./cnc setup               only set up, check all of it, repair what is broken
@@ -24,7 +25,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test) set -- requirements/test.txt ;;
+      test | panel) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -87,7 +88,7 @@ main() {
   case ${1-} in
     test)
       shift
-      ensure "${parts[@]}" test
+      ensure "${parts[@]}" test panel
       cd "$root"
       exec "$venv/bin/python" -m pytest "$@"
       ;;
@@ -107,6 +108,8 @@ main() {
       ;;
     *)
       [ "$*" != run ] || set -- run "$root/examples/pyramid.ngc"
+      [ "$*" != panel ] || set -- panel "$root/examples/pyramid.ngc"
+      case " $* " in ' panel '* | *' --panel '*) parts+=(panel) ;; esac
       ensure "${parts[@]}"
       exec "$venv/bin/cnc-interp" "$@"
       ;;

@@ -4,6 +4,7 @@
 # (requirements, messages, project files) is brought up to date in place.
 
 log=$venv/setup.log
+optional=(test panel) # parts that only some commands need
 pip_install=("$venv/bin/python" -m pip install --quiet --no-deps --no-compile
   --no-warn-script-location --disable-pip-version-check)
 
@@ -127,9 +128,8 @@ start_over() {
 # Network and processor are kept busy together: the kernels compile while ROS is fetched and the
 # messages are built.
 complete_environment() {
-  local had compiling='' kept_parts='' testing=''
-  case " $* " in *' test '*) testing=1 ;; esac
-  had=$(grep -E '^(base|project|messages|test) ' "$stamp" 2>/dev/null || true)
+  local had compiling='' kept_parts='' part wanted=" $* "
+  had=$(grep -E '^(base|project|messages|test|panel) ' "$stamp" 2>/dev/null || true)
   out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
   forget_parts
   if out_of_date base; then install_packages; fi
@@ -145,13 +145,15 @@ complete_environment() {
     build_messages >"$venv/messages.log" 2>&1 \
       || { log=$venv/messages.log; explain 'building the message package failed'; }
   fi
-  if [ -z "$testing" ]; then
-    kept_parts=$(grep '^test ' <<<"$had") || true
-  elif out_of_date test; then
-    say 'installing the test tools'
-    logged "${pip_install[@]}" -r "$root/requirements/test.txt" \
-      || explain 'installing the test tools failed'
-  fi
+  for part in "${optional[@]}"; do
+    if [[ $wanted != *" $part "* ]]; then
+      kept_parts+=$(grep "^$part " <<<"$had" || true)$'\n'
+    elif out_of_date "$part"; then
+      say "installing what the $part needs"
+      logged "${pip_install[@]}" -r "$root/requirements/$part.txt" \
+        || explain "installing what the $part needs failed"
+    fi
+  done
   [ -z "$compiling" ] || wait "$compiling" || true
   say 'checking that everything imports'
   if ! check_environment >>"$log" 2>&1; then
@@ -164,11 +166,11 @@ complete_environment() {
 
 # A build that fails or is killed can be taken up again; half an installation cannot.
 forget_parts() {
-  if out_of_date base || out_of_date project || { [ -n "$testing" ] && out_of_date test; }; then
-    rm -f "$stamp"
-  else
-    sed -i '/^messages /d' "$stamp"
-  fi
+  local part
+  for part in base project "${optional[@]}"; do
+    case "$wanted base project " in *" $part "*) ! out_of_date "$part" || rm -f "$stamp" ;; esac
+  done
+  [ ! -e "$stamp" ] || sed -i '/^messages /d' "$stamp"
 }
 
 install_packages() {

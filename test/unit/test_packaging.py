@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 # Imported, but without a rosdep key: the README names them for a full ROS 2.
-WITHOUT_KEY = {'apsw', 'mcap', 'plotly', 'rosbags', 'ruckig'}
+WITHOUT_KEY = {'apsw', 'fastapi', 'mcap', 'nicegui', 'plotly', 'rosbags', 'ruckig', 'starlette'}
 RENAMED = {
     'toppra': 'python3-toppra-pip',
     'yaml': 'python3-yaml',
@@ -47,7 +47,9 @@ def test_package_xml_declares_what_is_imported():
     assert not missing, f'add an exec_depend for {sorted(missing)} to package.xml'
 
 
-@pytest.mark.parametrize('name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'colcon'])
+@pytest.mark.parametrize(
+    'name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'panel', 'colcon']
+)
 def test_every_requirement_is_pinned(name):
     assert pins(name)
     assert all(re.fullmatch(r'[\w.-]+==[\w.]+', line) for line in pins(name))

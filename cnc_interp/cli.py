@@ -65,6 +65,10 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument(
         '--out', type=Path, metavar='DIR', help='write what the machine received as plan files'
     )
+    run.add_argument(
+        '--panel', action='store_true', help='the operator page beside it, until Ctrl-C'
+    )
+    page_options(run)
 
     plan = command(
         commands, 'plan', plan_command,
@@ -111,6 +115,26 @@ def parser() -> argparse.ArgumentParser:
     report.add_argument(
         '--compare', type=Path, metavar='DIR2', help='another plan to set beside the first'
     )
+
+    panel = command(
+        commands, 'panel', panel_command,
+        'serve the operator page: see the machine and operate it from a browser',
+        'cnc-interp panel examples/pyramid.ngc',
+    )  # fmt: skip
+    panel.add_argument(
+        'program', type=Path, nargs='?', metavar='PROGRAM', help='program to lay on the desk'
+    )
+    panel.add_argument(
+        '--machine', default='xyzac', metavar='M', help='machine to simulate (xyzac)'
+    )
+    panel.add_argument(
+        '--attach', action='store_true', help='join nodes that run already; start none'
+    )
+    panel.add_argument(
+        '--namespace', default='/', metavar='NS', help='ROS namespace of the nodes (/)'
+    )
+    panel.add_argument('--domain', type=int, metavar='N', help='ROS domain (ROS_DOMAIN_ID)')
+    page_options(panel)
 
     urdf = command(
         commands, 'urdf', urdf_command,
@@ -182,6 +206,19 @@ def program_options(added: argparse.ArgumentParser) -> None:
         '--period', type=positive, default=1.0, metavar='MS', help='interpolation period (1 ms)'
     )
     added.add_argument('--json', action='store_true', help='print the summary as JSON')
+
+
+def page_options(added: argparse.ArgumentParser) -> None:
+    """Add the options of the operator page."""
+    added.add_argument(
+        '--host', default='127.0.0.1', help='address of the operator page (127.0.0.1)'
+    )
+    added.add_argument(
+        '--port', type=int, default=8650, help='its port, 0 for any free one (8650)'
+    )
+    added.add_argument(
+        '--token', default='', help='what commands from the page need (default: a random one)'
+    )
 
 
 def length(added: argparse.ArgumentParser, name: str, default: float, meaning: str) -> None:
@@ -309,6 +346,14 @@ def report_command(options: argparse.Namespace) -> int:
     return FINE
 
 
+def panel_command(options: argparse.Namespace) -> int:
+    """Serve the operator page."""
+    from cnc_interp.panel.starting import PanelRequest, run_panel
+
+    run_panel(PanelRequest.from_options(options))
+    return FINE
+
+
 def urdf_command(options: argparse.Namespace) -> int:
     """Write a machine as URDF."""
     from cnc_interp.description.urdf import urdf_of
@@ -326,7 +371,12 @@ def run_command(options: argparse.Namespace) -> int:
     """Stream a program through the nodes."""
     from cnc_interp.nodes.session import RunRequest, run_session
 
-    result = run_session(RunRequest.from_options(options))
+    beside = None
+    if options.panel:
+        from cnc_interp.panel.starting import PanelBeside, PanelRequest
+
+        beside = PanelBeside(PanelRequest.from_options(options))
+    result = run_session(RunRequest.from_options(options), beside)
     print(json.dumps(result.to_json(), indent=2) if options.json else result.text())
     return FINE if result.ok else FAILED
 

@@ -9,7 +9,7 @@ import uuid
 from argparse import Namespace
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cnc_interp.errors import InterpError, ProgramError
 from cnc_interp.nodes.children import Children
@@ -202,7 +202,17 @@ class RunResult:
         return '\n'.join(lines)
 
 
-def run_session(request: RunRequest) -> RunResult:
+class Companion(Protocol):
+    """Something that lives beside the nodes of a run, such as the operator page."""
+
+    def start(self, namespace: str, domain: int) -> None:
+        """Begin, while the nodes start."""
+
+    def finish(self, result: RunResult) -> None:
+        """See the result; the nodes live until this returns."""
+
+
+def run_session(request: RunRequest, companion: Companion | None = None) -> RunResult:
     """
     Run a program through the real nodes and end them again.
 
@@ -220,23 +230,31 @@ def run_session(request: RunRequest) -> RunResult:
         reason = f'cannot be opened: {problem.strerror}'
         raise ProgramError(reason, str(request.program)) from None
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
-    # A domain of one's own keeps parallel runs apart; a chosen one lets other tools listen.
-    chosen = os.environ.get('ROS_DOMAIN_ID', '')
-    domain = int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
+    domain = chosen_domain()
     with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
         # Imported while the nodes start: ROS and the kernels take a second each.
         from cnc_interp.kinematics.machine import Machine
         from cnc_interp.nodes.client import Client
 
         machine = Machine.load(request.machine)
+        if companion is not None:
+            companion.start(namespace, domain)
         with Client(namespace, domain, children) as client:
             result = client.run(request, machine, started)
             received = client.received
+        if companion is not None:
+            companion.finish(result)
     if request.out is not None and result.ok:
         from cnc_interp.nodes.recording import write_received
 
         write_received(request, machine, received, request.out)
     return result
+
+
+def chosen_domain() -> int:
+    """Return the user's ROS domain; one of one's own keeps parallel runs apart."""
+    chosen = os.environ.get('ROS_DOMAIN_ID', '')
+    return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
 
 
 def nodes_file() -> Path:

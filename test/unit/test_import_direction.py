@@ -32,6 +32,7 @@ FLOW = (
     'description',
     'cam',
     'nodes',
+    'panel',
     'cli',
     '__main__',
 )

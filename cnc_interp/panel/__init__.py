@@ -1,0 +1,1 @@
+"""The operator page: what the nodes do, in a browser, and the operator's keys."""

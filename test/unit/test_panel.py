@@ -1,0 +1,161 @@
+"""What the operator page is made of: keys, read-outs, the path as a mesh, the plan beside it."""
+
+import io
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip(
+    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
+)
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.msg import MachineState
+
+from cnc_interp.cli import main, parser, read_options
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.nodes.operating import Alarm
+from cnc_interp.panel.access import Access
+from cnc_interp.panel.preview import DRAWN, Choices, Preview, thinned
+from cnc_interp.panel.readings import axis_words, clock, program_html, progress_words
+from cnc_interp.panel.tube import SCALE, SIDES, tube
+from cnc_interp.plan_files import read_plan
+from cnc_interp.units import DEG, MM, MM_PER_MIN
+
+PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F1500\nM30\n'
+
+
+def test_one_page_with_the_token_has_the_keys():
+    access = Access('secret')
+    access.enter('stranger', 'wrong')
+    access.enter('first', 'secret')
+    access.enter('second', 'secret')
+    rights = [access.may_command(tab, 'secret') for tab in ('stranger', 'first', 'second')]
+    assert rights == [False, True, False]
+    assert not access.may_command('first', 'wrong')
+    assert access.may_stop('secret') and not access.may_stop('wrong') and not access.may_stop('')
+    assert not access.take_over('stranger', 'wrong') and access.may_command('first', 'secret')
+    assert access.take_over('second', 'secret') and not access.may_command('first', 'secret')
+
+
+def test_a_refreshed_page_keeps_the_keys_and_a_closed_one_frees_them():
+    access = Access('secret')
+    access.enter('tab', 'secret')
+    access.enter('tab', 'secret')  # the new page comes before the old one goes
+    access.leave('tab')
+    assert access.may_command('tab', 'secret')
+    access.leave('tab')
+    access.enter('other', 'secret')
+    assert access.may_command('other', 'secret') and not access.may_command('tab', 'secret')
+
+
+def test_without_a_token_nobody_guesses_it():
+    assert len(Access().token) >= 16 and Access().token != Access().token
+    assert not Access().knows('')
+
+
+def test_the_tube_lies_around_the_path_and_takes_its_colours():
+    angle = np.linspace(0.0, 6.0, 60)
+    points = np.c_[np.cos(angle), np.sin(angle), 0.2 * angle] * 50 * MM
+    values = np.linspace(0.0, 2.0, len(points))
+    mesh = next(iter(trimesh.load(
+        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)), file_type='glb'
+    ).geometry.values()))  # fmt: skip
+    vertices = mesh.vertices.reshape(len(points), SIDES, 3)
+    assert np.linalg.norm(vertices - points[:, None], axis=2) == pytest.approx(0.5 * MM, abs=1e-8)
+    along = np.gradient(points, axis=0)
+    assert np.abs(np.einsum('nki,ni->nk', vertices - points[:, None], along)).max() < 1e-9
+    outward = mesh.vertices - np.repeat(points, SIDES, axis=0)
+    assert (np.einsum('ni,ni->n', mesh.vertex_normals, outward) > 0.0).all()
+    assert (mesh.face_normals * (outward[mesh.faces].sum(axis=1))).sum(axis=1).min() > 0.0
+    colours = mesh.visual.vertex_attributes['color'][:, :3]
+    assert tuple(colours[0]) == SCALE[0] and tuple(colours[-1]) == SCALE[-1]
+
+
+def test_a_path_that_stands_still_is_a_mesh_too():
+    assert tube(np.zeros((3, 3)), np.ones(3), 1.0, 1e-3)[:4] == b'glTF'
+
+
+def test_read_outs_are_in_the_words_of_the_shop():
+    state = MachineState(
+        positions=[0.0123456, -0.5, 0.0, 0.25, -12.3456 * DEG], tip=[0.001, 0.002, -0.003],
+        axis=[0.0, 0.6, 0.8], line_number=12, samples=75500, interpolation_period=0.001,
+    )  # fmt: skip
+    words = axis_words(state, Machine.load('xyzac'))
+    assert [words[f'axis {x}'] for x in 'XYZ'] == ['12.346', '-500.000', '0.000']
+    assert words['axis C'] == '-12.3456'
+    assert [words[f'tip {x}'] for x in 'xyz'] == ['1.000', '2.000', '-3.000']
+    assert words['tool z'] == '+0.80000'
+    words = progress_words(state, None, 1.0)
+    assert (words['line'], words['elapsed'], words['left']) == ('12', '1:15.5', '–')
+    assert clock(3 * 3600 + 62.04) == '3:01:02.0'
+
+
+def test_alarms_that_come_again_are_told_apart_from_news():
+    def alarm(message):
+        return Alarm('12:00:00', 'warning', 'machine_node: setpoints', message)
+
+    assert alarm('repeat of 10; 20 is next').repeats(alarm('repeat of 30; 40 is next'))
+    assert not alarm('repeat of 10').repeats(alarm('gap before 10'))
+
+
+@pytest.fixture(scope='module')
+def planned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('panel')
+    (folder / 'part.ngc').write_text(PROGRAM)
+    assert main(['plan', str(folder / 'part.ngc'), '--out', str(folder / 'plan')]) == 0
+    return folder / 'plan'
+
+
+def test_the_preview_is_the_plan(planned):
+    preview, plan = Preview.read(planned), read_plan(planned)
+    assert preview.length == plan.path['s'][-1]
+    assert preview.time[0] == 0.0 and (np.diff(preview.time) >= 0.0).all()
+    assert abs(preview.time[-1] - preview.cycle_time) <= 0.001
+    s, time = plan.setpoints['s'], plan.setpoints['time']
+    for k in np.flatnonzero(np.abs(s - 20 * MM) > 1 * MM)[10:-10:50]:
+        programmed, limit, reached = preview.at(s[k])
+        assert programmed == pytest.approx((3000 if s[k] < 20 * MM else 1500) * MM_PER_MIN)
+        speed = (s[k + 1] - s[k - 1]) / (time[k + 1] - time[k - 1])
+        assert speed <= limit * 1.05
+        assert abs(reached - time[k]) < 0.02
+    left = progress_words(
+        MachineState(path_position=preview.length / 2), preview, 0.5
+    )['left']  # fmt: skip
+    assert left == clock((preview.cycle_time - preview.at(preview.length / 2)[2]) / 0.5)
+
+
+def test_long_paths_are_thinned_with_their_ends():
+    rows = thinned(np.zeros((5 * DRAWN, 3)), np.zeros((5 * DRAWN, 3)))
+    assert len(rows) == DRAWN and rows[0] == 0 and rows[-1] == 5 * DRAWN - 1
+
+
+def test_choices_are_understood_by_the_command():
+    choices = Choices(12e-6, 34e-6, True, 0.025, 0.0375)
+    options = read_options(parser().parse_args(['plan', 'x', '--out', 'y', *choices.words()]))
+    assert options.contour_tolerance == pytest.approx(12e-6)
+    assert options.orientation_tolerance == pytest.approx(34e-6)
+    assert options.force_tolerances and options.flank_height == pytest.approx(0.025)
+    assert options.feedrate == pytest.approx(0.0375)
+
+
+def test_program_text_is_shown_as_text():
+    class Job:
+        lines = PROGRAM.splitlines()
+
+    html = program_html(Job, 4)
+    assert '&lt;b&gt;' in html and '<b>' not in html
+    assert html.count('class="now"') == 1 and 'class="now"><i>4</i>G1 X20' in html
+
+
+def test_an_address_in_use_is_one_clear_line(capsys):
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(['panel', '--attach', '--port', str(port)]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1 and f'127.0.0.1:{port}' in said and '--port' in said

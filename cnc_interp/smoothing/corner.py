@@ -20,10 +20,9 @@ import numpy as np
 from cnc_interp.program.blocks import FloatArray, IntArray
 from cnc_interp.smoothing.connection import connect
 from cnc_interp.smoothing.curves import Curves, poses
-from cnc_interp.smoothing.orientation import dot, norm, turned_by
+from cnc_interp.smoothing.orientation import norm, turned_by
+from cnc_interp.smoothing.orientation_bounds import orientation_bounds
 
-#: Parameters at which the axis is compared with the programmed one.
-PROBES = np.arange(1, 16) / 16.0
 #: Shortest ratio L2/L1 where the lines are too short for the tolerance.
 LEAST_RATIO = 1.5
 #: The same on top, where the inner points follow from the orientation tolerance alone.
@@ -215,79 +214,17 @@ def fit(
 
 def deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Style) -> FloatArray:
     """
-    Return contour and orientation deviation of corners, shape (n, 2) [m].
+    Bound contour and orientation deviation of corners, shape (n, 2) [m].
 
     The contour deviation is the distance of the middle from the programmed corner (Eq. 3), the
     largest there is in either direction. The orientation deviation, at flank height, is the
-    largest of three: the same distance on top; the distance from the programmed top locus, as a
-    bound for ``in_step`` with f(u) = u, else as measured; and the change of the axis against the
-    programmed one at the tip's nearest point.
+    largest of three: the same distance on top; the distance of any top point from the programmed
+    top locus; and the change of the axis against the programmed one at the tip's nearest point.
     """
     point, tool = poses(curves, 0.5)
     contour = norm(point - corners.tip)
     missed = norm(point + style.height * tool - curves.top[:, 2])
-    bounded = style.in_step and curves.parametrization.shape[1] == 0
-    away = top_bound(corners, outer, curves, style.height) if bounded else np.zeros(len(contour))
-    swing = np.zeros(len(contour))
-    for u in PROBES:
-        point, tool = poses(curves, u)
-        side = 0 if u <= 0.5 else 1
-        x = dot(point - corners.tip, corners.legs[:, side]).clip(0.0, outer[:, side])
-        swing = np.maximum(swing, norm(tool - corners.axis_at(side, x)))
-        if not bounded:
-            top_point = point + style.height * tool
-            away = np.maximum(away, top_distance(corners, outer, curves, style.height, top_point))
-    return np.stack([contour, np.maximum(np.maximum(missed, away), style.height * swing)], axis=1)
-
-
-def top_distance(
-    corners: Corners, outer: FloatArray, curves: Curves, height: float, point: FloatArray
-) -> FloatArray:
-    """Return the distance of top points from the programmed top locus, shape (n,) [m]."""
-    nearest = np.full(len(point), np.inf)
-    for side in (0, 1):
-        leg = curves.top[:, 4 * side] - curves.top[:, 2]
-        share = dot(point - curves.top[:, 2], leg) / np.maximum(dot(leg, leg), 1e-300)
-        x = share.clip(0.0, 1.0) * outer[:, side]
-        locus = corners.tip + x[:, None] * corners.legs[:, side]
-        nearest = np.minimum(nearest, norm(point - locus - height * corners.axis_at(side, x)))
-    return nearest
-
-
-def top_bound(corners: Corners, outer: FloatArray, curves: Curves, height: float) -> FloatArray:
-    """
-    Bound the distance of every top point p + h o of corners from the top locus, shape (n,) [m].
-
-    On each half only one control point lies off that half's leg, with a weight of at most
-    B_33(0.5) = 1/4 (A.2). Let p and D be tip and tool vector, p' and D' those of the foot on the
-    leg, and o' the direction of D'. Normalising takes away the part of d = D - D' along o':
-
-        |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + (h/|D'| - 1) |d| + 2.3 |d|^2/h
-
-    for |d| < h/4. Between the ends of the leg o' turns by ``angle``, which moves the projection by
-    at most |d| angle. The leg is a chord of the programmed arc, and its direction runs ahead of
-    the arc's by less than 0.02 angle^3. The connection E adds to d, at most its control points.
-    """
-    bottom, top, inside = curves.bottom, curves.top, curves.connection[:, 1:-1]
-    largest = np.zeros(len(bottom))
-    added = norm(inside).max(axis=1)
-    for side in (0, 1):
-        end, mid, far = 4 * side, 1 + 2 * side, 3 - 2 * side
-        leg, own, off = (top[:, k] - top[:, 2] for k in (end, mid, far))
-        off_tip, tip_leg = bottom[:, far] - bottom[:, 2], bottom[:, end] - bottom[:, 2]
-        square = np.maximum(dot(leg, leg), 1e-300)
-        # nearest point of the leg; at u = 0.5 it must not pass the corner
-        foot = np.maximum(dot(off, leg) / square, -norm(own) / np.sqrt(square))[:, None]
-        off_tool = off - off_tip - foot * (leg - tip_leg)
-        off = off - foot * leg
-        away = np.zeros(len(bottom))
-        for k in (end, 2):
-            tool = (top[:, k] - bottom[:, k]) / height
-            across = inside - dot(inside, tool[:, None])[..., None] * tool[:, None]
-            plain = off - dot(off_tool, tool)[:, None] * tool
-            away = np.maximum(away, 0.25 * norm(plain) + norm(across).max(axis=1))
-        angle = norm(corners.rates[:, side]) * outer[:, side]
-        gap = 0.25 * norm(off_tool) + added
-        away += gap * (angle + 1.0 / np.cos(0.5 * angle) - 1.0 + 2.3 * gap / height)
-        largest = np.maximum(largest, away + 0.02 * height * angle**3)
-    return largest
+    bounds = orientation_bounds(
+        curves, corners.legs, corners.rates, outer, style.height, least=missed
+    )
+    return np.stack([contour, bounds], axis=1)

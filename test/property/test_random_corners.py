@@ -1,7 +1,8 @@
-"""Thousands of random corners at once: tolerance and continuity recomputed from the curves."""
+"""A hundred thousand random corners: tolerance and continuity recomputed from the curves."""
 
 import numpy as np
 import pytest
+from scipy.interpolate import BPoly, BSpline
 
 from cnc_interp.smoothing.corner import Corners, Style, first_lengths, fit
 from cnc_interp.smoothing.curves import poses
@@ -10,7 +11,8 @@ from cnc_interp.smoothing.ratio import ratios_at
 from cnc_interp.units import DEG, MM, UM
 
 HEIGHT = 30 * MM
-COUNT = 20000
+COUNT = 50000
+KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
 
 
 def random_corners(seed, count):
@@ -64,12 +66,27 @@ def axis_derivatives(curves, side):
     return o, o1 / v, (o2 - o1 / v * v1) / v**2
 
 
-@pytest.mark.parametrize('septic', [False, True])
-def test_tool_axis_continues_to_the_second_derivative(septic):
-    lengths, corners = random_corners(1, COUNT)
-    style, ratios = Style(HEIGHT, True, 'exact', septic), ratios_at(corners, HEIGHT, None)
+def fitted(seed, count, method, in_step, septic):
+    """Random corners within their tolerances: what is programmed, L2, curves, deviations."""
+    lengths, corners = random_corners(seed, count)
+    style, ratios = Style(HEIGHT, in_step, method, septic), ratios_at(corners, HEIGHT, None)
     start = first_lengths(corners, 0.5 * lengths, ratios)
-    _, outer, curves, _ = fit(corners, *start, style, ratios)
+    _, outer, curves, deviation = fit(corners, *start, style, ratios)
+    return corners, outer, curves, deviation
+
+
+@pytest.fixture(scope='module', params=[False, True], ids=['quintic', 'septic'])
+def many(request):
+    return fitted(1 + request.param, COUNT, 'exact', True, request.param)
+
+
+def rounding(corners):
+    """Errors that come from the last digit of coordinates up to 0.2 m [m]."""
+    return 1e-13 + 3e-16 * HEIGHT * norm(corners.rates).max(axis=1)
+
+
+def test_tool_axis_continues_to_the_second_derivative(many):
+    corners, outer, curves, _ = many
     for side, sense in ((0, 1.0), (1, -1.0)):  # seen inward from each end
         rate = corners.rates[:, side] * sense
         o, o_s, o_ss = axis_derivatives(curves, side)
@@ -84,34 +101,82 @@ def test_tool_axis_continues_to_the_second_derivative(septic):
         assert (np.abs(o_ss - bend) * size**2 < 1e-9 * swing + 3e-13).all()
 
 
-def test_deviations_are_bounds_and_within_tolerance():
-    lengths, corners = random_corners(2, COUNT)
-    style, ratios = Style(HEIGHT, True, 'exact', False), ratios_at(corners, HEIGHT, None)
-    start = first_lengths(corners, 0.5 * lengths, ratios)
-    _, outer, curves, deviation = fit(corners, *start, style, ratios)
+def top_distance(corners, top, outer, point):
+    """Distance of top points from the programmed top locus, by Newton's method on both sides."""
+    nearest = np.full(len(point), np.inf)
+    for side in (0, 1):
+        leg = corners.legs[:, side]
+        chord = top[:, 4 * side] - top[:, 2]
+        share = dot(point - top[:, 2], chord) / np.maximum(dot(chord, chord), 1e-300)
+        x = share.clip(0.0, 1.0) * outer[:, side]
+        for _ in range(3):
+            axis = corners.axis_at(side, x)
+            sense = 1.0 if side else -1.0
+            slope = leg + sense * HEIGHT * cross(corners.rates[:, side], axis)
+            gap = point - corners.tip - x[:, None] * leg - HEIGHT * axis
+            x = (x + dot(gap, slope) / dot(slope, slope)).clip(0.0, outer[:, side])
+        locus = corners.tip + x[:, None] * leg + HEIGHT * corners.axis_at(side, x)
+        nearest = np.minimum(nearest, norm(point - locus))
+    return nearest
+
+
+def strayed(corners, top, outer, tip, tool, late):
+    """Return how far poses in the first or second half stray: tip and top, shape (n, 2) [m]."""
+    gap, swing = np.full(len(tip), np.inf), np.zeros(len(tip))
+    for side in (0, 1):
+        leg = corners.legs[:, side]
+        x = dot(tip - corners.tip, leg).clip(0.0, outer[:, side])
+        gap = np.minimum(gap, norm(tip - corners.tip - x[:, None] * leg))
+        swing = np.where(late == side, norm(tool - corners.axis_at(side, x)), swing)
+    away = top_distance(corners, top, outer, tip + HEIGHT * tool)
+    return np.stack([gap, np.maximum(HEIGHT * swing, away)], axis=1)
+
+
+def test_deviations_are_bounds_and_within_tolerance(many):
+    corners, outer, curves, deviation = many
     assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
-    allowed = deviation + 1e-12 + 1e-9 * outer.max(axis=1)[:, None]
-    for u in np.linspace(0.01, 0.99, 49):
-        tip, tool = poses(curves, u)
-        tip_gap, top_gap = np.full(COUNT, np.inf), np.full(COUNT, np.inf)
-        for side in (0, 1):
-            leg = corners.legs[:, side]
-            x = dot(tip - corners.tip, leg).clip(0.0, outer[:, side])
-            tip_gap = np.minimum(tip_gap, norm(tip - corners.tip - x[:, None] * leg))
-            top = tip + HEIGHT * tool
-            chord = curves.top[:, 4 * side] - curves.top[:, 2]
-            share = dot(top - curves.top[:, 2], chord) / np.maximum(dot(chord, chord), 1e-300)
-            x = share.clip(0.0, 1.0) * outer[:, side]
-            for _ in range(2):  # two Newton steps toward the nearest point of the top locus
-                axis = corners.axis_at(side, x)
-                sense = 1.0 if side else -1.0
-                slope = leg + sense * HEIGHT * cross(corners.rates[:, side], axis)
-                gap = top - corners.tip - x[:, None] * leg - HEIGHT * axis
-                x = (x + dot(gap, slope) / dot(slope, slope)).clip(0.0, outer[:, side])
-            locus = corners.tip + x[:, None] * leg + HEIGHT * corners.axis_at(side, x)
-            top_gap = np.minimum(top_gap, norm(top - locus))
-        assert (tip_gap <= allowed[:, 0]).all()
-        assert (top_gap <= allowed[:, 1]).all()
+    allowed = deviation * (1 + 1e-9) + rounding(corners)[:, None]
+    for u in np.linspace(0.02, 0.98, 17):
+        found = strayed(corners, curves.top, outer, *poses(curves, u), u > 0.5)
+        assert (found <= allowed).all()
+
+
+WAYS = [
+    ('exact', True, False),
+    ('exact', True, True),
+    ('exact', False, False),
+    ('exact', False, True),
+    ('linear', True, False),
+    ('linear', False, False),
+    ('paper', True, False),
+    ('paper', False, False),
+]
+
+
+def densely(curves, k, u):
+    """Tips and tool axes of one corner at many u, by SciPy's splines."""
+    tip = BSpline(KNOTS, curves.bottom[k], 3)(u)
+    spans = curves.parametrization[k]
+    f = BPoly(spans[:, 1:].T, [*spans[:, 0], 1.0])(u).clip(0.0, 1.0) if len(spans) else u
+    lift = BPoly(curves.connection[k][:, None, :], [0.0, 1.0])(u)
+    tool = BSpline(KNOTS, curves.top[k], 3)(f) + lift - tip
+    return tip, tool / norm(tool)[:, None]
+
+
+@pytest.mark.parametrize('method, in_step, septic', WAYS)
+def test_no_sample_of_a_corner_is_beyond_the_bound_and_the_bound_is_close(method, in_step, septic):
+    u = np.linspace(0.0, 1.0, 20001)
+    corners, outer, curves, deviation = fitted(4, 60, method, in_step, septic)
+    assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
+    for k in range(len(outer)):
+        rows = np.full(len(u), k)
+        tip, tool = densely(curves, k, u)
+        missed = norm(tip[10000] + HEIGHT * tool[10000] - curves.top[k, 2])
+        found = strayed(corners[rows], curves.top[rows], outer[rows], tip, tool, u > 0.5)
+        tip, top = np.maximum(found.max(axis=0), [0.0, missed])
+        assert tip <= deviation[k, 0] * (1 + 1e-9) + 1e-15
+        assert top <= deviation[k, 1] * (1 + 1e-9) + rounding(corners)[k]
+        assert deviation[k, 1] <= 1.02 * top + rounding(corners)[k]
 
 
 def test_great_circles_between_axes_end_where_they_should():

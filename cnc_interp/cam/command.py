@@ -26,6 +26,11 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
     make.add_argument('surface', type=Path, metavar='SURFACE', help='surface file (JSON)')
     make.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
     _mill(make, positive)
+    make.add_argument(
+        '--strategy', choices=('planes', 'classical'), default='planes',
+        help='along parallel planes with a variable tilt, or, to compare, the classical '
+        'iso-scallop path: constant tilt, a ball mill keeps its axis (planes)',
+    )  # fmt: skip
     _value(make, '--scallop', 10.0, 'UM', 'scallop height', positive)
     make.add_argument(
         '--stepover', type=positive, metavar='MM',
@@ -55,13 +60,9 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
         '--points', type=int, metavar='N', help='scallop points along a pass (one per 0.8 mm)'
     )
     make.add_argument(
-        '--direction', type=float, default=0.0, metavar='DEG',
-        help='feed direction on the surface, from its u lines (0 deg)',
-    )  # fmt: skip
-    make.add_argument(
         '--linking', choices=('zigzag', 'one-way'), default='zigzag', help='order (zigzag)'
     )
-    _value(make, '--chord', 0.5, 'UM', 'chord tolerance of the blocks', positive)
+    _value(make, '--chord', 0.2, 'UM', 'chord tolerance of the blocks', positive)
     _value(make, '--overrun', 0.5, 'MM', 'length of the passes beyond the border', positive)
     _value(make, '--clearance', 2.0, 'MM', 'lift between passes', positive)
     _value(make, '--feed', 3000.0, 'MM_PER_MIN', 'feedrate', positive)
@@ -103,7 +104,11 @@ def _mill(added: argparse.ArgumentParser, positive: Number) -> None:
 
 
 def _cutting(added: argparse.ArgumentParser, positive: Number) -> None:
-    """Add the options of the N-buffer and of the machine."""
+    """Add the feed direction and the options of the N-buffer and of the machine."""
+    added.add_argument(
+        '--direction', type=float, default=0.0, metavar='DEG',
+        help='feed direction on the surface, from its u lines (0 deg)',
+    )  # fmt: skip
     _value(added, '--spacing', 0.1, 'MM', 'distance of the needles', positive)
     _value(added, '--margin', 2.0, 'MM', 'distance from the border for the figures', positive)
     added.add_argument(

@@ -163,7 +163,7 @@ def iso_scallop_paths(
     if cutter.is_ball:
         raise SurfaceError(
             'the strip of a ball mill does not depend on its tilt; take a corner radius smaller '
-            'than half the diameter'
+            'than half the diameter, or --strategy classical'
         )
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)

@@ -9,6 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from cnc_interp.cam.classical import ClassicalPaths
 from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
@@ -95,7 +96,7 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
     return with_axes(figure)
 
 
-def path_figure(paths: IsoScallopPaths) -> Any:
+def path_figure(paths: IsoScallopPaths | ClassicalPaths) -> Any:
     """Draw contact lines and tool axes of the passes in space."""
     figure = go.Figure()
     gap = np.full((1, 3), np.nan)

@@ -84,6 +84,10 @@ class Pass:
     iterations: IntArray
     fresh: bool
 
+    def tool(self, s: FloatArray) -> Postures:
+        """Return the postures at places of the pass."""
+        return self.angles.postures(self.curve, self.postures.cutter, s)
+
     @property
     def plane(self) -> float:
         """Place of the guiding plane along N [m]."""

@@ -14,8 +14,10 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from cnc_interp.cam.classical import SurfaceCurve
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.passes import Pass
+from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
 from cnc_interp.errors import InterpError
@@ -42,6 +44,25 @@ class Curve(Protocol):
         """Return tool tips [m] and unit tool axes at parameters, each (n, 3)."""
 
 
+class Strip(Protocol):
+    """What a strategy makes of a pass: a curve on the surface, a width and postures."""
+
+    @property
+    def curve(self) -> GuidingCurve | SurfaceCurve:
+        """What the guided point follows."""
+
+    @property
+    def s(self) -> FloatArray:
+        """Places at which the width is known, shape (n,) [m]."""
+
+    @property
+    def reach(self) -> FloatArray:
+        """Half width there, shape (n,) [m]."""
+
+    def tool(self, s: FloatArray) -> Postures:
+        """Return the postures at places."""
+
+
 @dataclass(frozen=True)
 class SplinePass:
     """
@@ -60,14 +81,14 @@ class SplinePass:
     ends: tuple[float, float]
 
     @staticmethod
-    def of(made: Pass, overrun: float) -> SplinePass | None:
+    def of(made: Strip, overrun: float, fixed_axis: FloatArray | None = None) -> SplinePass | None:
         """
         Return a pass where its strip lies on the surface, longer by ``overrun`` at both ends [m].
 
-        None where no part of the strip does.
+        A ball mill may keep a ``fixed_axis``. None where no part of the strip lies on the surface.
         """
         s = np.linspace(0.0, made.curve.length, max(60, int(made.curve.length / SPACING)))
-        postures = made.angles.postures(made.curve, made.postures.cutter, s)
+        postures = made.tool(s)
         width = np.interp(s, made.s, made.reach)
         frames, surface = postures.frames, made.curve.surface
         a, b = surface.at(frames.u, frames.v).components(scaled(width, frames.across))
@@ -81,7 +102,9 @@ class SplinePass:
         kept = s[inside]
         longer = overrun + s[1]
         ends = max(float(kept[0]) - longer, 0.0), min(float(kept[-1]) + longer, float(s[-1]))
-        spline = SplinePass.through(s, postures.tip, postures.axis).spline
+        axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (len(s), 3))
+        tip = postures.cutter.tip(postures.centre, axis)
+        spline = SplinePass.through(s, tip, axis).spline
         return SplinePass(spline, ends)
 
     @staticmethod

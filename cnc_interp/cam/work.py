@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
@@ -22,7 +23,7 @@ from cnc_interp.cam.simulation import (
     planned,
     programmed,
 )
-from cnc_interp.cam.surface import Surface
+from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
 from cnc_interp.cam.vectors import cross, unit
@@ -42,16 +43,13 @@ def make_program(options: argparse.Namespace) -> int:
     """Make the program of a surface, simulate it if asked, and write everything."""
     surface = read_surface(options.surface)
     cutter = _cutter(options)
+    normal = across(surface, options.direction * DEG)
     clock = time.perf_counter()
-    paths = iso_scallop_paths(
-        surface, cutter, across(surface, options.direction * DEG), _choices(options),
-        _progress('passes', options.json),
-    )  # fmt: skip
+    paths = _followed(surface, cutter, normal, options)
     clock = time.perf_counter() - clock
-    tool_path = link(
-        [c for c in (SplinePass.of(p, options.overrun * MM) for p in paths.passes) if c],
-        surface, cutter, _linking(options),
-    )  # fmt: skip
+    axis = unit(_mean_normal(surface)) if cutter.is_ball else None
+    curves = [SplinePass.of(p, options.overrun * MM, axis) for p in paths.passes]
+    tool_path = link([c for c in curves if c], surface, cutter, _linking(options))
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
     program = out / 'program.apt'
@@ -73,7 +71,7 @@ def make_program(options: argparse.Namespace) -> int:
             motions += [planned(files, machine), executed(files, machine)]
     figures = _path_figures(paths)
     for motion in motions:
-        heights, section = _cut(surface, cutter, motion, paths.plane_normal, options)
+        heights, section = _cut(surface, cutter, motion, normal, options)
         summary[motion.name] = results(heights, section)
         figures += _height_figures(motion, heights, section, options.scallop * UM)
     (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
@@ -82,9 +80,27 @@ def make_program(options: argparse.Namespace) -> int:
 
     (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
-    for note in paths.notes:
+    for note in paths.notes if isinstance(paths, IsoScallopPaths) else []:
         print(f'note: {note}', file=sys.stderr)
     return 0
+
+
+def _followed(
+    surface: Surface, cutter: Cutter, normal: FloatArray, options: argparse.Namespace
+) -> IsoScallopPaths | ClassicalPaths:
+    """Compute the passes of the strategy asked for."""
+    show = _progress('passes', options.json)
+    if options.strategy == 'planes':
+        return iso_scallop_paths(surface, cutter, normal, _choices(options), show)
+    paths = classical_paths(
+        surface, cutter, normal, options.scallop * UM, options.tilt * DEG, progress=show
+    )
+    if paths.loop:
+        raise SurfaceError(
+            f'the classical path cannot cover this surface: {paths.loop}; take another direction '
+            'or --strategy planes'
+        )
+    return paths
 
 
 def simulate_motion(options: argparse.Namespace) -> int:
@@ -96,7 +112,9 @@ def simulate_motion(options: argparse.Namespace) -> int:
         motion = (executed if options.executed else planned)(files, machine)
     else:
         motion = programmed(options.motion, machine, ReadOptions(feedrate=MM_PER_MIN))
-    heights, section = _cut(surface, cutter, motion, across(surface, 0.0), options)
+    heights, section = _cut(
+        surface, cutter, motion, across(surface, options.direction * DEG), options
+    )
     summary = {motion.name: results(heights, section)}
     if options.html:
         from cnc_interp.cam.page import page
@@ -128,29 +146,40 @@ def across(surface: Surface, direction: float) -> FloatArray:
     """
     u, v = surface.grid(21, 21)
     point = surface.at(u, v)
-    up = unit(point.normal.reshape(-1, 3).mean(axis=0))
+    up = unit(_mean_normal(surface))
     first = point.d_u.reshape(-1, 3).mean(axis=0)
     first = unit(first - (first @ up) * up)
     feed = np.cos(direction) * first + np.sin(direction) * cross(up, first)
     return cross(feed, up)
 
 
-def facts_of(paths: IsoScallopPaths, tool_path: ToolPath, seconds: float) -> dict[str, Any]:
+def _mean_normal(surface: Surface) -> FloatArray:
+    """Return the mean of the normals, not of unit length."""
+    u, v = surface.grid(21, 21)
+    return np.asarray(surface.at(u, v).normal.reshape(-1, 3).mean(axis=0))
+
+
+def facts_of(
+    paths: IsoScallopPaths | ClassicalPaths, tool_path: ToolPath, seconds: float
+) -> dict[str, Any]:
     """Return what is known of the passes; SI units."""
-    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
-    planes = np.abs(np.diff([p.plane for p in paths.passes]))
-    postures = sum(len(p.s) for p in paths.passes)
-    marched, refined, second = paths.iterations
-    return {
+    found = {
         'passes': len(paths.passes),
-        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
-        'postures': postures,
-        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
-        'tilt': [float(tilt.min()), float(tilt.max())],
-        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
+        'postures': sum(len(p.s) for p in paths.passes),
         'computing_time': seconds,
         'blocks': len(tool_path.tip) - 1,
         'cutting_length': tool_path.cutting_length,
+    }
+    if isinstance(paths, ClassicalPaths):
+        return found
+    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
+    planes = np.abs(np.diff([p.plane for p in paths.passes]))
+    marched, refined, second = paths.iterations
+    return found | {
+        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
+        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
+        'tilt': [float(tilt.min()), float(tilt.max())],
+        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
     }
 
 
@@ -170,28 +199,35 @@ def describe(summary: dict[str, Any]) -> str:
     """Return the summary in words and shop units."""
     lines = []
     if 'passes' in summary:
-        tilt, steps = summary['tilt'], summary['plane_distance']
         lines += [
             f'surface        {summary["surface"]}',
-            f'passes         {summary["passes"]}, {summary["started_afresh"]} started afresh; '
-            f'{summary["postures"]} postures in {summary["computing_time"]:.2f} s',
-            f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
+            f'passes         {summary["passes"]}; {summary["postures"]} postures in '
+            f'{summary["computing_time"]:.2f} s',
         ]
-        if steps:
-            lines.append(f'planes         {steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart')
-        steps = summary['iterations']
-        lines += [
-            f'iterations     {steps["march"]:.1f} to bracket and {steps["scallop"]:.1f} to solve '
-            f'a scallop point, {steps["posture"]:.1f} a posture',
+        if 'tilt' in summary:
+            lines += _planes_in_words(summary)
+        lines.append(
             f'program        {summary["blocks"]} blocks, {summary["cutting_length"] / MM:.0f} mm '
-            'cutting',
-        ]
+            'cutting'
+        )
     if 'cycle_time' in summary:
         lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
     for name in ('programmed', 'planned', 'executed'):
         if name in summary:
             lines.append(f'{name:<15}{_in_words(summary[name])}')
     return '\n'.join(lines)
+
+
+def _planes_in_words(summary: dict[str, Any]) -> list[str]:
+    """Return what only passes along parallel planes have."""
+    tilt, steps, counts = summary['tilt'], summary['plane_distance'], summary['iterations']
+    apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
+    return [
+        f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
+        f'planes         {apart}{summary["started_afresh"]} passes started afresh',
+        f'iterations     {counts["march"]:.1f} to bracket and {counts["scallop"]:.1f} to solve '
+        f'a scallop point, {counts["posture"]:.1f} a posture',
+    ]
 
 
 def _in_words(found: dict[str, Any]) -> str:
@@ -220,13 +256,13 @@ def _cut(
     return heights, cross_sections(surface, cutter, motion, normal, options.margin * MM)
 
 
-def _path_figures(paths: IsoScallopPaths) -> list[tuple[str, str, Any]]:
+def _path_figures(paths: IsoScallopPaths | ClassicalPaths) -> list[tuple[str, str, Any]]:
     from cnc_interp.cam.page import path_figure, tilt_figure
 
-    return [
-        ('Passes', 'Contact lines and tool axes.', path_figure(paths)),
-        ('Tilt', 'Tilt along the passes.', tilt_figure(paths)),
-    ]
+    figures = [('Passes', 'Contact lines and tool axes.', path_figure(paths))]
+    if isinstance(paths, IsoScallopPaths):
+        figures.append(('Tilt', 'Tilt along the passes.', tilt_figure(paths)))
+    return figures
 
 
 def _height_figures(

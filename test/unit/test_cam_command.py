@@ -39,6 +39,17 @@ def test_from_a_surface_to_the_executed_surface(surface, tmp_path, capsys):
         assert found['highest'] < 13e-6 and found['uncut'] == 0.0
 
 
+@pytest.mark.parametrize('mill', [[], ['--tool-diameter', '10', '--corner-radius', '5']])
+def test_classical_strategy_makes_a_program_too(mill, surface, tmp_path, capsys):
+    out = tmp_path / 'out'
+    arguments = ['--strategy', 'classical', '--tilt', '5', '--simulate', '--spacing', '0.3']
+    command = ['cam', 'iso-scallop', str(surface), *arguments, *mill, '--json', '--out', str(out)]
+    assert main(command) == FINE
+    summary = json.loads(capsys.readouterr().out)
+    assert summary['programmed']['ridge_50'] == pytest.approx(10e-6, rel=0.05)
+    assert summary['programmed']['uncut'] == 0.0 and 'tilt' not in summary
+
+
 @pytest.mark.parametrize(
     ('arguments', 'says'),
     [

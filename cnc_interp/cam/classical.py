@@ -1,0 +1,395 @@
+"""
+The classical iso-scallop path, for comparison: the angles are constant and the passes wander.
+
+Every pass follows from the scallop of the one before [TL2008, 1]. Stage 1 is that of the parallel
+planes; then the guided point moves over the guiding surface until the mill, with its constant
+tilt, leaves the same scallop point with the same tangent: two conditions for u and v. The feed
+direction is first that of the scallop, then that of the pass found. Nothing keeps such passes from
+turning back or crossing themselves [TL2008, Fig. 1 and 5a]; where they do is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.guiding import Frames, GuidingPlanes
+from cnc_interp.cam.next_posture import conditions
+from cnc_interp.cam.passes import constant_tilt, gouge_depth, place
+from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.scallop import Scallops, scallop_points
+from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint
+from cnc_interp.cam.vectors import cross, dot, norm, scaled, unit
+from cnc_interp.program.blocks import BoolArray, FloatArray
+from cnc_interp.units import DEG, MM, UM
+
+#: Distance of the points of a pass, and of those that show its change of direction [m].
+SPACING, NEAR = 0.8 * MM, 1.0 * UM
+#: The conditions hold to this; a step goes so far at most [m].
+CLOSE, FARTHEST = 1e-10, 1.0 * MM
+MOST_PASSES = 2000
+#: The feed direction is taken from the pass itself so often.
+SWEEPS = 2
+
+
+@dataclass(frozen=True)
+class SurfaceCurve:
+    """
+    Any curve of the guided point on the guiding surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface to machine.
+    offset : float
+        Corner radius r_c [m].
+    parameters : BSpline
+        u and v by (about) the arc length of K.
+    length : float
+        Its end [m].
+
+    """
+
+    surface: Surface
+    offset: float
+    parameters: BSpline
+    length: float
+
+    @staticmethod
+    def through(surface: Surface, offset: float, u: FloatArray, v: FloatArray) -> SurfaceCurve:
+        """Interpolate points."""
+        position = surface.at(u, v).offset(offset).position
+        s = np.concatenate([[0.0], np.cumsum(norm(np.diff(position, axis=0)))])
+        spline = make_interp_spline(s, np.stack([u, v], axis=1), k=5)
+        return SurfaceCurve(surface, offset, spline, float(s[-1]))
+
+    def _feed(self, s: FloatArray) -> tuple[SurfacePoint, FloatArray, FloatArray]:
+        """Return the surface, the feed direction and how fast K runs by s."""
+        u, v = self.parameters(s).T
+        u_s, v_s = self.parameters(s, 1).T
+        point = self.surface.at(u, v)
+        guide = point.offset(self.offset)
+        run = scaled(u_s, guide.d_u) + scaled(v_s, guide.d_v)
+        return point, unit(run), norm(run)
+
+    def frames(self, s: FloatArray) -> Frames:
+        """Return K and its frame at places; rates are by arc length of K."""
+        point, feed, speed = self._feed(s)
+        ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]
+        n, n_s = point.normal, point.offset(self.offset).normal_rate(feed)
+        f_s = scaled(0.5 / (NEAR * speed), ahead - behind)
+        t = cross(feed, n)
+        u, v = self.parameters(s).T
+        return Frames(
+            point.offset(self.offset).position, n, feed, t, n_s, f_s,
+            cross(f_s, n) + cross(feed, n_s), u, v, point.curvature(t),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ClassicalPass:
+    """
+    One pass with constant angles.
+
+    Parameters
+    ----------
+    curve : SurfaceCurve
+        What K follows.
+    s : ndarray, shape (n,)
+        Places [m].
+    postures : Postures
+        The postures there.
+    right : Scallops
+        Scallop points towards the next pass.
+
+    """
+
+    curve: SurfaceCurve
+    s: FloatArray
+    postures: Postures
+    right: Scallops
+
+    @property
+    def reach(self) -> FloatArray:
+        """Half width, shape (n,) [m]."""
+        return self.right.half_width(self.postures)
+
+    def tool(self, s: FloatArray) -> Postures:
+        """Return the postures at places."""
+        p, zero = self.postures, np.zeros(len(s))
+        return Postures(
+            p.cutter, self.curve.frames(s), zero + p.tilt[0], zero + p.yaw[0], zero, zero
+        )
+
+
+@dataclass(frozen=True)
+class ClassicalPaths:
+    """
+    Passes over a surface, as far as they could be followed.
+
+    Parameters
+    ----------
+    passes : list of ClassicalPass
+        In order.
+    loop : str
+        Where and how the next pass loops; empty where the surface is covered.
+
+    """
+
+    passes: list[ClassicalPass]
+    loop: str
+
+
+def classical_paths(
+    surface: Surface,
+    cutter: Cutter,
+    plane_normal: FloatArray,
+    scallop_height: float,
+    tilt: float,
+    start: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> ClassicalPaths:
+    """
+    Follow the classical iso-scallop path over a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        What is machined.
+    cutter : Cutter
+        The mill; a ball works too, with any tilt.
+    plane_normal : ndarray, shape (3,)
+        The first pass lies in a plane with this normal, the others follow in its direction.
+    scallop_height : float
+        S_h [m].
+    tilt : float
+        Constant tilt [rad].
+    start : float, optional
+        Place of the first plane along the normal [m]; without it the border.
+    progress : callable, optional
+        Told the share done, 0 to 1.
+
+    Returns
+    -------
+    ClassicalPaths
+
+    Raises
+    ------
+    SurfaceError
+        If the mill does not fit the surface.
+
+    """
+    surface.check(cutter.corner_radius)
+    normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
+    run = _Run(surface, cutter, normal, scallop_height, 0.5 * np.pi if cutter.is_ball else tilt)
+    return run.all_passes(start, progress)
+
+
+class _Run:
+    """The passes of one surface."""
+
+    def __init__(
+        self, surface: Surface, cutter: Cutter, normal: FloatArray, height: float, tilt: float
+    ):
+        self.surface, self.cutter, self.normal = surface, cutter, normal
+        self.height, self.tilt = height, tilt
+        self.beyond = cutter.tool_radius + cutter.corner_radius
+
+    def all_passes(
+        self, start: float | None, progress: Callable[[float], None] | None
+    ) -> ClassicalPaths:
+        """Go on until the strip has left the surface or a pass loops."""
+        passes = [self.first_pass(start)]
+        while self.covers_more(passes[-1]):
+            if len(passes) >= MOST_PASSES:
+                raise SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?')
+            u, v, found = self.followed(passes[-1])
+            loop = self.loop(passes[-1], u, v, found)
+            if loop:
+                return ClassicalPaths(passes, f'pass {len(passes) + 1} {loop}')
+            passes.append(self.made(u[found], v[found], len(passes) + 1))
+            if progress:
+                progress(self.share(passes[-1]))
+        return ClassicalPaths(passes, '')
+
+    def first_pass(self, start: float | None) -> ClassicalPass:
+        """Take the curve in a guiding plane."""
+        planes = GuidingPlanes(self.surface, self.cutter.corner_radius, self.normal, self.beyond)
+        if start is None:
+            curve = planes.curve(planes.span[0])
+            angles = constant_tilt(curve, self.tilt, 0.0, 41)
+            postures = angles.postures(curve, self.cutter, angles.s)
+            right = scallop_points(self.surface, postures, self.height)
+            start = planes.span[0] + 0.9 * float(np.nanmin(right.half_width(postures)))
+        curve = planes.curve(start)
+        s = np.linspace(0.0, curve.length, max(25, int(curve.length / SPACING)))
+        u, v = curve.parameters(s).T
+        return self.made(u, v, 1)
+
+    def made(self, u: FloatArray, v: FloatArray, number: int) -> ClassicalPass:
+        """Lay a pass through points, from beyond the border to beyond it."""
+        raw = SurfaceCurve.through(self.surface, self.cutter.corner_radius, *self.longer(u, v))
+        s = np.linspace(0.0, raw.length, max(25, int(raw.length / SPACING)))
+        curve = SurfaceCurve.through(raw.surface, raw.offset, *raw.parameters(s).T)
+        s = np.linspace(0.0, curve.length, len(s))
+        zero = np.zeros(len(s))
+        postures = Postures(
+            self.cutter, curve.frames(s), zero + self.tilt, zero, zero, zero.copy()
+        )
+        right = scallop_points(self.surface, postures, self.height)
+        if not right.found.all():
+            i = int(np.argmin(right.found))
+            raise SurfaceError(
+                f'pass {number} at {place(postures.contact[i])}: the mill leaves no scallop of '
+                f'{self.height / UM:g} um within its width; take a larger tilt'
+            )
+        depth = gouge_depth(self.surface, postures)
+        if float(depth.max()) > UM:
+            i = int(np.argmax(depth))
+            raise SurfaceError(
+                f'pass {number} at {place(postures.contact[i])}: the bottom of the mill enters '
+                f'the surface by {depth[i] / UM:.0f} um; take a larger tilt or a smaller mill'
+            )
+        return ClassicalPass(curve, s, postures, right)
+
+    def longer(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Cut points that are far out, and go straight on where an end lies on the surface."""
+        far = self.inside(u, v, self.beyond)
+        kept = slice(int(np.argmax(far)), len(far) - int(np.argmax(far[::-1])))
+        u, v = u[kept], v[kept]
+        for _ in range(2):
+            position = self.surface.at(u, v).position
+            step = float(norm(position[1] - position[0]))
+            count = 0
+            ends = u[:1], v[:1]
+            while self.inside(ends[0], ends[1], 0.8 * self.beyond)[0] and count < 400:
+                count += 1
+                share = count * SPACING / step
+                ends = u[:1] - share * (u[1] - u[0]), v[:1] - share * (v[1] - v[0])
+            out = np.arange(count, 0, -1) * SPACING / step
+            u, v = (np.concatenate([x[0] - out * (x[1] - x[0]), x])[::-1] for x in (u, v))
+        return u, v
+
+    def inside(self, u: FloatArray, v: FloatArray, margin: float) -> BoolArray:
+        """Tell which points lie on the surface or nearer to it than a margin [m]."""
+        (u0, u1), (v0, v1) = self.surface.domain
+        a, b = self.surface.growth(margin)
+        return np.asarray((u > u0 - a) & (u < u1 + a) & (v > v0 - b) & (v < v1 + b))
+
+    def covers_more(self, before: ClassicalPass) -> bool:
+        """Tell whether the scallop on the right still lies on the surface somewhere."""
+        frames = before.postures.frames
+        u, v, _ = self.surface.project(before.right.position, frames.u, frames.v)
+        return bool(self.inside(u, v, 0.0).any())
+
+    def share(self, made: ClassicalPass) -> float:
+        """Guess the share done from the middle of the pass."""
+        u, v = self.surface.grid(9, 9)
+        level = self.surface.at(u, v).position @ self.normal
+        here = float(np.median(made.postures.contact @ self.normal))
+        return float(np.clip((here - level.min()) / np.ptp(level), 0.0, 1.0))
+
+    def followed(self, before: ClassicalPass) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return u, v of the next pass for each scallop point, and where they were found."""
+        frames, right = before.postures.frames, before.right
+        along = right.tangent
+        point = self.surface.at(frames.u, frames.v)
+        a, b = point.components(scaled(2.0 * before.reach, frames.across))
+        u, v = frames.u + a, frames.v + b
+        found = np.ones(len(u), bool)
+        for _ in range(1 + SWEEPS):
+            u, v, found = self.solved(right, along, u, v)
+            if found.sum() < 8:
+                break
+            # The feed is that of the pass itself, where it is one.
+            here = self.surface.at(u, v).offset(self.cutter.corner_radius).position
+            turned = np.gradient(here, axis=0)
+            along = np.where(dot(turned, along)[:, None] > 0.0, turned, along)
+        return u, v, found
+
+    def solved(
+        self, right: Scallops, along: FloatArray, u: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Solve both conditions for u and v with given feed directions, by Newton's method."""
+        step_u, step_v = self.surface.growth(1e-8)
+        limit_u, limit_v = self.surface.growth(FARTHEST)
+
+        def miss(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+            first, second, valid = conditions(self.resting(u, v, along), right)
+            return first, second, valid | self.cutter.is_ball
+
+        valid = np.zeros(len(u), bool)
+        done = valid
+        for _ in range(25):
+            first, second, valid = miss(u, v)
+            done = (np.abs(first) < CLOSE) & (np.abs(second) < CLOSE)
+            if done.all():
+                break
+            by_u, by_v = miss(u + step_u, v), miss(u, v + step_v)
+            a, c = (by_u[0] - first) / step_u, (by_u[1] - second) / step_u
+            b, d = (by_v[0] - first) / step_v, (by_v[1] - second) / step_v
+            with np.errstate(invalid='ignore', divide='ignore'):
+                determinant = a * d - b * c
+                du, dv = (
+                    (b * second - d * first) / determinant,
+                    (c * first - a * second) / (determinant),
+                )
+            u = np.where(done, u, u + np.clip(np.nan_to_num(du), -limit_u, limit_u))
+            v = np.where(done, v, v + np.clip(np.nan_to_num(dv), -limit_v, limit_v))
+        return u, v, done & valid
+
+    def resting(self, u: FloatArray, v: FloatArray, along: FloatArray) -> Postures:
+        """Return postures at points of the surface with given feed directions."""
+        point = self.surface.at(u, v)
+        n = point.normal
+        feed = unit(along - scaled(dot(along, n), n))
+        t, zero, none = cross(feed, n), np.zeros(len(u)), np.zeros((len(u), 3))
+        frames = Frames(
+            point.offset(self.cutter.corner_radius).position, n, feed, t, none, none, none, u, v,
+            zero,
+        )  # fmt: skip
+        return Postures(self.cutter, frames, zero + self.tilt, zero, zero, zero)
+
+    def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:
+        """Say where the next pass turns back, bends tighter than its step or crosses itself."""
+        ours = self.inside(u, v, 0.0)
+        if (ours & ~found).any():
+            i = int(np.argmax(ours & ~found))
+            return f'cannot be found at {place(before.right.position[i])}'
+        position = self.surface.at(u, v).position
+        chord, old = np.diff(position, axis=0), np.diff(before.postures.contact, axis=0)
+        both = ours[1:] & ours[:-1] & found[1:] & found[:-1]
+        back = both & (dot(chord, old) < 0.0)
+        if back.any():
+            return f'turns back at {place(position[int(np.argmax(back))])}'
+        turn = dot(unit(chord[1:]), unit(chord[:-1]))
+        tight = both[1:] & both[:-1] & (turn < np.cos(60.0 * DEG))
+        if tight.any():
+            return f'has a corner at {place(position[int(np.argmax(tight)) + 1])}'
+        i = crossing(u[ours & found], v[ours & found])
+        return '' if i < 0 else f'crosses itself at {place(position[ours & found][i])}'
+
+
+def crossing(u: FloatArray, v: FloatArray) -> int:
+    """Return the first segment of a line that another one, not its neighbour, crosses; or -1."""
+    n = len(u) - 1
+    if n < 3:
+        return -1
+    du, dv = np.diff(u), np.diff(v)
+
+    def side(i: slice, j: slice, shift: int) -> FloatArray:
+        """Tell on which side of segments i the ends j lie, (i, j)."""
+        x = u[j.start + shift : j.stop + shift][None, :] - u[i][:, None]
+        y = v[j.start + shift : j.stop + shift][None, :] - v[i][:, None]
+        return np.asarray(du[i][:, None] * y - dv[i][:, None] * x)
+
+    whole = slice(0, n)
+    apart = side(whole, whole, 0) * side(whole, whole, 1) < 0.0
+    cut = apart & apart.T
+    near = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :]) < 2
+    hit = (cut & ~near).any(axis=1)
+    return int(np.argmax(hit)) if hit.any() else -1

@@ -84,7 +84,7 @@ def convert(
     try:
         if to == 'siemens-bspline':
             return _siemens(program, transform, options, fit_tolerance)
-        blocks = _with_chords(program.blocks, options.flank_height)
+        blocks = with_chords(program.blocks, options.flank_height)
         if to == 'gcode':
             return _gcode(blocks, transform)
         return _cl(blocks, program.source, options.flank_height)
@@ -93,7 +93,7 @@ def convert(
         raise
 
 
-def _with_chords(blocks: Blocks, height: float) -> Blocks:
+def with_chords(blocks: Blocks, height: float) -> Blocks:
     """Replace native splines by chords within a share of the contour tolerance."""
     if not blocks.on_spline.any():
         return blocks

@@ -62,7 +62,11 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
     make.add_argument(
         '--linking', choices=('zigzag', 'one-way'), default='zigzag', help='order (zigzag)'
     )
-    _value(make, '--chord', 0.2, 'UM', 'chord tolerance of the blocks', positive)
+    make.add_argument(
+        '--format', choices=('spline', 'cl', 'gcode'), default='spline',
+        help='native B-splines of tip and axis, CL data, or G-code with rotary words (spline)',
+    )  # fmt: skip
+    _value(make, '--chord', 0.2, 'UM', 'chord tolerance of cl and gcode', positive)
     _value(make, '--overrun', 0.5, 'MM', 'length of the passes beyond the border', positive)
     _value(make, '--clearance', 2.0, 'MM', 'lift between passes', positive)
     _value(make, '--feed', 3000.0, 'MM_PER_MIN', 'feedrate', positive)
@@ -79,7 +83,7 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
     simulate = command(
         inner, 'simulate', _simulate,
         'cut a surface with a program or a plan and measure what is left',
-        'cnc-interp cam simulate out/bumps/program.apt --surface examples/bumps.json',
+        'cnc-interp cam simulate out/bumps/program.mpf --surface examples/bumps.json',
     )  # fmt: skip
     simulate.add_argument(
         'motion', type=Path, metavar='PROGRAM_OR_DIR', help='part program, or folder of a plan'

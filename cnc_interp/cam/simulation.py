@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -13,11 +12,12 @@ from cnc_interp.cam.nbuffer import Needles, cut_needles
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.tool_path import ARM, chord_error
 from cnc_interp.cam.vectors import norm
+from cnc_interp.convert import with_chords
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine import SimulatedMachine
 from cnc_interp.plan_files import PlanFiles
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import Program
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.units import MM, UM
 
@@ -69,9 +69,9 @@ def thinned(motion: Motion) -> Motion:
     return Motion(motion.name, tip, axis)
 
 
-def programmed(program: Path, machine: Machine, options: ReadOptions) -> Motion:
-    """Return the poses of a part program's blocks."""
-    blocks = read_program(program, Transform.of(machine), options).blocks
+def programmed(program: Program) -> Motion:
+    """Return the poses of a part program's blocks, native splines as chords."""
+    blocks = with_chords(program.blocks, ARM)
     return Motion('programmed', np.asarray(blocks.tip), np.asarray(blocks.axis))
 
 

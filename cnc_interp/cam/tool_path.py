@@ -7,7 +7,7 @@ other postures than one-way.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -22,26 +22,16 @@ from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
 from cnc_interp.errors import InterpError
 from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
-from cnc_interp.units import MM, MM_PER_MIN, UM
+from cnc_interp.units import MM, UM
 
 Linking = Literal['zigzag', 'one-way']
 
 #: Height above the tip at which the direction of the tool axis counts for the chord tolerance [m].
 ARM = 10.0 * MM
 FINEST = 20  # halvings of a pass
-#: Distance of the poses through which the splines go [m].
-SPACING = 0.2 * MM
-
-
-class Curve(Protocol):
-    """What can be run: a pass in the order in which its poses follow each other."""
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """First and last parameter."""
-
-    def poses(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return tool tips [m] and unit tool axes at parameters, each (n, 3)."""
+#: The splines of a pass are compared with its poses so densely, follow them to this, and have at
+#: first knots so far apart [m].
+SPACING, CLOSE, COARSEST = 0.2 * MM, 0.02 * UM, 1.6 * MM
 
 
 class Strip(Protocol):
@@ -66,19 +56,16 @@ class Strip(Protocol):
 @dataclass(frozen=True)
 class SplinePass:
     """
-    A pass as cubic B-splines of tip and axis.
+    A pass as a pair of cubic B-splines: tool tip, and the point ``ARM`` higher on the axis.
 
     Parameters
     ----------
     spline : BSpline
-        Six columns, tool tip [m] and tool axis, by arc length of the guided point.
-    ends : (float, float)
-        The part that is run [m].
+        Six columns, tip and higher point [m], by arc length of the guided point.
 
     """
 
     spline: BSpline
-    ends: tuple[float, float]
 
     @staticmethod
     def of(made: Strip, overrun: float, fixed_axis: FloatArray | None = None) -> SplinePass | None:
@@ -88,9 +75,8 @@ class SplinePass:
         A ball mill may keep a ``fixed_axis``. None where no part of the strip lies on the surface.
         """
         s = np.linspace(0.0, made.curve.length, max(60, int(made.curve.length / SPACING)))
-        postures = made.tool(s)
+        frames, surface = made.curve.frames(s), made.curve.surface
         width = np.interp(s, made.s, made.reach)
-        frames, surface = postures.frames, made.curve.surface
         a, b = surface.at(frames.u, frames.v).components(scaled(width, frames.across))
         (u0, u1), (v0, v1) = surface.domain
         inside = np.zeros(len(s), bool)
@@ -102,50 +88,133 @@ class SplinePass:
         kept = s[inside]
         longer = overrun + s[1]
         ends = max(float(kept[0]) - longer, 0.0), min(float(kept[-1]) + longer, float(s[-1]))
-        axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (len(s), 3))
-        tip = postures.cutter.tip(postures.centre, axis)
-        spline = SplinePass.through(s, tip, axis).spline
-        return SplinePass(spline, ends)
+
+        def rows(places: FloatArray) -> FloatArray:
+            postures = made.tool(places)
+            axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (1, 3))
+            tip = postures.cutter.tip(postures.centre, axis)
+            return np.concatenate([tip, tip + ARM * axis], axis=1)
+
+        return SplinePass.following(rows, ends)
 
     @staticmethod
-    def through(s: FloatArray, tip: FloatArray, axis: FloatArray) -> SplinePass:
-        """Interpolate poses."""
-        spline = make_interp_spline(s, np.concatenate([tip, axis], axis=1), k=3)
-        return SplinePass(spline, (float(s[0]), float(s[-1])))
+    def following(
+        rows: Callable[[FloatArray], FloatArray], ends: tuple[float, float]
+    ) -> SplinePass:
+        """Interpolate poses, with so many knots that the splines stay within ``CLOSE``."""
+        dense = np.linspace(*ends, max(16, int((ends[1] - ends[0]) / SPACING)))
+        exact = rows(dense)
+        count = max(8, int((ends[1] - ends[0]) / COARSEST))
+        while True:
+            s = np.linspace(*ends, count)
+            spline = make_interp_spline(s, rows(s), k=3)
+            if float(np.abs(spline(dense) - exact).max()) < CLOSE or count >= len(dense):
+                return SplinePass(spline)
+            count = 2 * count - 1
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last parameter."""
+        return float(self.spline.t[0]), float(self.spline.t[-1])
+
+    @property
+    def reversed(self) -> SplinePass:
+        """The same pass the other way."""
+        knots, points = self.spline.t, self.spline.c
+        return SplinePass(BSpline(knots[0] + knots[-1] - knots[::-1], points[::-1], 3))
 
     def poses(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return tool tips [m] and unit tool axes."""
         values = self.spline(s)
-        return values[:, :3], unit(values[:, 3:])
+        return values[:, :3], unit(values[:, 3:] - values[:, :3])
 
 
 @dataclass(frozen=True)
 class LinkOptions:
     """
-    How passes become a program.
+    How passes are joined.
 
     Parameters
     ----------
     linking : {'zigzag', 'one-way'}
         Every second pass backwards after a short lift, or all forwards over a safe level.
-    chord_tolerance : float
-        Largest distance between the pass and its blocks [m].
     clearance : float
         Lift between passes, and height of the safe level over the surface [m].
-    feedrate : float
-        Programmed speed of the tool tip [m/s].
 
     """
 
     linking: Linking = 'zigzag'
-    chord_tolerance: float = 1.0 * UM
     clearance: float = 2.0 * MM
-    feedrate: float = 3000.0 * MM_PER_MIN
 
     def __post_init__(self) -> None:
-        for name in ('chord_tolerance', 'clearance', 'feedrate'):
-            if not getattr(self, name) > 0.0:
-                raise InterpError(f'{name} must be positive')
+        if not self.clearance > 0.0:
+            raise InterpError('clearance must be positive')
+
+
+@dataclass(frozen=True)
+class Link:
+    """
+    A straight move between passes.
+
+    Parameters
+    ----------
+    tip, axis : ndarray, shape (3,)
+        Where it ends [m], and the unit tool axis there.
+    rapid : bool
+        Moves as fast as the machine can.
+
+    """
+
+    tip: FloatArray
+    axis: FloatArray
+    rapid: bool
+
+
+def link(
+    passes: Sequence[SplinePass], surface: Surface, cutter: Cutter, options: LinkOptions
+) -> list[Link | SplinePass]:
+    """
+    Put passes in the order and direction of cutting, with safe moves between them.
+
+    Parameters
+    ----------
+    passes : sequence of SplinePass
+        Passes as they follow each other on the surface.
+    surface : Surface
+        What the links must not touch.
+    cutter : Cutter
+        The mill.
+    options : LinkOptions
+        The user's choices.
+
+    Returns
+    -------
+    list of Link or SplinePass
+
+    """
+    u, v = surface.grid(61, 61)
+    points = surface.at(u, v)
+    up = unit(points.normal.reshape(-1, 3).mean(axis=0))
+    widest = cutter.tool_radius + cutter.corner_radius
+    # The lowest point of a leaning mill lies below its tip by less than its radius.
+    safe = float((points.position @ up).max()) + widest + options.clearance
+    steps: list[Link | SplinePass] = []
+
+    def over(tip: FloatArray) -> FloatArray:
+        return np.asarray(tip + max(safe - float(tip @ up), options.clearance) * up)
+
+    for k, one in enumerate(passes):
+        turned = options.linking == 'zigzag' and k % 2
+        one = one.reversed if turned else one
+        tip, axis = one.poses(np.array(one.ends))
+        before, behind = tip + options.clearance * axis
+        if k == 0 or options.linking == 'one-way':
+            steps.append(Link(over(before), axis[0], True))
+        steps += [Link(before, axis[0], True), Link(tip[0], axis[0], False), one]
+        steps.append(Link(behind, axis[1], False))
+        if k == len(passes) - 1 or options.linking == 'one-way':
+            steps.append(Link(over(behind), axis[1], True))
+    return steps
 
 
 @dataclass(frozen=True)
@@ -158,11 +227,9 @@ class ToolPath:
     tip, axis : ndarray, shape (n, 3)
         Tool tip [m] and unit tool axis.
     rapid : ndarray of bool, shape (n,)
-        True where the move to this pose cuts nothing.
+        True where the move to this pose is a rapid.
     number : ndarray of int, shape (n,)
         Pass, from 1; 0 for links.
-    feedrate : float
-        Speed of the tool tip while cutting [m/s].
 
     """
 
@@ -170,89 +237,25 @@ class ToolPath:
     axis: FloatArray
     rapid: BoolArray
     number: IntArray
-    feedrate: float
 
-    @property
-    def cutting_length(self) -> float:
-        """Length of the tip's way along the passes [m]."""
-        steps = norm(np.diff(self.tip, axis=0))
-        return float(steps[(self.number[1:] > 0) & (self.number[1:] == self.number[:-1])].sum())
-
-    def cl_data(self, name: str) -> str:
-        """Return the path as CL data."""
-        lines = [f'PARTNO {name}', 'UNITS/MM', 'MULTAX/ON']
-        feed = f'FEDRAT/{self.feedrate / MM_PER_MIN:g},MMPM'
-        asked = False
-        for p, o, rapid, first in zip(
-            self.tip / MM, self.axis, self.rapid, [True] + [False] * (len(self.tip) - 1),
-            strict=True,
-        ):  # fmt: skip
-            if rapid and not first:
-                lines.append('RAPID')
-            elif not asked and not first:
-                lines.append(feed)
-                asked = True
-            words = [f'{x:.6f}' for x in p] + [f'{x:.9f}' for x in o]
-            lines.append('GOTO/' + ','.join(words))
-        return '\n'.join([*lines, 'FINI', ''])
+    @staticmethod
+    def of(steps: Sequence[Link | SplinePass], chord_tolerance: float) -> ToolPath:
+        """Sample the passes within a chord tolerance [m]."""
+        tips, axes, rapid, numbers, number = [], [], [], [], 0
+        for step in steps:
+            if isinstance(step, Link):
+                tip, axis, ours = step.tip[None], step.axis[None], 0
+            else:
+                number += 1
+                (tip, axis), ours = (x[1:] for x in sampled(step, chord_tolerance)), number
+            tips.append(tip)
+            axes.append(axis)
+            rapid += [isinstance(step, Link) and step.rapid] * len(tip)
+            numbers += [ours] * len(tip)
+        return ToolPath(np.vstack(tips), np.vstack(axes), np.array(rapid), np.array(numbers))
 
 
-def link(
-    curves: Sequence[Curve], surface: Surface, cutter: Cutter, options: LinkOptions
-) -> ToolPath:
-    """
-    Sample passes and join them.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Passes in the order of cutting.
-    surface : Surface
-        What the links must not touch.
-    cutter : Cutter
-        The mill.
-    options : LinkOptions
-        The user's choices.
-
-    Returns
-    -------
-    ToolPath
-
-    """
-    u, v = surface.grid(61, 61)
-    points = surface.at(u, v)
-    up = unit(points.normal.reshape(-1, 3).mean(axis=0))
-    widest = cutter.tool_radius + cutter.corner_radius
-    # The lowest point of a leaning mill lies below its tip by less than its radius.
-    safe = float((points.position @ up).max()) + widest + options.clearance
-    rows: list[tuple[FloatArray, FloatArray, bool, int]] = []
-
-    def over(tip: FloatArray) -> FloatArray:
-        return np.asarray(tip + max(safe - float(tip @ up), options.clearance) * up)
-
-    last = len(curves) - 1
-    for k, curve in enumerate(curves):
-        tip, axis = sampled(curve, options.chord_tolerance)
-        if options.linking == 'zigzag' and k % 2:
-            tip, axis = tip[::-1], axis[::-1]
-        from_above = k == 0 or options.linking == 'one-way'
-        to_above = k == last or options.linking == 'one-way'
-        before = tip[0] + options.clearance * axis[0]
-        behind = tip[-1] + options.clearance * axis[-1]
-        if from_above:
-            rows.append((over(before), axis[0], True, 0))
-        rows.append((before, axis[0], True, 0))
-        rows.extend((p, o, False, k + 1) for p, o in zip(tip, axis, strict=True))
-        rows.append((behind, axis[-1], False, 0))
-        if to_above:
-            rows.append((over(behind), axis[-1], True, 0))
-    return ToolPath(
-        np.array([row[0] for row in rows]), np.array([row[1] for row in rows]),
-        np.array([row[2] for row in rows]), np.array([row[3] for row in rows]), options.feedrate,
-    )  # fmt: skip
-
-
-def sampled(curve: Curve, tolerance: float) -> tuple[FloatArray, FloatArray]:
+def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Return poses of a pass so close that its chords deviate by the tolerance at most [m]."""
     s = np.linspace(*curve.ends, 9)
     for _ in range(FINEST):
@@ -293,7 +296,7 @@ def chord_error(
     return np.maximum(across, norm(middle_top - top[:, 0] - scaled(share, chord_top)))
 
 
-def merged(curve: Curve, s: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+def merged(curve: SplinePass, s: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Drop the inner poses of a pass that its ends give as well."""
     tip, axis = curve.poses(s)
     top = tip + ARM * axis

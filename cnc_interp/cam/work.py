@@ -15,6 +15,7 @@ from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
+from cnc_interp.cam.program_text import write_tool_path
 from cnc_interp.cam.simulation import (
     Motion,
     Section,
@@ -25,13 +26,13 @@ from cnc_interp.cam.simulation import (
 )
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
-from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
+from cnc_interp.cam.tool_path import LinkOptions, SplinePass, link
 from cnc_interp.cam.vectors import cross, unit
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import plan_to_files
 from cnc_interp.plan_files import read_plan
-from cnc_interp.program import ReadOptions, open_program
+from cnc_interp.program import ReadOptions, open_program, read_program
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
 
@@ -49,24 +50,32 @@ def make_program(options: argparse.Namespace) -> int:
     clock = time.perf_counter() - clock
     axis = unit(_mean_normal(surface)) if cutter.is_ball else None
     curves = [SplinePass.of(p, options.overrun * MM, axis) for p in paths.passes]
-    tool_path = link([c for c in curves if c], surface, cutter, _linking(options))
+    steps = link(
+        [c for c in curves if c], surface, cutter,
+        LinkOptions(options.linking, options.clearance * MM),
+    )  # fmt: skip
+    machine = Machine.load(options.machine)
+    tolerance = SMOOTHING * options.scallop * UM
+    reading = ReadOptions(contour_tolerance=tolerance, orientation_tolerance=tolerance)
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
-    program = out / 'program.apt'
-    program.write_text(tool_path.cl_data(options.surface.stem.upper()), encoding='ascii')
-    summary = {'surface': str(options.surface), **facts_of(paths, tool_path, clock)}
+    file = write_tool_path(
+        steps, options.feed * MM_PER_MIN, options.chord * UM, out / 'program', options.format,
+        machine, reading,
+    )  # fmt: skip
+    program = read_program(file, Transform.of(machine), reading)
+    summary = {
+        'surface': str(options.surface), **facts_of(paths, clock), 'program': str(file),
+        'blocks': len(program.blocks) - 1,
+    }  # fmt: skip
     motions = []
     if options.run or options.simulate:
-        machine = Machine.load(options.machine)
-        tolerance = SMOOTHING * options.scallop * UM
-        reading = ReadOptions(contour_tolerance=tolerance, orientation_tolerance=tolerance)
-        motions.append(programmed(program, machine, reading))
+        motions.append(programmed(program))
         if options.run:
-            plan = plan_to_files(
-                open_program(program, Transform.of(machine), reading), machine, out / 'plan',
+            summary['cycle_time'] = plan_to_files(
+                open_program(file, Transform.of(machine), reading), machine, out / 'plan',
                 progress=_progress('planning', options.json),
-            )  # fmt: skip
-            summary['cycle_time'] = plan['cycle_time']
+            )['cycle_time']  # fmt: skip
             files = read_plan(out / 'plan')
             motions += [planned(files, machine), executed(files, machine)]
     figures = _path_figures(paths)
@@ -111,7 +120,10 @@ def simulate_motion(options: argparse.Namespace) -> int:
         files = read_plan(options.motion)
         motion = (executed if options.executed else planned)(files, machine)
     else:
-        motion = programmed(options.motion, machine, ReadOptions(feedrate=MM_PER_MIN))
+        reading = ReadOptions(
+            feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM
+        )
+        motion = programmed(read_program(options.motion, Transform.of(machine), reading))
     heights, section = _cut(
         surface, cutter, motion, across(surface, options.direction * DEG), options
     )
@@ -159,16 +171,13 @@ def _mean_normal(surface: Surface) -> FloatArray:
     return np.asarray(surface.at(u, v).normal.reshape(-1, 3).mean(axis=0))
 
 
-def facts_of(
-    paths: IsoScallopPaths | ClassicalPaths, tool_path: ToolPath, seconds: float
-) -> dict[str, Any]:
+def facts_of(paths: IsoScallopPaths | ClassicalPaths, seconds: float) -> dict[str, Any]:
     """Return what is known of the passes; SI units."""
     found = {
         'passes': len(paths.passes),
         'postures': sum(len(p.s) for p in paths.passes),
         'computing_time': seconds,
-        'blocks': len(tool_path.tip) - 1,
-        'cutting_length': tool_path.cutting_length,
+        'length': sum(p.curve.length for p in paths.passes),
     }
     if isinstance(paths, ClassicalPaths):
         return found
@@ -207,8 +216,8 @@ def describe(summary: dict[str, Any]) -> str:
         if 'tilt' in summary:
             lines += _planes_in_words(summary)
         lines.append(
-            f'program        {summary["blocks"]} blocks, {summary["cutting_length"] / MM:.0f} mm '
-            'cutting'
+            f'program        {summary["program"]}, {summary["blocks"]} blocks; passes of '
+            f'{summary["length"] / MM:.0f} mm'
         )
     if 'cycle_time' in summary:
         lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
@@ -297,12 +306,6 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
         start=options.start,
         points=options.points,
         stray=None if options.no_restart else IsoScallopOptions.stray,
-    )
-
-
-def _linking(options: argparse.Namespace) -> LinkOptions:
-    return LinkOptions(
-        options.linking, options.chord * UM, options.clearance * MM, options.feed * MM_PER_MIN
     )
 
 

@@ -2,14 +2,35 @@
 
 import json
 
+import numpy as np
 import pytest
 
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.nbuffer import Needles, cut_needles
+from cnc_interp.cam.shapes import Bumps, Placed
+from cnc_interp.cam.simulation import programmed
 from cnc_interp.cli import BAD_INPUT, FINE, main
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.units import DEG, MM, UM
 
 SURFACE = {
     'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],
     'placement': {'rotation_deg': [25, 0, 0]},
 }  # fmt: skip
+
+
+TILTED = np.array([
+    [1.0, 0.0, 0.0],
+    [0.0, np.cos(25 * DEG), -np.sin(25 * DEG)],
+    [0.0, np.sin(25 * DEG), np.cos(25 * DEG)],
+])  # fmt: skip
+MILL = Cutter(5 * MM, 1.5 * MM)
+NEEDLES = Needles.on(
+    Placed(Bumps((16 * MM, 12 * MM), [(0, 0, 0.5 * MM, 8 * MM)]), TILTED, np.zeros(3)), 0.3 * MM,
+    1 * MM,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -32,11 +53,26 @@ def test_from_a_surface_to_the_executed_surface(surface, tmp_path, capsys):
     assert (out / 'cam.html').stat().st_size > 1e6
     assert main(['check', str(out / 'plan')]) == FINE
     capsys.readouterr()
-    for motion in (out / 'program.apt', out / 'plan'):
+    for motion in (out / 'program.mpf', out / 'plan'):
         cut = ['--surface', str(surface), '--spacing', '0.3', '--json']
         assert main(['cam', 'simulate', str(motion), *cut]) == FINE
         (found,) = json.loads(capsys.readouterr().out).values()
         assert found['highest'] < 13e-6 and found['uncut'] == 0.0
+
+
+def test_all_formats_hold_the_same_path(surface, tmp_path, capsys):
+    motions = {}
+    for form, suffix in (('spline', 'mpf'), ('cl', 'apt'), ('gcode', 'ngc')):
+        arguments = ['--stepover', '2', '--format', form, '--chord', '0.1', '--json']
+        command = ['cam', 'iso-scallop', str(surface), *arguments, '--out', str(tmp_path / form)]
+        assert main(command) == FINE
+        machine = Transform.of(Machine.load('xyzac'))
+        reading = ReadOptions(contour_tolerance=1 * UM)
+        motion = programmed(read_program(tmp_path / form / f'program.{suffix}', machine, reading))
+        motions[form] = cut_needles(NEEDLES, MILL, motion.tip, motion.axis).height
+    capsys.readouterr()
+    for form in ('cl', 'gcode'):
+        np.testing.assert_allclose(motions[form], motions['spline'], atol=0.3 * UM)
 
 
 @pytest.mark.parametrize('mill', [[], ['--tool-diameter', '10', '--corner-radius', '5']])

@@ -9,7 +9,7 @@ from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.nbuffer import TOP, Heights, Needles, cut_needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections, thinned
-from cnc_interp.cam.tool_path import LinkOptions, SplinePass, chord_error, link, sampled
+from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, chord_error, link, sampled
 from cnc_interp.errors import InterpError
 from cnc_interp.units import DEG, MM, UM
 
@@ -105,7 +105,7 @@ def test_random_poses_against_brute_force(mill):
 def test_iso_scallop_ridges_have_the_height_asked_for(surface, normal, stepover):
     paths = iso_scallop_paths(surface, MILL, normal, IsoScallopOptions(stepover=stepover))
     curves = [c for c in (SplinePass.of(p, 0.5 * MM) for p in paths.passes) if c]
-    path = link(curves, surface, MILL, LinkOptions(chord_tolerance=0.1 * UM))
+    path = ToolPath.of(link(curves, surface, MILL, LinkOptions()), 0.1 * UM)
     section = cross_sections(
         surface, MILL, Motion('programmed', path.tip, path.axis), normal, 3 * MM
     )
@@ -131,12 +131,17 @@ def test_links_do_not_touch_the_surface_and_passes_keep_their_chords():
     paths = iso_scallop_paths(surface, MILL, Y, IsoScallopOptions(stepover=1.8 * MM))
     curves = [c for c in (SplinePass.of(p, 0.5 * MM) for p in paths.passes) if c]
     needles = Needles.on(surface, 0.4 * MM)
-    one_way = link(curves, surface, MILL, LinkOptions('one-way'))
-    zigzag = link(curves, surface, MILL, LinkOptions('zigzag'))
+    one_way, zigzag = (
+        ToolPath.of(link(curves, surface, MILL, LinkOptions(x)), UM) for x in ('one-way', 'zigzag')
+    )
     heights = [cut_needles(needles, MILL, p.tip, p.axis).height for p in (one_way, zigzag)]
     np.testing.assert_allclose(heights[0], heights[1], atol=1.5 * UM)
     assert min(h.min() for h in heights) > -1.5 * UM
-    assert one_way.cutting_length == pytest.approx(zigzag.cutting_length)
+    assert one_way.number.max() == zigzag.number.max() == len(curves)
+    assert one_way.rapid.sum() > zigzag.rapid.sum()
+    for k, curve in enumerate(curves, 1):  # every second pass runs backwards
+        first = zigzag.tip[zigzag.number == k][-1 if k % 2 == 0 else 0]
+        assert np.linalg.norm(first - curve.poses(np.array(curve.ends))[0][0]) < 1 * MM
     tip, axis = sampled(curves[3], 1 * UM)
     finer_tip, finer_axis = curves[3].poses(np.linspace(*curves[3].ends, 4001))
     chord = np.linalg.norm(np.diff(tip, axis=0), axis=1)

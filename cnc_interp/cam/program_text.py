@@ -1,0 +1,85 @@
+"""Tool paths as text: native B-splines, CL data, or G-code with the rotary words of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cnc_interp.cam.tool_path import ARM, Link, SplinePass, ToolPath
+from cnc_interp.convert import convert
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.pipeline import ChainOptions
+from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program.writer import ClMove, SiemensMove, cl_data, siemens
+
+Format = Literal['spline', 'cl', 'gcode']
+#: Names of the files.
+SUFFIXES: dict[str, str] = {'spline': '.mpf', 'cl': '.apt', 'gcode': '.ngc'}
+
+
+def write_tool_path(
+    steps: Sequence[Link | SplinePass], feedrate: float, chord_tolerance: float, file: Path,
+    form: Format, machine: Machine, reading: ReadOptions,
+) -> Path:  # fmt: skip
+    """
+    Write a tool path as a part program.
+
+    Parameters
+    ----------
+    steps : sequence of Link or SplinePass
+        Passes and the moves between them.
+    feedrate : float
+        Of all but rapids [m/s].
+    chord_tolerance : float
+        Largest distance between a pass and its blocks, but for splines [m].
+    file : Path
+        Without suffix.
+    form : {'spline', 'cl', 'gcode'}
+        What to write.
+    machine : Machine
+        Gives rotary words their letters and their values.
+    reading : ReadOptions
+        Tolerances that go into G-code.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    """
+    path = file.with_suffix(SUFFIXES[form])
+    if form == 'spline':
+        text = siemens(_control_points(steps, feedrate), [])
+    else:
+        text = cl_data(_points(ToolPath.of(steps, chord_tolerance), feedrate), 'PASSES', [])
+    path.write_text(text, encoding='ascii')
+    if form == 'gcode':
+        program = read_program(path, Transform.of(machine), reading)
+        text = convert(program, machine, ChainOptions(), 'gcode', chord_tolerance).text
+        path.write_text(text, encoding='ascii')
+    return path
+
+
+def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iterator[SiemensMove]:
+    """Yield lines, and control points of passes but the first, where the line before ends."""
+    for step in steps:
+        if isinstance(step, Link):
+            yield SiemensMove(
+                step.tip, step.tip + ARM * step.axis, feedrate, np.nan, step.rapid, False
+            )
+            continue
+        knots, points = step.spline.t, step.spline.c
+        for i in range(1, len(points)):
+            # Block i holds t(i+3) - t(i+2).
+            gap = float(knots[i + 3] - knots[i + 2])
+            yield SiemensMove(points[i, :3], points[i, 3:], feedrate, gap, False, False)
+
+
+def _points(path: ToolPath, feedrate: float) -> Iterator[ClMove]:
+    """Yield the poses; the first one is where the program begins."""
+    for i, (tip, axis) in enumerate(zip(path.tip, path.axis, strict=True)):
+        yield ClMove(tip, axis, feedrate, i > 0 and bool(path.rapid[i]), False)

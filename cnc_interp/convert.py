@@ -19,7 +19,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import BATCH, ChainOptions, smoothing_options
 from cnc_interp.plan_writer import effective_feed
-from cnc_interp.program import Program
+from cnc_interp.program import Program, ReadOptions
 from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.program.writer import (
     ClMove,
@@ -43,6 +43,10 @@ FORMATS = ('siemens-bspline', 'gcode', 'cl')
 CHORD_SHARE = 0.1
 #: Second points that differ less are the same [m].
 SAME_POINT = 1e-9
+#: Tool axes that differ less are the same [-].
+SAME_AXIS = 1e-9
+#: What rounding may hide in a deviation [m].
+ROUNDING = 1e-13
 #: Tool axes nearer to the pole than this leave the outer rotary axis where it is [-].
 ON_POLE = 1e-14
 
@@ -115,7 +119,8 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
     """Write blocks with the machine's rotary words."""
     rotary = _rotary_words(blocks, transform) if transform.machine.has_rotary else None
     notes = []
-    if (blocks.orientation_tolerance != blocks.contour_tolerance).any():
+    other = blocks.orientation_tolerance != blocks.contour_tolerance
+    if rotary is not None and other.any():
         notes.append('G64 P gives the contour tolerance; the orientation tolerance is another')
     moves = (
         GcodeMove(
@@ -170,6 +175,14 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
     )
     if turning.any():
         notes.append('CL data have no rotary words: turns about the resting tip are vectors only')
+    smallest = blocks.contour_tolerance.min(), blocks.orientation_tolerance.min()
+    reader = ReadOptions()
+    if smallest != (reader.contour_tolerance, reader.orientation_tolerance):
+        notes.append(
+            'CL data have no tolerances; read them with '
+            f'--contour-tolerance {smallest[0] / MM:g} --orientation-tolerance '
+            f'{smallest[1] / MM:g}'
+        )
     if np.isfinite(blocks.duration).any():
         notes.append('inverse-time feeds (G93) are written as feedrates')
     moves = (
@@ -198,9 +211,9 @@ def _siemens(
     path = _Path(segments, transform, options.flank_height, tolerance)
     moves = list(path.moves(blocks))
     notes = [
-        f'smooth path in cubic B-splines, within {path.deviation / UM:.2g} um; '
-        f'the program keeps {len(blocks) - 1} blocks in {len(moves) - 1}',
-        *path.losses(),
+        f'smooth path in cubic B-splines, within {max(path.deviation, ROUNDING) / UM:.2g} um; '
+        f'{len(blocks) - 1} blocks have become {len(moves) - 1}',
+        *(path.losses() if np.ptp(blocks.axis, axis=0).max() > SAME_AXIS else ()),
     ]
     if (segments.kind == ROTATION).any() and np.isfinite(segments.rotary).any():
         notes.append('turns about the resting tip are written as tool axes, without whole turns')

@@ -163,18 +163,23 @@ def _poses(curve: BSpline, u: FloatArray, height: float) -> FloatArray:
 def _rows_reached(
     curve: FloatArray, poses: tuple[FloatArray, FloatArray], inside: BoolArray, height: float
 ) -> IntArray:
-    """Follow poses along a curve: the row that each of them has come to, shape (k,)."""
-    tip, axis = poses[0][inside], poses[1][inside]
+    """
+    Follow poses along a curve: the row that each of them has come to, shape (k,).
+
+    A pose lies no further along the curve than it has moved, from the nearest row to the one
+    before it on; rows may lie further apart than poses, so one row more is always looked at.
+    """
+    tip, axis = poses
     both = np.hstack([tip, tip + height * axis])
-    if not len(both):
-        return np.zeros(0, dtype=np.int64)
-    moved = np.r_[0.0, np.linalg.norm(np.diff(both, axis=0), axis=1)]
+    moved = np.r_[0.0, np.linalg.norm(np.diff(both, axis=0), axis=1)][inside]
+    both = both[inside]
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
     found = np.empty(len(both), dtype=np.int64)
-    here = 0
+    here, last = 0, len(curve) - 1
     for i, pose in enumerate(both):
-        end = int(np.searchsorted(way, way[here] + 2.0 * moved[i] + REACH, 'right'))
-        gap = np.abs(curve[here:end] - pose)
+        reached = way[min(here + 1, last)] + 2.0 * moved[i] + REACH
+        end = int(np.searchsorted(way, reached, 'right')) + 1
+        gap = curve[here:end] - pose
         here += int(np.argmin((gap * gap).sum(axis=1)))
         found[i] = here
     return found

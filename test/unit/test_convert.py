@@ -160,12 +160,22 @@ def test_machines_without_rotary_axes_need_no_tool_axis_words():
     program = read_text(
         'G0 X0 Y0\nG1 X10 F600\nY10\nM30', 'p.ngc', Transform.of(machine), ReadOptions()
     )
-    text = convert(program, machine, ChainOptions(), 'siemens-bspline', 0.01 * UM).text
+    made = convert(program, machine, ChainOptions(), 'siemens-bspline', 0.01 * UM)
+    text = made.text
+    assert not any('orientation' in note for note in made.notes)  # nothing turns
     assert 'BSPLINE' in text and 'XH' not in text and 'TRAORI' not in text
     back = read_text(text, 'p.mpf', Transform.of(machine), ReadOptions())
     assert plan_program(back, machine).pieces[-1].law.end_time == pytest.approx(
         plan_program(program, machine).pieces[-1].law.end_time, rel=3e-3
     )
+
+
+def test_cl_data_say_which_tolerances_they_have_lost():
+    note = 'CL data have no tolerances; read them with --contour-tolerance '
+    made = convert(read(STOPS), MACHINE, ChainOptions(), 'cl', 0.01 * UM)
+    assert any(line.startswith(note) for line in made.notes)
+    made = convert(read(WALLS), MACHINE, ChainOptions(), 'cl', 0.01 * UM)
+    assert not any(line.startswith(note) for line in made.notes)
 
 
 def test_command_writes_a_file_or_the_terminal(tmp_path, capsys):

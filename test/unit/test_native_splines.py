@@ -15,8 +15,10 @@ from cnc_interp.errors import BlockError, ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import plan_program, write_plan
+from cnc_interp.plan_files import read_plan
 from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.programmed_splines import with_chords
 from cnc_interp.smoothing.joining import Jets, connected, line_jets, span_jets
 from cnc_interp.smoothing.lookahead import SmoothingOptions
 from cnc_interp.smoothing.orientation import turned_by
@@ -356,6 +358,35 @@ def test_line_curve_line_is_planned_without_rest_and_proven(tmp_path):
     proof = verify_plan(tmp_path, MACHINE)
     assert proof.ok, proof.text()
     assert np.load(tmp_path / 'path.npz')['stop'].sum() == 2
+
+
+@pytest.mark.parametrize(
+    ('feed', 'rise'), [(600, 0.0025), (60_000, 0.5)], ids=['slow and flat', 'fast and bent']
+)
+def test_proof_follows_any_curve(feed, rise, tmp_path):
+    # A flat curve's chords lie further apart than samples; at speed the first sample, and the
+    # first point of the path, lie deep inside the curve.
+    text = f"""TRAORI
+G0 X0 Y0 Z0 XH=0 YH=0 ZH=30
+G1 X30 F{feed} XH=30
+BSPLINE SD=3 X32 XH=32 PL=1
+X36 XH=36 PL=1
+X40 Y{4 * rise} XH=40 YH={4 * rise} PL=0
+X42 Y{6 * rise} XH=42 YH={6 * rise} PL=0
+G1 X72 Y{36 * rise} XH=72 YH={36 * rise}
+M30
+"""
+    write_plan(plan_program(read(text), MACHINE), tmp_path)
+    proof = verify_plan(tmp_path, MACHINE)
+    assert proof.ok, proof.text()
+    plan = read_plan(tmp_path)
+    chords = with_chords(plan, MACHINE)
+    tips, reached = chords.blocks['tip'], chords.block
+    longest = np.linalg.norm(np.diff(tips[2:-1], axis=0), axis=1).max()
+    curve = (reached >= 2) & (reached < len(tips) - 1)
+    assert curve.any()
+    gaps = TRANSFORM.forward(plan.position[curve])[0] - tips[reached[curve]]
+    assert np.linalg.norm(gaps, axis=1).max() < longest
 
 
 @pytest.mark.parametrize('what', ['tip', 'top'])

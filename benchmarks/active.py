@@ -1,4 +1,4 @@
-"""How much of the time at least one limit is active: the mark of a time-optimal law."""
+"""How much of the time at least one limit is active, and whether any limit is passed."""
 
 from __future__ import annotations
 
@@ -31,3 +31,15 @@ def share_active(planned: PlannedPiece, limits: AxisLimits, level: float = 0.99)
         ]
     )
     return float((use >= level).mean())
+
+
+def largest_use(planned: PlannedPiece, limits: AxisLimits) -> float:
+    """Largest use of any limit by first, second and third differences of the setpoints."""
+    time = np.arange(-3, np.ceil(planned.law.end_time / PERIOD) + 5) * PERIOD
+    q = evaluate(planned.path, planned.law.evaluate(time)[0])[0]
+    table = limit_table(limits)
+    return max(
+        float((np.abs(np.diff(q - q[0], order, axis=0)).max(axis=0) / table[order - 1]).max())
+        / PERIOD**order
+        for order in (1, 2, 3)
+    )

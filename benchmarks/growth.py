@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
+import resource
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from figures import Figures, Stopwatch
 from paths import blocks_of, smoothed
 from rivals import topp3
 
@@ -31,9 +33,24 @@ def raster(count: int, first: int = 0) -> Blocks:
     return blocks_of(np.column_stack([x, y, z]), axis, 3000 * MM_PER_MIN)
 
 
-def chain_time(count: int) -> dict[str, float]:
-    """Send a raster through the chain, dropping what comes out; seconds by room, and of motion."""
-    chain = Chain(Machine.load('xyzac'), ChainOptions())
+class CpuChain(Chain):
+    """A chain that counts CPU seconds."""
+
+    def _timed(self, room: str, work: Callable[..., Any], *arguments: Any) -> Any:
+        watch = Stopwatch()
+        try:
+            return work(*arguments)
+        finally:
+            self.seconds[room] += watch.seconds()
+
+
+def chain_cost(count: int) -> Figures:
+    """
+    Send a raster through the chain, dropping what comes out.
+
+    Returns motion and CPU seconds by room, and the most memory that this process ever held [MB].
+    """
+    chain = CpuChain(Machine.load('xyzac'), ChainOptions())
     motion = 0.0
     for first in range(0, count, BATCH):
         chain.push(raster(min(BATCH, count - first), first))
@@ -42,23 +59,12 @@ def chain_time(count: int) -> dict[str, float]:
             held.clear()
     chain.finish()
     motion = chain.pieces[-1].law.end_time if chain.pieces else motion
-    return {**chain.seconds, 'motion': motion}
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {**chain.seconds, 'motion': motion, 'memory': memory}
 
 
-def chain_growth(counts: tuple[int, ...]) -> Iterator[tuple[int, dict[str, float]]]:
-    """Measure the chain at several lengths, after a warm-up."""
-    chain_time(300)
-    for count in counts:
-        yield count, chain_time(count)
-
-
-def topp3_growth(counts: tuple[int, ...], most: float) -> Iterator[tuple[int, float, float]]:
-    """Measure copp-py on the same raster until one solve takes ``most`` seconds."""
+def topp3_cost(count: int) -> Figures:
+    """Plan the same raster with copp-py, one round."""
     machine = Machine.load('xyzac')
-    for count in counts:
-        path = smoothed(raster(count), machine)
-        start = time.perf_counter()
-        answer = topp3(path, machine, 0, rounds=1)
-        yield count, answer.computing, answer.time
-        if time.perf_counter() - start > most:
-            return
+    answer = topp3(smoothed(raster(count), machine), machine, 0, rounds=1)
+    return {'computing': answer.computing, 'motion': answer.time}

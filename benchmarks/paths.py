@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +35,14 @@ PUBLIC = (
     ('opencn-congee-5x', '034_congee_simplified_excerpt.ngc', 5, 15),
     ('solidcam-4x-rotx', 'gcode_demo2_rotX.TAP', 300, 12),
 )
+
+#: Longer pieces of them.
+DENSE = (
+    ('linuxcnc-impeller-xyzac', 'impeller-7bl-xyzac.ngc', 0, 1500),
+    ('hust-yelun-cl', 'yelun.txt', 0, 200),
+)
+
+Piece = tuple[str, str, int, int]
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,21 @@ def blocks_of(
         orientation_tolerance=np.full(n, tolerance),
         line_number=np.arange(1, n + 1),
     )
+
+
+def dome(count: int = 2000, step: float = 0.5 * MM, radius: float = 80.0 * MM) -> Blocks:
+    """Make a spiral on a sphere, the tool normal to it: short blocks, small turns."""
+    polar, around = np.empty(count + 1), np.empty(count + 1)
+    rise = 1.0 * DEG / (2.0 * np.pi)
+    p, a = 15.0 * DEG, 0.0
+    for i in range(count + 1):
+        polar[i], around[i] = p, a
+        turn = step / (radius * np.hypot(np.sin(p), rise))
+        p, a = p + rise * turn, a + turn
+    ring = np.sin(polar)
+    normal = np.column_stack([ring * np.cos(around), ring * np.sin(around), np.cos(polar)])
+    tip = radius * (normal - np.array([0.0, 0.0, 1.0]))
+    return blocks_of(tip, normal, 3000.0 * MM_PER_MIN, 0.01 * MM)
 
 
 def flank_path(file: Path) -> tuple[AxisPath, Limits]:
@@ -174,10 +197,10 @@ def random_blocks(seed: int) -> Blocks:
     return blocks_of(np.array(tip), axis, feedrate, float(rng.choice([0.01, 0.02, 0.1])) * MM)
 
 
-def public_cases(machine: Machine) -> Iterator[Case]:
+def public_cases(machine: Machine, pieces: Iterable[Piece]) -> Iterator[Case]:
     """Yield pieces of public programs that stand beside the repository; none where they do not."""
     options = ReadOptions(feedrate=3000 * MM_PER_MIN)
-    for folder, name, first, rows in PUBLIC:
+    for folder, name, first, rows in pieces:
         file = SHARED / 'programs' / folder / name
         if not file.exists():
             continue
@@ -192,23 +215,28 @@ def public_cases(machine: Machine) -> Iterator[Case]:
             print(f'{folder} left out: {str(error).split(name)[-1]}')
 
 
-def cases(quick: bool) -> Iterator[Case]:
-    """Yield all paths; ``quick`` keeps the examples and four random ones."""
+def cases() -> Iterator[Case]:
+    """Yield all paths."""
     machine = Machine.load('xyzac')
     for name in ('pyramid', 'pocket_corner'):
         file = ROOT / 'examples' / f'{name}.apt'
         blocks = read_program(file, Transform.of(machine), ReadOptions()).blocks
-        for tolerance in (0.02 * MM,) if quick else (0.02 * MM, 0.2 * MM):
+        for tolerance in (0.02 * MM, 0.2 * MM):
             wide = np.full(len(blocks), tolerance)
             changed = replace(blocks, contour_tolerance=wide, orientation_tolerance=wide.copy())
             yield case_of(f'{name}, {tolerance / MM:g} mm', changed, machine)
     flank = SHARED / 'data' / 'flank_path_2022.json'
     if flank.exists():
         yield Case('flank_path_2022', *flank_path(flank))
-    if not quick:
-        yield from public_cases(machine)
-    for seed in range(4 if quick else 22):
+    yield from public_cases(machine, PUBLIC)
+    for seed in range(22):
         yield case_of(f'random 5-axis {seed}', random_blocks(seed), machine)
+
+
+def dense_cases(machine: Machine) -> Iterator[Case]:
+    """Yield paths of many short blocks."""
+    yield case_of('dome spiral, 2,000 blocks of 0.5 mm', dome(), machine)
+    yield from public_cases(machine, DENSE)
 
 
 def stretches(path: AxisPath) -> list[AxisPath]:

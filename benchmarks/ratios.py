@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from paths import ROOT, SHARED, blocks_of, random_blocks
+from paths import ROOT, SHARED, blocks_of, dome, random_blocks
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -68,21 +68,6 @@ def search(blocks: Blocks) -> float:
                 if time < best:
                     best, table = time, changed
     return best
-
-
-def dome(count: int = 2000, step: float = 0.5 * MM, radius: float = 80.0 * MM) -> Blocks:
-    """Make a spiral on a sphere, the tool normal to it: short blocks, small turns."""
-    polar, around = np.empty(count + 1), np.empty(count + 1)
-    rise = 1.0 * DEG / (2.0 * np.pi)
-    p, a = 15.0 * DEG, 0.0
-    for i in range(count + 1):
-        polar[i], around[i] = p, a
-        turn = step / (radius * np.hypot(np.sin(p), rise))
-        p, a = p + rise * turn, a + turn
-    ring = np.sin(polar)
-    normal = np.column_stack([ring * np.cos(around), ring * np.sin(around), np.cos(polar)])
-    tip = radius * (normal - np.array([0.0, 0.0, 1.0]))
-    return blocks_of(tip, normal, 3000.0 * MM_PER_MIN, 0.01 * MM)
 
 
 def unlike() -> Blocks:

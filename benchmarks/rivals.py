@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from figures import Stopwatch
 from optimum import time_grid
 from paths import Case, smoothed, stretches
 
@@ -77,7 +77,7 @@ def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float
 
 @dataclass(frozen=True)
 class SecondOpinion:
-    """copp-py's answer: cycle time, computing time [s], excess of a limit at its own stations."""
+    """copp-py's answer: cycle time, CPU seconds, excess of a limit at its own stations."""
 
     time: float
     computing: float
@@ -122,7 +122,7 @@ def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4)
                 rows.add_constraint_2nd(q2 / table[1], q1 / table[1], one, 0)
                 j = table[2]
                 rows.add_constraint_3rd(q3 / j, 3 * q2 / j, q1 / j, none, one, 0)
-        start = time.perf_counter()
+        watch = Stopwatch()
         second = copp.solver.topp2_ra.Problem(rows, (0, n - 1), (0.0, 0.0))
         a, b = np.asarray(copp.solver.topp2_ra.solve(second)), None
         for _ in range(rounds):
@@ -131,7 +131,7 @@ def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4)
             )
             profile = copp.solver.topp3_socp.solve(problem, options)
             a, b = profile.a, profile.b
-        computing += time.perf_counter() - start
+        computing += watch.seconds()
         worst = max(worst, *rows.exceed_topp3(profile))
         profile.force_positive_a(station)
         total += float(copp.interpolation.s_to_t_topp3(station, profile)[0])

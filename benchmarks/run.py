@@ -1,26 +1,34 @@
-"""Run all benchmarks, write RESULTS.md; ``--quick``: few paths, ``--million``: long programs."""
+"""
+Measure, then write RESULTS.md and the README's table.
+
+    python benchmarks/run.py                    # everything, about half an hour of one core
+    python benchmarks/run.py --only speed       # one section; the others keep their figures
+    python benchmarks/run.py --only optimum --missing # go on where a run was ended
+    python benchmarks/run.py --only             # nothing, the tables alone
+
+Figures are kept in ``out/benchmarks`` with the commit they are of. Times are CPU seconds.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
-import time
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from itertools import chain
 
 import numpy as np
-from active import share_active
-from growth import chain_growth, topp3_growth
+from active import largest_use, share_active
+from figures import Figures, Stopwatch, forget, load, save
+from growth import chain_cost, raster, topp3_cost
 from optimum import Optimum, solve
-from paths import Case, cases, stretches
+from paths import Case, case_of, cases, dense_cases, stretches
 from rivals import stop_at_corners, topp3, toppra_slowed
+from tables import write_tables
 
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.units import MM
-
-RESULTS = Path(__file__).with_name('RESULTS.md')
 
 
 def line_path(length: float) -> AxisPath:
@@ -39,18 +47,23 @@ def line_path(length: float) -> AxisPath:
     )
 
 
-def closed_form() -> Iterator[str]:
+def closed_form(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
     """Check planner and program against (32 L/J)^(1/3), a stroke on which jerk alone limits."""
     machine = Machine.load('xyzac')
-    yield '| stroke of X | closed form s | optimum / closed form | planned / closed form |'
-    yield '|---|---|---|---|'
     for length in (0.1 * MM, 1 * MM, 10 * MM):
-        path = line_path(length)
-        exact = (32 * length / machine.max_jerk[0]) ** (1 / 3)
-        planned = plan_path(path, machine)
-        best = solve(path, machine, planned)
-        ratios = f'{best.time / exact:.5f} | {planned.law.end_time / exact:.5f}'
-        yield f'| {length / MM:g} mm | {exact:.4f} | {ratios} |'
+        name = f'{length / MM:g} mm'
+        if wanted(name):
+            path = line_path(length)
+            exact = (32 * length / machine.max_jerk[0]) ** (1 / 3)
+            planned = plan_path(path, machine)
+            yield (
+                name,
+                {
+                    'exact': exact,
+                    'optimum': solve(path, machine, planned).time / exact,
+                    'ours': planned.law.end_time / exact,
+                },
+            )
 
 
 def optimum_of(case: Case, count: int = 500, slowed: float = 1.0) -> Optimum:
@@ -59,147 +72,166 @@ def optimum_of(case: Case, count: int = 500, slowed: float = 1.0) -> Optimum:
     return Optimum(
         time=sum(each.time for each in found),
         excess=max(each.excess for each in found),
+        first_time=sum(each.first_time for each in found),
+        first_excess=max(each.first_excess for each in found),
         converged=all(each.converged for each in found),
-        cells=sum(each.cells for each in found),
-        speed=np.concatenate([each.speed for each in found]),
     )
 
 
-def compare(case: Case) -> tuple[str, float, list[float]]:
-    """Compare all planners on one path; returns its table row, the ratio, and other figures."""
-    planned = plan_path(case.path, case.limits)
-    ours = planned.law.end_time - planned.law.time[0]
-    seconds = []
+def planning_cost(case: Case) -> Figures:
+    """Plan a path six times; the motion, and the CPU seconds of the fastest but the first."""
+    planned, seconds = plan_path(case.path, case.limits), []
     for _ in range(5):
-        start = time.perf_counter()
+        watch = Stopwatch()
         plan_path(case.path, case.limits)
-        seconds.append(time.perf_counter() - start)
-    computing = min(seconds)
-    best = optimum_of(case)
-    ratio = ours / best.time if best.converged else math.nan
-    try:
-        second = topp3(case.path, case.limits)
-        other, slower = second.time / best.time, second.computing / computing
-    except Exception as error:  # its solver's own exceptions: the table says that it gave up
-        print(f'copp-py on {case.name}: {error}')
-        other = slower = math.nan
-    active = share_active(planned, case.limits)
-    figures = [
-        other,
-        toppra_slowed(case.path, case.limits) / ours,
-        stop_at_corners(case) / ours,
-        ours / computing,
-        slower,
-        active,
-        best.excess,
-    ]
-    row = (
-        f'| {case.name} | {best.time:.4f} | {ratio:.4f} | {best.excess:.1e} | {other:.4f} '
-        f'| {figures[1]:.1f} | {figures[2]:.2f} | {figures[3]:.0f} | {slower:.0f} | {active:.0%} |'
-    )
-    return row.replace('nan', '-'), ratio, figures
+        seconds.append(watch.seconds())
+    return {
+        'blocks': None if case.blocks is None else len(case.blocks) - 1,
+        'cells': len(case.path.s) - 1,
+        'motion': planned.law.end_time - planned.law.time[0],
+        'planning': min(seconds),
+        'use': largest_use(planned, case.limits),
+        'active': share_active(planned, case.limits),
+        'stops': finite(stop_at_corners(case)),
+    }
 
 
-def comparison(quick: bool) -> Iterator[str]:
-    """Compare on all paths; the table and what it comes to."""
-    yield (
-        '| path | optimum s | ours / optimum | largest excess of the optimum | TOPP3 / optimum '
-        '| toppra slowed / ours | stop at corners / ours | motion / our planning time '
-        '| TOPP3 / our planning time | limit active |'
-    )
-    yield '|---|' + '---|' * 9
-    ratios, figures, kept = [], [], []
-    for case in cases(quick):
-        row, ratio, more = compare(case)
-        yield row
-        ratios.append(ratio)
-        figures.append(more)
-        kept.append(case)
-    solved = np.array(ratios)[np.isfinite(ratios)]
-    middle = np.nanmedian(np.array(figures), axis=0)
-    yield ''
-    yield f'* {len(ratios)} paths, {len(solved)} with a converged optimum.'
-    yield (
-        f'* **Cycle time / optimum: median {np.median(solved):.4f}, largest {solved.max():.4f}**, '
-        f'smallest {solved.min():.4f}.'
-    )
-    yield (
-        f'* Medians of the others: TOPP3 / optimum {middle[0]:.4f}, toppra slowed / ours '
-        f'{middle[1]:.1f}, stop at corners / ours {middle[2]:.2f}, motion / planning time '
-        f'{middle[3]:.0f}, TOPP3 / our planning time {middle[4]:.0f}, samples with an active '
-        f'limit {middle[5]:.0%}.'
-    )
-    yield ''
-    yield from trust(kept, ratios)
+def planning(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Plan all paths."""
+    for case in cases():
+        if wanted(case.name):
+            yield case.name, planning_cost(case)
 
 
-def trust(kept: list[Case], ratios: list[float]) -> Iterator[str]:
-    """Solve the two worst paths on a finer grid and from a first guess half as fast."""
-    worst = np.argsort(np.nan_to_num(ratios, nan=0.0))[::-1][:2]
-    yield '| the two worst | ours / optimum | grid twice as fine | its excess | slow start |'
-    yield '|---|---|---|---|---|'
-    for i in worst:
-        case = kept[i]
-        ours = plan_path(case.path, case.limits).law.end_time
+def optimum(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Find the optimum on all paths."""
+    for case in cases():
+        if not wanted(case.name):
+            continue
+        best = optimum_of(case)
+        yield (
+            case.name,
+            {
+                'optimum': best.time if best.converged else None,
+                'excess': best.excess,
+                'first': best.first_time,
+                'first_excess': best.first_excess,
+            },
+        )
+
+
+def rivals(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Drive all paths in other ways."""
+    for case in cases():
+        if not wanted(case.name):
+            continue
+        try:
+            second = topp3(case.path, case.limits)
+            other, computing = second.time, second.computing
+        except Exception as error:  # its solver's own exceptions: the table says that it gave up
+            print(f'copp-py on {case.name}: {error}')
+            other = computing = math.nan
+        yield (
+            case.name,
+            {
+                'topp3': finite(other),
+                'topp3_computing': finite(computing),
+                'slowed': finite(toppra_slowed(case.path, case.limits)),
+            },
+        )
+
+
+def finite(value: float) -> float | None:
+    """Return None for a figure that there is not."""
+    return value if math.isfinite(value) else None
+
+
+def trust(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Solve the two worst paths on a grid twice as fine and from a first guess half as fast."""
+    ours, best = load('planning'), load('optimum')
+    both = [name for name in best if name in ours]
+    worst = sorted(both, key=lambda name: ours[name]['motion'] / best[name]['first'])[-2:]
+    for case in cases():
+        if case.name not in worst or not wanted(case.name):
+            continue
         fine, slow = optimum_of(case, count=1000), optimum_of(case, slowed=2.0)
         yield (
-            f'| {case.name} | {ratios[i]:.4f} | {ours / fine.time:.4f}'
-            f'{"" if fine.converged else " (not converged)"} | {fine.excess:.1e} '
-            f'| {ours / slow.time:.4f}{"" if slow.converged else " (not converged)"} |'
+            case.name,
+            {
+                'ours': plan_path(case.path, case.limits).law.end_time,
+                'fine': fine.time if fine.converged else None,
+                'fine_first': fine.first_time,
+                'slow': slow.time if slow.converged else None,
+            },
         )
 
 
-def growing(counts: tuple[int, ...], copp_counts: tuple[int, ...]) -> Iterator[str]:
-    """Tabulate computing time over the number of blocks."""
-    yield '| blocks | motion s | chain s | feed planning s | blocks/s | motion / feed planning |'
-    yield '|---|---|---|---|---|---|'
-    for count, spent in chain_growth(counts):
-        whole = sum(spent.values()) - spent['motion']
-        feed = spent['feedrate']
-        yield (
-            f'| {count:,} | {spent["motion"]:.1f} | {whole:.2f} | {feed:.2f} '
-            f'| {count / whole:,.0f} | {spent["motion"] / feed:.0f} |'
-        )
-    yield ''
-    yield '| blocks | copp-py TOPP3-SOCP, one round, s | its cycle time s |'
-    yield '|---|---|---|'
-    for count, seconds, lasts in topp3_growth(copp_counts, 60.0):
-        yield f'| {count:,} | {seconds:.2f} | {lasts:.2f} |'
+def speed(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Plan dense 5-axis programs: blocks so short that each costs cells of its own."""
+    machine = Machine.load('xyzac')
+    raster_case = case_of('raster on a dome, 2,000 blocks of 1 mm', raster(2000), machine)
+    for case in chain([raster_case], dense_cases(machine)):
+        if wanted(case.name):
+            yield case.name, planning_cost(case)
+
+
+def growth(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Send longer and longer programs through the chain."""
+    chain_cost(300)
+    for count in (1000, 10_000, 100_000):
+        if wanted(f'{count}'):
+            yield f'{count}', chain_cost(count)
+
+
+def million(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Send a million blocks through the chain."""
+    chain_cost(300)
+    if wanted('1000000'):
+        yield '1000000', chain_cost(1_000_000)
+
+
+def growth_topp3(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Plan longer and longer programs with copp-py."""
+    for count in (100, 300, 1000, 3000):
+        if wanted(f'{count}'):
+            yield f'{count}', topp3_cost(count)
+
+
+SECTIONS = {
+    'closed_form': closed_form,
+    'planning': planning,
+    'speed': speed,
+    'growth': growth,
+    'growth_topp3': growth_topp3,
+    'optimum': optimum,
+    'rivals': rivals,
+    'trust': trust,
+    'million': million,
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='seven paths, short programs')
+    parser = argparse.ArgumentParser(description=(__doc__ or '').strip().splitlines()[0])
     parser.add_argument(
-        '--million', action='store_true', help='programs of 10^5 and 10^6 blocks too'
+        '--only',
+        nargs='*',
+        choices=SECTIONS,
+        default=[name for name in SECTIONS if name != 'million'],
+        help='what to measure; all but a million blocks by default',
+    )
+    parser.add_argument(
+        '--missing', action='store_true', help='measure only what has no figures yet'
     )
     options = parser.parse_args()
-    counts = (1000, 10_000)
-    if options.million:
-        counts = (*counts, 100_000, 1_000_000)
-    lines: list[str] = []
-
-    def section(title: str, text: Iterator[str]) -> None:
-        for line in (f'## {title}', ''):
-            lines.append(line)
-            print(line, flush=True)
-        for line in text:
-            lines.append(line)
-            print(line, flush=True)
-            if not options.quick:
-                RESULTS.write_text('\n'.join(lines).rstrip() + '\n', encoding='utf-8')
-        lines.append('')
-
-    lines += [
-        '# Results',
-        '',
-        'Made by `benchmarks/run.py` on one core of a 2-core container.',
-        '',
-    ]
-    lines += ['What the columns mean: `README.md` in this folder.', '']
-    section('The optimum against a closed form', closed_form())
-    section('Cycle time', comparison(options.quick))
-    section('Growth', growing(counts, (100, 300, 1000, 3000)))
+    for section in options.only:
+        if not options.missing:
+            forget(section)
+        held = set(load(section))
+        for name, figures in SECTIONS[section](lambda name, held=held: name not in held):
+            save(section, name, figures)
+            print(section, name, figures, flush=True)
+            write_tables()
+    write_tables()
 
 
 if __name__ == '__main__':

@@ -61,8 +61,8 @@ class Optimum:
         Cycle time [s] and largest excess of a limit at the instants checked.
     first_time, first_excess : float
         The same before any correction: too fast.
-    converged : bool
-        Every solve converged, and the corrections did.
+    first_converged, converged : bool
+        The first solve converged; so did all others, and the corrections.
 
     """
 
@@ -70,6 +70,7 @@ class Optimum:
     excess: float
     first_time: float
     first_excess: float
+    first_converged: bool
     converged: bool
 
 
@@ -141,6 +142,7 @@ def solve(
     law: PlannedPiece | None = None,
     count: int = 500,
     slowed: float = 1.0,
+    rounds: int = ROUNDS,
 ) -> Optimum:
     """
     Minimise the time along a path without inner stops, from rest to rest.
@@ -157,6 +159,8 @@ def solve(
         Cells that an undivided path would be cut into.
     slowed : float
         The first guess is the law driven so many times slower.
+    rounds : int
+        Most solves; with 1 nothing is corrected.
 
     """
     motion = (law or plan_path(path, limits)).law
@@ -238,8 +242,8 @@ def solve(
     bound = np.ones((n, 3 * n_axes + 1))
     one_sided = np.r_[0.0, np.ones(3 * n_axes)]
     rows_per_cell = len(POINTS)
-    first: tuple[float, float] | None = None
-    for _ in range(ROUNDS):
+    first: tuple[float, float, bool] | None = None
+    for _ in range(rounds):
         high = np.tile(bound, rows_per_cell)
         low = -high * np.tile(one_sided, rows_per_cell)
         result = solver(
@@ -256,7 +260,7 @@ def solve(
         found[:, 0] *= duration
         inside_use, at_points = uses(grid, table, state, found)
         over = float(inside_use.max()) - 1.0
-        first = first or (float(found[:, 0].sum()), over)
+        first = first or (float(found[:, 0].sum()), over, converged)
         if over <= KEPT or not converged:
             break
         # where the instants are not at their bound themselves, lowering it would change nothing
@@ -270,6 +274,7 @@ def solve(
         excess=over,
         first_time=first[0],
         first_excess=first[1],
+        first_converged=first[2],
         converged=converged and over <= KEPT,
     )
 

@@ -37,10 +37,7 @@ PUBLIC = (
 )
 
 #: Longer pieces of them.
-DENSE = (
-    ('linuxcnc-impeller-xyzac', 'impeller-7bl-xyzac.ngc', 0, 1500),
-    ('hust-yelun-cl', 'yelun.txt', 0, 200),
-)
+DENSE = (('linuxcnc-impeller-xyzac', 'impeller-7bl-xyzac.ngc', 0, 1500),)
 
 Piece = tuple[str, str, int, int]
 

@@ -20,31 +20,15 @@ import numpy as np
 from active import largest_use, share_active
 from figures import Figures, Stopwatch, forget, load, save
 from growth import chain_cost, raster, topp3_cost
-from optimum import Optimum, solve
+from optimum import ROUNDS, Optimum, solve
 from paths import Case, case_of, cases, dense_cases, stretches
 from rivals import stop_at_corners, topp3, toppra_slowed
+from strokes import line_path, stroke_time
 from tables import write_tables
 
 from cnc_interp.feedrate.window import plan_path
-from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.units import MM
-
-
-def line_path(length: float) -> AxisPath:
-    """Make a stroke of the X axis alone, without programmed feed."""
-    jet = np.zeros((4, 2, 5))
-    jet[0, :, 0], jet[1, :, 0] = (0.0, length), 1.0
-    return AxisPath(
-        s=np.array([0.0, length]),
-        cell_left=jet[:, :1].copy(),
-        cell_right=jet[:, 1:].copy(),
-        tip=jet[0, :, :3].copy(),
-        axis=np.tile([0.0, 0.0, 1.0], (2, 1)),
-        cell_feed=np.array([np.inf]),
-        cell_block=np.array([0]),
-        stop=np.array([True, True]),
-    )
 
 
 def closed_form(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
@@ -66,14 +50,34 @@ def closed_form(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
             )
 
 
-def optimum_of(case: Case, count: int = 500, slowed: float = 1.0) -> Optimum:
+def strokes(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Compare strokes of one axis with ruckig, which knows their time in closed form."""
+    machine = Machine.load('xyzac')
+    for length in 10.0 ** np.arange(-6, 2):
+        name = f'{length / MM:g} mm'
+        if wanted(name):
+            planned = plan_path(line_path(length), machine)
+            exact = stroke_time(length, machine)
+            yield (
+                name,
+                {
+                    'exact': exact,
+                    'ours': planned.law.end_time / exact,
+                    'use': largest_use(planned, machine),
+                },
+            )
+
+
+def optimum_of(case: Case, count: int = 500, slowed: float = 1.0, rounds: int = ROUNDS) -> Optimum:
     """Solve every stretch between stops and add up."""
-    found = [solve(part, case.limits, None, count, slowed) for part in stretches(case.path)]
+    parts = stretches(case.path)
+    found = [solve(part, case.limits, None, count, slowed, rounds) for part in parts]
     return Optimum(
         time=sum(each.time for each in found),
         excess=max(each.excess for each in found),
         first_time=sum(each.first_time for each in found),
         first_excess=max(each.first_excess for each in found),
+        first_converged=all(each.first_converged for each in found),
         converged=all(each.converged for each in found),
     )
 
@@ -92,7 +96,6 @@ def planning_cost(case: Case) -> Figures:
         'planning': min(seconds),
         'use': largest_use(planned, case.limits),
         'active': share_active(planned, case.limits),
-        'stops': finite(stop_at_corners(case)),
     }
 
 
@@ -100,11 +103,21 @@ def planning(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
     """Plan all paths."""
     for case in cases():
         if wanted(case.name):
-            yield case.name, planning_cost(case)
+            figures = planning_cost(case)
+            yield case.name, {**figures, 'stops': finite(stop_at_corners(case))}
+
+
+def first(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
+    """Find the first optimum on all paths, which knows the limits at its instants only."""
+    for case in cases():
+        if wanted(case.name):
+            best = optimum_of(case, rounds=1)
+            time = best.first_time if best.first_converged else None
+            yield case.name, {'first': time, 'first_excess': best.first_excess}
 
 
 def optimum(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
-    """Find the optimum on all paths."""
+    """Find the optimum on all paths, corrected between its instants."""
     for case in cases():
         if not wanted(case.name):
             continue
@@ -114,8 +127,6 @@ def optimum(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
             {
                 'optimum': best.time if best.converged else None,
                 'excess': best.excess,
-                'first': best.first_time,
-                'first_excess': best.first_excess,
             },
         )
 
@@ -148,8 +159,8 @@ def finite(value: float) -> float | None:
 
 def trust(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
     """Solve the two worst paths on a grid twice as fine and from a first guess half as fast."""
-    ours, best = load('planning'), load('optimum')
-    both = [name for name in best if name in ours]
+    ours, best = load('planning'), load('first')
+    both = [name for name in best if name in ours and best[name]['first'] is not None]
     worst = sorted(both, key=lambda name: ours[name]['motion'] / best[name]['first'])[-2:]
     for case in cases():
         if case.name not in worst or not wanted(case.name):
@@ -198,11 +209,13 @@ def growth_topp3(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]
 
 
 SECTIONS = {
+    'strokes': strokes,
     'closed_form': closed_form,
     'planning': planning,
     'speed': speed,
     'growth': growth,
     'growth_topp3': growth_topp3,
+    'first': first,
     'optimum': optimum,
     'rivals': rivals,
     'trust': trust,

@@ -39,6 +39,16 @@ def closed_form() -> Iterator[str]:
     yield from ('', where(held))
 
 
+def strokes() -> Iterator[str]:
+    """Tabulate the strokes that ruckig knows."""
+    held = load('strokes')
+    yield '| stroke of X | ruckig s | planned / ruckig | largest use |'
+    yield '|---|---|---|---|'
+    for name, f in held.items():
+        yield f'| {name} | {f["exact"]:.5f} | {f["ours"]:.5f} | {f["use"]:.2%} |'
+    yield from ('', where(held))
+
+
 def ratio(value: float | None, by: float | None, digits: int) -> str:
     """Write a ratio, or a dash."""
     return '-' if value is None or by is None else f'{value / by:.{digits}f}'
@@ -46,21 +56,20 @@ def ratio(value: float | None, by: float | None, digits: int) -> str:
 
 def paths() -> Iterator[str]:
     """Tabulate the comparison on all paths, and what it comes to."""
-    held, optima, rivals = load('planning'), load('optimum'), load('rivals')
+    held, rivals = load('planning'), load('rivals')
+    firsts, optima = load('first'), load('optimum')
     yield (
-        '| path | ours s | ours / optimum | excess | ours / first | its excess '
+        '| path | ours s | ours / first optimum | its excess | ours / corrected optimum '
         '| TOPP3 / ours | toppra slowed / ours | stop at corners / ours | motion / planning '
         '| TOPP3 / our planning | largest use | limit active |'
     )
-    yield '|---|' + '---|' * 12
+    yield '|---|' + '---|' * 11
     for name, f in held.items():
         best, other = optima.get(name), rivals.get(name)
-        judged = '- | - | - | -'
-        if best:
-            judged = (
-                f'{ratio(f["motion"], best["optimum"], 4)} | {short(best["excess"])} '
-                f'| {f["motion"] / best["first"]:.4f} | {short(best["first_excess"])}'
-            )
+        judged = '- | - | -'
+        if early := firsts.get(name):
+            judged = f'{ratio(f["motion"], early["first"], 4)} | {early["first_excess"]:.0e} | '
+            judged += ratio(f['motion'], best['optimum'], 4) if best else '-'
         topp3, computing, slowed = '-', '-', '-'
         if other:
             topp3 = ratio(other['topp3'], f['motion'], 4)
@@ -78,34 +87,26 @@ def paths() -> Iterator[str]:
         f'{speed.min():.0f}.** Largest use of a limit: {column(held, "use").max():.2%}. Samples '
         f'with an active limit: median {np.median(column(held, "active")):.0%}. {where(held)}'
     )
-    for key, text in (
-        ('optimum', '**Ours / optimum**'),
-        ('first', 'Ours / first, uncorrected optimum'),
-    ):
-        if len(found := against(key)):
+    for section, text in (('first', 'first optimum'), ('optimum', 'corrected optimum')):
+        if len(found := against(section)):
             yield (
-                f'* {text}: median {np.median(found):.4f}, smallest {found.min():.4f}, largest '
-                f'{found.max():.4f} of {len(found)} paths. {where(optima)}'
+                f'* **Ours / {text}**: median {np.median(found):.4f}, smallest {found.min():.4f}, '
+                f'largest {found.max():.4f} of {len(found)} paths. {where(load(section))}'
             )
     if rivals:
         yield f'* {where(rivals)[:-1]}: TOPP3, toppra slowed.'
 
 
-def against(key: str) -> FloatArray:
+def against(section: str) -> FloatArray:
     """Cycle times over one of the optima, on all paths that have it."""
-    held, optima = load('planning'), load('optimum')
+    held, optima = load('planning'), load(section)
     return np.array(
         [
-            held[name]['motion'] / best[key]
+            held[name]['motion'] / best[section]
             for name, best in optima.items()
-            if name in held and best[key] is not None
+            if name in held and best[section] is not None
         ]
     )
-
-
-def short(value: float | None) -> str:
-    """Write a small figure, or a dash."""
-    return '-' if value is None else f'{value:.0e}'
 
 
 def trust() -> Iterator[str]:
@@ -167,6 +168,7 @@ def growth_topp3() -> Iterator[str]:
 
 
 TABLES = {
+    'strokes': ('Strokes of one axis against ruckig', strokes),
     'closed_form': ('The optimum against a closed form', closed_form),
     'planning': ('Cycle time', paths),
     'trust': ('The optimum on other grids', trust),
@@ -180,8 +182,8 @@ def summary() -> Iterator[str]:
     """Write the README's table."""
     yield '| what | goal | measured |'
     yield '|---|---|---|'
-    for key, text in (('optimum', ''), ('first', ', not corrected between its instants')):
-        if len(found := against(key)):
+    for section, text in (('first', ''), ('optimum', ', corrected between its instants')):
+        if len(found := against(section)):
             yield (
                 f'| cycle time / optimum of an independent solver (IPOPT){text}, {len(found)} '
                 f'paths: median, largest | 1.005, 1.01 '

@@ -50,7 +50,7 @@ def spiral(blocks: int, noise: float = 0.0) -> AxisPath:
     return polyline_path(points, 0.05, cells=4, tolerance=1e-5, amplitude=0.5)
 
 
-@pytest.mark.parametrize('length', [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0])
+@pytest.mark.parametrize('length', [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0])
 @pytest.mark.parametrize('feed', [np.inf, 0.05, 0.001])
 @pytest.mark.parametrize('cells', [1, 7])
 def test_strokes_take_the_time_of_ruckig(length, feed, cells):

@@ -1,5 +1,5 @@
 """
-Write the part programs of this folder: ``python examples/make_examples.py``.
+Write the part programs of this folder, and one surface: ``python examples/make_examples.py``.
 
 Both parts are flank milled: the tool axis stays in the plane of a wall and turns along it, so
 that every wall is flat. Between two given axes the great circle lies in their common plane, hence
@@ -8,7 +8,8 @@ the programs need points at the corners only.
 
 from __future__ import annotations
 
-from math import atan2, cos, degrees, hypot, radians, sin, sqrt, tan
+import json
+from math import atan2, cos, degrees, exp, hypot, radians, sin, sqrt, tan
 from pathlib import Path
 
 Vector = tuple[float, float, float]
@@ -75,12 +76,35 @@ def gcode(name: str, points: list[tuple[Vector, Vector]]) -> str:
     return '\n'.join([*lines, 'TRAFOOF', 'M30', '%', ''])
 
 
+def hollow() -> dict[str, object]:
+    """
+    Surface of a shallow trough, 83 mm in radius, with a swelling in the middle.
+
+    It is hollow across the feed, so that strips of 5 mm fit a mill of 13 mm; turned by 25 deg, so
+    that the tool axis keeps off the pole of the machine.
+    """
+
+    def height(x: float, y: float) -> float:
+        return 0.006 * y**2 + 0.3 * exp(-(x**2 + y**2) / 288.0)
+
+    points = [
+        [[x, y, round(height(x, y), 6)] for y in range(-20, 21, 2)] for x in range(-25, 26, 2)
+    ]
+    return {
+        'comment': 'A trough of varying curvature, the kind of surface of [TL2008], Fig. 5',
+        'kind': 'grid',
+        'placement': {'rotation_deg': [25, 0, 0]},
+        'points_mm': points,
+    }
+
+
 def main() -> None:
     """Write all files beside this script."""
     (HERE / 'pyramid.apt').write_text(cl_data('PYRAMID', pyramid()), encoding='ascii')
     (HERE / 'pyramid.ngc').write_text(gcode('PYRAMID', pyramid()), encoding='ascii')
     corner = cl_data('POCKET CORNER', pocket_corner())
     (HERE / 'pocket_corner.apt').write_text(corner, encoding='ascii')
+    (HERE / 'hollow.json').write_text(json.dumps(hollow()) + '\n', encoding='ascii')
 
 
 if __name__ == '__main__':

@@ -71,7 +71,7 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
         ('mean feed', ' mm/min', ',.0f', _mean_feed),
     ]
     for error in ('contour error', 'orientation error'):
-        rows.append((f'largest {error}', ' &#181;m', '.3g', _error(error)))
+        rows.append((f'largest {error}', ' &#181;m', '.4g', _error(error)))
     return rows
 
 

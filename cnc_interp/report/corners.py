@@ -111,8 +111,8 @@ class CornerView:
         (contour, turn), (most, most_turn) = self.deviation, self.tolerance
         slowest = f'{self.slowest:,.0f}' if self.slowest >= 10.0 else f'{self.slowest:.2g}'
         return (
-            f'line {self.line}: contour {contour:.3g} of {most:.4g} µm, '
-            f'orientation {turn:.3g} of {most_turn:.4g} µm, slowest {slowest} mm/min'
+            f'line {self.line}: contour {contour:.4g} of {most:.4g} µm, '
+            f'orientation {turn:.4g} of {most_turn:.4g} µm, slowest {slowest} mm/min'
         )
 
 

@@ -270,7 +270,7 @@ def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
     for name in ('contour error', 'orientation error'):
         found = proof.largest(name)
         value, limit = found.value / UM, found.limit / UM
-        rows.append((f'{value:.3g} &#181;m', f'largest {name}, allowed {limit:.4g} &#181;m'))
+        rows.append((f'{value:.4g} &#181;m', f'largest {name}, allowed {limit:.4g} &#181;m'))
     return [f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in rows]
 
 

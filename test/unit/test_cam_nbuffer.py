@@ -1,5 +1,7 @@
 """The N-buffer against closed forms, brute force, and the passes it is there to judge."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -9,10 +11,13 @@ from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.nbuffer import TOP, Heights, Needles, cut_needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections, thinned
+from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, chord_error, link, sampled
+from cnc_interp.cam.work import across
 from cnc_interp.errors import InterpError
 from cnc_interp.units import DEG, MM, UM
 
+EXAMPLES = Path(__file__).parents[2] / 'examples'
 MILL = Cutter(5 * MM, 1.5 * MM)
 Y = np.array([0.0, 1.0, 0.0])
 
@@ -112,6 +117,24 @@ def test_iso_scallop_ridges_have_the_height_asked_for(surface, normal, stepover)
     assert len(section.ridges) >= 36
     np.testing.assert_allclose(section.ridges, 10 * UM, rtol=0.03)
     assert section.height.min() > -0.15 * UM
+
+
+def test_application_of_the_paper():
+    """R 5, r_c 1.5, S_h 10 um, d 5 mm, first tilt 5 deg, 25 points [TL2008, section 4]."""
+    surface = read_surface(EXAMPLES / 'hollow.json')
+    options = IsoScallopOptions(stepover=5 * MM, tilt=5 * DEG, start='tilt', stray=None, points=25)
+    normal = across(surface, 0.0)
+    paths = iso_scallop_paths(surface, MILL, normal, options)
+    planes = [p.plane for p in paths.passes]
+    np.testing.assert_allclose(np.diff(planes), 5 * MM, atol=1e-9)
+    np.testing.assert_allclose(paths.passes[0].postures.tilt, 5 * DEG)
+    curves = [c for c in (SplinePass.of(p, 0.5 * MM) for p in paths.passes) if c]
+    path = ToolPath.of(link(curves, surface, MILL, LinkOptions()), 0.05 * UM)
+    motion = Motion('programmed', path.tip, path.axis)
+    section = cross_sections(surface, MILL, motion, normal, 2 * MM)
+    assert len(section.ridges) >= 72
+    np.testing.assert_allclose(section.ridges, 10 * UM, rtol=0.03)
+    assert section.height.min() > -0.5 * UM
 
 
 def test_gouge_and_uncut_needles_are_told():

@@ -68,7 +68,8 @@ class BlockError(InterpError):
     def __str__(self) -> str:
         """Name the file, where it is known, and the line."""
         if self.source:
-            return f'{self.source}:{self.line_number}: {self.message}'
+            line = f':{self.line_number}' if self.line_number else ''
+            return f'{self.source}{line}: {self.message}'
         return f'line {self.line_number}: {self.message}' if self.line_number else self.message
 
 

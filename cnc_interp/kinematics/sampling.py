@@ -34,9 +34,12 @@ from cnc_interp.smoothing.segments import (
 
 #: Septic and exact axes agree to this inside a cell [m or rad],
 CELL_ERROR = 1e-10
-#: and their third derivatives to this share; ROUNDING / h^3 is noise of the axes.
+#: and their third derivatives to this share; ROUNDING / h^3 is noise of the axes. It grows with
+#: the distance from the workpiece zero, as the tool axis is the difference of two points.
 THIRD_ERROR = 0.01
-ROUNDING = 1e-12
+ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
+#: Cells are not cut in two below this length [m]: s itself has its digits.
+FINEST_CELL = 1e-10
 #: A segment is cut into at most this many cells.
 MOST_CELLS = 4096
 #: Parameters between the cells of a corner and of any other segment, before refinement.
@@ -166,7 +169,7 @@ def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def septic_fits(left, right, h, x, exact, n_axes):  # type: ignore[no-untyped-def]
+def septic_fits(left, right, h, x, exact, n_axes, rounding):  # type: ignore[no-untyped-def]
     """Tell whether the cell's septic at x has the exact axes and third derivatives."""
     coefficients, value = np.empty(8), np.empty(4)
     for i in range(n_axes):
@@ -175,7 +178,7 @@ def septic_fits(left, right, h, x, exact, n_axes):  # type: ignore[no-untyped-de
         if abs(value[0] - exact[0, i]) > CELL_ERROR:
             return False
         size = max(abs(left[3, i]), abs(right[3, i]), abs(exact[3, i]))
-        if abs(value[3] - exact[3, i]) > THIRD_ERROR * size + ROUNDING / h**3:
+        if abs(value[3] - exact[3, i]) > THIRD_ERROR * size + rounding / h**3:
             return False
     return True
 
@@ -276,6 +279,7 @@ def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion
         waiting = len(grid) - 1
         ends[:waiting] = grid[:0:-1]
         begin, a, fresh = count, 0.0, False
+        rounding = max(ROUNDING, ROUNDING_PER_METRE * np.abs(shape[0]).max())
         if kind == SPLINE and tip_rests(shape):
             status = STANDSTILL
             break
@@ -298,8 +302,9 @@ def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion
             q_b, tip, tool, sine = sample(packed, kind, shape, spans, length, rotary, b, middle)
             h = arc_length(kind, shape, length, a, b)
             half = arc_length(kind, shape, length, a, middle)
-            room = count - begin + waiting < MOST_CELLS - 1
-            if sine >= least and room and not septic_fits(q_a, q_b, h, half, q_m, n_axes):
+            room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
+            fits = not room or septic_fits(q_a, q_b, h, half, q_m, n_axes, rounding)
+            if sine >= least and not fits:
                 ends[waiting] = middle
                 waiting += 1
                 continue

@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import ReadOptions, read_program
 from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
 from cnc_interp.units import DEG, MM
 
@@ -222,3 +224,15 @@ def test_start_out_of_rotary_travel_is_refused():
     narrow = Transform.of(replace(machine, travel=travel))
     with pytest.raises(BlockError, match='no rotary position of machine xyzac within its travel'):
         path_of(pyramid(), narrow)
+
+
+def test_a_part_far_from_its_zero_is_cut_no_finer():
+    """The last digits of metres must not pass for a shape: they were cut down to nothing."""
+    file = Path(__file__).parents[3] / 'shared/programs/creo-finition-ncl/finition.ncl'
+    if not file.exists():
+        pytest.skip('the collection of real programs is not at hand')
+    heads = Transform.of(Machine.load('head_head'))
+    blocks = read_program(file, heads, ReadOptions()).blocks[520:545]
+    path = path_of(blocks, heads)
+    assert np.diff(path.s).min() > 1e-6
+    assert len(path.s) < 20 * len(blocks)

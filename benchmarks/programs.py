@@ -178,7 +178,7 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
     lines = [
         '# The public programs',
         '',
-        f'{len(ran)} of {len(results)} programs run with every sample proven. Made by '
+        f'{len(ran)} of {len(CASES)} programs run with every sample proven. Made by '
         '`python benchmarks/programs.py`;',
         'what is refused, and why, is in [programs.md](programs.md).',
         '',
@@ -191,12 +191,14 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
         '| planning | check |',
         '|---|--:|---|--:|--:|--:|---|--:|--:|---|',
     ]
-    return '\n'.join([*lines, *(row_of(name, results[name]) for name in results)]) + '\n'
+    return '\n'.join([*lines, *(row_of(name, results.get(name)) for name in sorted(CASES))]) + '\n'
 
 
-def row_of(name: str, result: dict[str, Any]) -> str:
+def row_of(name: str, result: dict[str, Any] | None) -> str:
     """Write the table's row of a program."""
     case = CASES[name]
+    if result is None:
+        return f'| {name} | | not run yet | | | | | | | |'
     if 'refused' in result:
         refused = f'refused at {result["refused"]}'
         return f'| {name} | {result["lines"]:,} | {refused} | | | | - | | | |'

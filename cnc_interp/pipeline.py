@@ -314,8 +314,8 @@ def describe(summary: dict[str, Any]) -> str:
         f'{summary["path_length"] / MM:.1f} mm',
         f'cycle time     {summary["cycle_time"]:.3f} s',
         f'planning time  {summary["planning_time"]:.3f} s '
-        f'({summary["cycle_time"] / max(summary["planning_time"], 1e-9):.0f} times faster '
-        'than the motion)',
+        f'(the motion takes {summary["cycle_time"] / max(summary["planning_time"], 1e-9):.3g} '
+        'times as long)',
     ]
     for name, use in summary['largest_use'].items():
         values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())

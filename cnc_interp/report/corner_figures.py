@@ -74,7 +74,7 @@ def space_figure(view: CornerView) -> Any:
                 for c, span in zip('xyz', ranges, strict=True)
             },
             'camera': {
-                'eye': {'x': 1.25, 'y': -1.7, 'z': 0.75},
+                'eye': {'x': 1.45, 'y': -1.97, 'z': 0.87},
                 'center': {'x': 0.0, 'y': 0.0, 'z': -0.1},
             },
         },

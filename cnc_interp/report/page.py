@@ -262,8 +262,8 @@ def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
     ]
     planning: Any = plan.summary.get('planning_time')
     if isinstance(planning, int | float) and planning > 0.0:
-        faster = proof.cycle_time / planning
-        rows.append((f'{planning:.3g} s', f'planning, {faster:,.0f} times faster than the motion'))
+        times = proof.cycle_time / planning
+        rows.append((f'{planning:.3g} s', f'planning; motion takes {times:,.3g} times as long'))
     for kind, _ in DIFFERENCES:
         most = max((f for f in proof.findings if f.what == kind), key=lambda f: f.ratio)
         rows.append((f'{most.ratio:.1%}', f'largest {kind} use, axis {most.axis}'))

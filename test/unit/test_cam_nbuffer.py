@@ -134,7 +134,7 @@ def test_application_of_the_paper():
     section = cross_sections(surface, MILL, motion, normal, 2 * MM)
     assert len(section.ridges) >= 72
     np.testing.assert_allclose(section.ridges, 10 * UM, rtol=0.03)
-    assert section.height.min() > -0.5 * UM
+    assert section.height.min() > -1.0 * UM  # IsoScallopOptions.gouge
 
 
 def test_gouge_and_uncut_needles_are_told():

@@ -61,12 +61,14 @@ class Interpolator:
     ----------
     period : float
         Interpolation period T [s].
+    first : int
+        Number of the first sample.
 
     """
 
-    def __init__(self, period: float = 1.0 * MS):
+    def __init__(self, period: float = 1.0 * MS, first: int = 0):
         self.period = period
-        self._next = 0
+        self.next_number = first
         self._rest: Setpoints | None = None
 
     def push(self, piece: PlannedPiece) -> Setpoints:
@@ -86,8 +88,8 @@ class Interpolator:
         """
         law, path = piece.law, piece.path
         last = int(np.ceil(law.end_time / self.period - 1e-9))
-        time = np.arange(self._next, last) * self.period
-        self._next = max(self._next, last)
+        time = np.arange(self.next_number, last) * self.period
+        self.next_number = max(self.next_number, last)
         k = law.piece_at(time)
         s, s_dot, s_ddot, s_dddot = law.evaluate(time, k)
         q, q_s, q_ss, q_sss = evaluate(path, s, law.cell[k])
@@ -112,7 +114,7 @@ class Interpolator:
         """Return the sample after the piece, as if the motion ended there."""
         still: FloatArray = np.zeros((1, piece.path.cell_left.shape[2]))
         return Setpoints(
-            time=np.array([self._next * self.period]),
+            time=np.array([self.next_number * self.period]),
             position=piece.path.cell_right[0, -1:].copy(),
             velocity=still,
             acceleration=still,

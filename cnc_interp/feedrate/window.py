@@ -87,6 +87,8 @@ class FeedPlanner:
     start : tuple of float, optional
         s_dot and s_ddot at the start of the path [m/s, m/s2]; rest by default. From a state of an
         older law within the same limits and feeds, there is a law.
+    time : float
+        Time there [s].
 
     """
 
@@ -95,13 +97,14 @@ class FeedPlanner:
         limits: AxisLimits,
         options: PlanOptions | None = None,
         start: tuple[float, float] = AT_REST,
+        time: float = 0.0,
     ):
         self.options = options or PlanOptions()
         self._table = limit_table(limits)
         self._parts: list[AxisPath] = []
         self._start = start
         self._kept: Kept | None = None
-        self._time = 0.0
+        self._time = time
         self._older: Stretch | None = None
         self._failed = False
         self._problem: PlanningError | None = None
@@ -151,6 +154,11 @@ class FeedPlanner:
         self._parts, self._start, self._kept, self._older = [], AT_REST, None, None
         self._scan_again(self.options.window_ratio)
         return pieces
+
+    @property
+    def stuck(self) -> bool:
+        """Tell whether the next call will raise: the path cannot be driven on."""
+        return self._problem is not None
 
     def _refuse(self) -> None:
         """Raise what an earlier call found, when all before it was handed out."""

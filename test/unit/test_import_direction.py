@@ -19,6 +19,7 @@ FLOW = (
     'kinematics',
     'feedrate',
     'interpolator',
+    'stream',
     'plan_writer',
     'plan_files',
     'machine',

@@ -1,0 +1,179 @@
+"""Streams stopped, held, slowed and planned anew at random places: on the path, within limits."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from programs import pyramid, zigzag
+
+from cnc_interp.interpolator import Interpolator, Setpoints
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.feedrate.window import plan_path
+from cnc_interp.pipeline import ChainOptions, smoothing_options
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.stream.chunk import Wait, part_of
+from cnc_interp.stream.motion_stream import MotionStream
+
+T = 1e-3
+MACHINE = Machine.load('xyzac')
+LIMITS = (MACHINE.max_velocity, MACHINE.max_acceleration, MACHINE.max_jerk)
+PROGRAMS = {'pyramid': pyramid, 'zigzag': lambda: zigzag(0), 'fine': lambda: zigzag(3, 20, 1e-3)}
+
+
+@cache
+def path_of(name) -> AxisPath:
+    blocks = PROGRAMS[name]()
+    transform = Transform.of(MACHINE)
+    lookahead = LookAhead(smoothing_options(transform, ChainOptions()))
+    builder = AxisPathBuilder(transform, 0.03)
+    parts = [builder.push(lookahead.push(blocks)), builder.push(lookahead.finish())]
+    return AxisPath.join([part for part in parts if part is not None])
+
+
+def stream_of(name):
+    stream = MotionStream(MACHINE, T)
+    stream.push(path_of(name))
+    stream.end_leg(Wait.END)
+    return stream
+
+
+def drain(stream, until=10**9):
+    """Take chunks until the stream ends or so many setpoints came."""
+    chunks, count = [], 0
+    while count < until:
+        if stream.can_sample:
+            new = stream.sample()
+        elif stream.can_plan:
+            stream.plan()
+            continue
+        else:
+            break
+        chunks += new
+        count += sum(len(chunk.samples) for chunk in new)
+    return chunks
+
+
+def joined(chunks):
+    return Setpoints.concatenate([chunk.samples for chunk in chunks])
+
+
+def assert_sound(samples, path, from_rest=True):
+    """Within all limits by differences, down to rest, forward and on the path."""
+    q = samples.position
+    held = np.concatenate([np.tile(q[:1], (3 if from_rest else 0, 1)), q, np.tile(q[-1:], (3, 1))])
+    for order, limit in enumerate(LIMITS, start=1):
+        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
+        assert use.max() <= 1.001, (order, use)
+    assert (np.diff(samples.s) >= -1e-15).all()
+    assert np.abs(q - evaluate(path, samples.s)[0]).max() < 1e-11
+    assert not samples.velocity[-1].any() and not samples.acceleration[-1].any()
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_chunks_are_the_interpolated_plan_bit_for_bit(name):
+    path, samples = path_of(name), joined(drain(stream_of(name)))
+    interpolator = Interpolator(T)
+    plain = Setpoints.concatenate(
+        [interpolator.push(plan_path(path, MACHINE)), interpolator.finish()]
+    )
+    assert np.array_equal(samples.position, plain.position)
+    assert_sound(samples, path)
+    assert (samples.s[0], samples.s[-1]) == (0.0, path.s[-1])
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_every_chunk_can_be_stopped_behind(name):
+    path, chunks = path_of(name), drain(stream_of(name))
+    samples = joined(chunks)
+    count, stops = 0, 0
+    for chunk in chunks:
+        count += len(chunk.samples)
+        before = part_of(samples, max(0, count - 4), count)
+        assert_sound(Setpoints.concatenate([before, chunk.tail]), path, from_rest=count <= 4)
+        stops += len(chunk.tail) > 0
+    assert chunks[-1].wait is Wait.END and len(chunks[-1].tail) == 0
+    assert stops > 0.9 * len(chunks)
+    assert max(len(chunk.tail) for chunk in chunks) < 3.5 / T
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_stopped_anywhere_and_resumed_runs_the_whole_path(name, seed):
+    rng, path, stream = np.random.default_rng(seed), path_of(name), stream_of(name)
+    s = 0.0
+    for _ in range(6):
+        chunks = drain(stream, until=int(rng.integers(20, 1500)))
+        executed = chunks[: int(rng.integers(1, len(chunks) + 1))]
+        ran = Setpoints.concatenate([joined(executed), executed[-1].tail])
+        assert_sound(ran, path)
+        assert ran.s[0] == s or abs(ran.s[0] - s) < 1e-12
+        s = float(ran.s[-1])
+        stream.release(s)
+        if executed[-1].wait is Wait.END:
+            break
+        stream.resume(s)
+    rest = drain(stream)
+    if rest:
+        assert_sound(joined(rest), path)
+        assert abs(rest[0].samples.s[0] - s) < 1e-12 and rest[-1].wait is Wait.END
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_override_changes_anywhere_keep_limits_and_path(name, seed):
+    rng, path, stream = np.random.default_rng(100 + seed), path_of(name), stream_of(name)
+    sent, queue, accepted, override = [], [], 0, 1.0
+    while True:
+        count = sum(len(chunk.samples) for chunk in sent)
+        wanted = float(rng.choice([0.0, 0.1, 0.5, 0.9, 1.2, 1.5]))
+        if sent and stream.revise(count - 1, wanted, single_block=False):
+            queue, override, accepted = [], wanted, accepted + 1
+        queue += drain(stream, until=int(rng.integers(20, 1200)))
+        if override == 0.0 and queue:
+            assert queue[-1].wait is Wait.OVERRIDE
+        take = int(rng.integers(1, len(queue) + 1)) if queue else 0
+        sent, queue = sent + queue[:take], queue[take:]
+        if sent[-1].wait is Wait.END:
+            break
+    assert accepted > 5
+    samples = joined(sent)
+    assert_sound(samples, path)
+    assert samples.s[-1] == path.s[-1]
+
+
+def test_a_lower_override_slows_at_once_and_down_to_its_feed():
+    path, stream = path_of('pyramid'), stream_of('pyramid')
+    chunks = drain(stream, until=600)
+    count = sum(len(chunk.samples) for chunk in chunks)
+    assert stream.revise(count - 1, 0.3, single_block=False)
+    after = joined(drain(stream))
+    speed = np.diff(after.s) / T
+    assert speed[5] < speed[0]
+    assert speed[400:].max() <= 0.3 * 0.05 * (1 + 1e-6)
+    assert_sound(Setpoints.concatenate([joined(chunks), after]), path)
+
+
+def test_single_block_rests_where_the_block_changes():
+    path, stream = path_of('zigzag'), stream_of('zigzag')
+    chunks = drain(stream, until=300)
+    count = sum(len(chunk.samples) for chunk in chunks)
+    assert stream.revise(count - 1, 1.0, single_block=True)
+    after = drain(stream)
+    waits = [chunk.samples.s[-1] for chunk in after if chunk.wait is Wait.CYCLE_START]
+    changes = path.s[1:-1][np.diff(path.cell_block) != 0]
+    assert len(waits) >= 8 and np.isin(waits, changes).all()
+    assert_sound(Setpoints.concatenate([joined(chunks), joined(after)]), path)
+
+
+def test_a_block_with_a_pause_is_waited_behind():
+    path, stream = path_of('zigzag'), MotionStream(MACHINE, T)
+    stream.pause_blocks = {4}
+    stream.push(path)
+    stream.end_leg(Wait.END)
+    chunks = drain(stream)
+    waits = [chunk.wait for chunk in chunks if chunk.wait is not Wait.NOTHING]
+    assert waits == [Wait.CYCLE_START, Wait.END]
+    assert_sound(joined(chunks), path)

@@ -29,6 +29,8 @@ from cnc_interp.program.blocks import FloatArray
 
 # A step this many times faster than an axis can go is no setpoint but a fault of the sender.
 GROSS = 1.5
+# Differences of sound setpoints pass a limit by rounding only.
+ROUNDING = 1.01
 # Soft limits forgive rounding [m, rad].
 TRAVEL_SLACK = 1e-9
 # The path on which the contour error is measured reaches back by this many lags of the drives.
@@ -42,9 +44,10 @@ class State(Enum):
     INACTIVE = 'inactive'  # drives off
     IDLE = 'idle'  # drives on, at rest, no program
     RUNNING = 'running'  # following setpoints
-    HOLDING = 'holding'  # feed hold: stopped, or stopping, on the path
-    STARVED = 'starved'  # setpoints did not come in time: followed the stop tail
-    FAULT = 'fault'  # refused a setpoint, or emergency stop
+    HOLDING = 'holding'  # feed hold or program stop: at rest on the path, or on the way to it
+    STARVED = 'starved'  # setpoints did not come in time: at rest on the path, or on the way
+    STOPPING = 'stopping'  # emergency stop or fault: on the way to rest on the path
+    FAULT = 'fault'  # at rest after an emergency stop, or a setpoint was refused
 
 
 class Event(Enum):
@@ -58,32 +61,43 @@ class Event(Enum):
     STARVE = 'starve'
     RESUME = 'resume'
     RESET = 'reset'
+    STOP = 'stop'
     FAIL = 'fail'
 
 
+# docs/operation.md has this table in words.
 TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.INACTIVE, Event.ACTIVATE): State.IDLE,
     (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
     (State.IDLE, Event.START): State.RUNNING,
     (State.IDLE, Event.RESET): State.IDLE,
+    (State.IDLE, Event.STOP): State.STOPPING,
     (State.IDLE, Event.FAIL): State.FAULT,
     (State.RUNNING, Event.FINISH): State.IDLE,
     (State.RUNNING, Event.HOLD): State.HOLDING,
     (State.RUNNING, Event.STARVE): State.STARVED,
+    (State.RUNNING, Event.STOP): State.STOPPING,
     (State.RUNNING, Event.FAIL): State.FAULT,
+    (State.HOLDING, Event.HOLD): State.HOLDING,
     (State.HOLDING, Event.RESUME): State.RUNNING,
     (State.HOLDING, Event.RESET): State.IDLE,
+    (State.HOLDING, Event.STOP): State.STOPPING,
     (State.HOLDING, Event.FAIL): State.FAULT,
+    (State.STARVED, Event.HOLD): State.HOLDING,
     (State.STARVED, Event.RESUME): State.RUNNING,
     (State.STARVED, Event.RESET): State.IDLE,
+    (State.STARVED, Event.STOP): State.STOPPING,
     (State.STARVED, Event.FAIL): State.FAULT,
+    (State.STOPPING, Event.STOP): State.STOPPING,
+    (State.STOPPING, Event.FAIL): State.FAULT,
     (State.FAULT, Event.RESET): State.IDLE,
     (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
+    (State.FAULT, Event.STOP): State.FAULT,
     (State.FAULT, Event.FAIL): State.FAULT,
 }
 
-# Setpoints are followed in these states; on hold and when starved they are those of the stop.
-FOLLOWING = frozenset({State.RUNNING, State.HOLDING, State.STARVED})
+# Setpoints are followed in these states; in all but RUNNING they are those of a stop.
+FOLLOWING = frozenset({State.RUNNING, State.HOLDING, State.STARVED, State.STOPPING})
 
 
 @dataclass(frozen=True)
@@ -237,7 +251,7 @@ class SimulatedMachine:
         fault = self._fault_of_position(start)
         if fault:
             raise StreamError(fault)
-        self._setpoints = np.tile(start, (4, 1))
+        self.setpoints = np.tile(start, (4, 1))
         self._axes = np.stack([start, np.zeros_like(start)])
         self._velocity = np.zeros_like(start)
         self._tip = self._transform.forward(start[None, :])[0][0]
@@ -262,8 +276,8 @@ class SimulatedMachine:
                 f'{event.value} is not possible while {self.state.value}; possible: {possible}'
             )
         if event is Event.FAIL:
-            self.message = message or 'emergency stop; reset to go on'
-        elif event is not Event.HOLD:
+            self.message = message or self.message or 'fault; reset to go on'
+        elif message or event not in (Event.HOLD, Event.STOP):
             self.message = message
         self.state = following
         return following
@@ -289,7 +303,7 @@ class SimulatedMachine:
 
     def rest(self) -> Feedback:
         """Let one period pass at the last setpoint, with the drives settling."""
-        return self._advance(self._setpoints[-1], np.zeros_like(self._velocity))
+        return self._advance(self.setpoints[-1], np.zeros_like(self._velocity))
 
     def simulate(self, positions: FloatArray, velocities: FloatArray | None = None) -> Recording:
         """
@@ -319,13 +333,13 @@ class SimulatedMachine:
 
     def _advance(self, setpoint: FloatArray, velocity: FloatArray) -> Feedback:
         x, v = _drive(
-            *self._model, self._axes, self._setpoints[-1], self._velocity, setpoint[None, :],
+            *self._model, self._axes, self.setpoints[-1], self._velocity, setpoint[None, :],
             velocity[None, :],
         )  # fmt: skip
         self._axes, self._velocity = np.stack([x[0], v[0]]), velocity
-        self._setpoints = np.concatenate([self._setpoints[1:], setpoint[None, :]])
+        self.setpoints = np.concatenate([self.setpoints[1:], setpoint[None, :]])
         for k in range(3):
-            change = np.abs(np.diff(self._setpoints[2 - k :], k + 1, axis=0)[0]) / self._limits[k]
+            change = np.abs(np.diff(self.setpoints[2 - k :], k + 1, axis=0)[0]) / self._limits[k]
             self.largest_use[k] = np.maximum(self.largest_use[k], change)
             self._recent_use[k] = np.maximum(self._recent_use[k], change)
         tips, axes = self._transform.forward(np.stack([x[0], setpoint]))
@@ -364,7 +378,7 @@ class SimulatedMachine:
             return fault
         if velocity.shape != wanted.shape or not np.isfinite(velocity).all():
             return f'setpoint velocity must be {len(wanted)} finite numbers'
-        use = np.abs(wanted - self._setpoints[-1]) / self._limits[0]
+        use = np.abs(wanted - self.setpoints[-1]) / self._limits[0]
         if (use > GROSS).any():
             k = int(np.argmax(use))
             return (
@@ -372,6 +386,53 @@ class SimulatedMachine:
                 'velocity; setpoints lost or out of order, reset and restart the program'
             )
         return ''
+
+
+def refuse_setpoints(
+    machine: Machine, period: float, before: FloatArray, positions: FloatArray, at_rest: bool
+) -> None:
+    """
+    Refuse setpoints that leave the travel or break a limit, before they are executed.
+
+    Parameters
+    ----------
+    machine : Machine
+        Axes, limits and travel.
+    period : float
+        Interpolation period [s].
+    before : ndarray, shape (3, n_axes)
+        Setpoints before them [m, rad].
+    positions : ndarray, shape (K, n_axes)
+        The setpoints [m, rad].
+    at_rest : bool
+        True when they must end at rest.
+
+    Raises
+    ------
+    StreamError
+        With axis, value and limit.
+
+    """
+    travel, names = machine.travel, machine.axis_names
+    outside = (positions < travel[:, 0] - TRAVEL_SLACK) | (positions > travel[:, 1] + TRAVEL_SLACK)
+    if outside.any():
+        row, k = (int(x[0]) for x in np.nonzero(outside))
+        raise StreamError(
+            f'soft limit: {names[k]} to {positions[row, k]:.6g}, travel is {travel[k, 0]:.6g} to '
+            f'{travel[k, 1]:.6g} (m, rad); move the workpiece or the program'
+        )
+    parts = [before, positions] + ([np.tile(positions[-1:], (3, 1))] if at_rest else [])
+    course = np.concatenate(parts)
+    limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
+    for order, limit in enumerate(limits, start=1):
+        use = np.abs(np.diff(course, order, axis=0)) / (limit * period**order)
+        if not use.max() <= ROUNDING:
+            k = int(np.argmax(use.max(axis=0)))
+            what = ('velocity', 'acceleration', 'jerk')[order - 1]
+            raise StreamError(
+                f'{names[k]} asked for {use.max():.4g} times its largest {what}; setpoints were '
+                'spoilt on their way, lost, or made for another machine'
+            )
 
 
 @njit(cache=True, nogil=True)

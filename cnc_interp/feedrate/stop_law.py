@@ -22,7 +22,13 @@ from cnc_interp.feedrate.jerk_stage import PlanOptions, plan
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stretch import spread
 from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.kinematics.axis_path import AxisPath, cut, refine, septic_coefficients, septic_value
+from cnc_interp.kinematics.axis_path import (
+    AxisPath,
+    cut,
+    refine,
+    septic_coefficients,
+    septic_value,
+)
 from cnc_interp.program.blocks import FloatArray, IntArray
 
 SPACING = 5e-4
@@ -58,7 +64,7 @@ def stop_phases(v: float, a: float, acceleration: float, jerk: float, out: Float
         peak = max(acceleration, -a)
         out[1] = (v + (a * a - 2 * peak * peak) / (2 * jerk)) / peak
     out[0], out[2] = (a + peak) / jerk, peak / jerk
-    return out[1] >= 0.0 and out[0] >= 0.0
+    return bool(out[1] >= 0.0 and out[0] >= 0.0)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -96,9 +102,7 @@ def stop_use(
             t = duration[phase] * k / max(steps, 1)
             v = states[phase, 1] + t * (states[phase, 2] + t * j / 2)
             a = states[phase, 2] + t * j
-            s = states[phase, 0] + t * (
-                states[phase, 1] + t * (states[phase, 2] / 2 + t * j / 6)
-            )
+            s = states[phase, 0] + t * (states[phase, 1] + t * (states[phase, 2] / 2 + t * j / 6))
             s += start
             while s > s_grid[cell + 1] and cell + 2 < len(s_grid):
                 cell += 1
@@ -226,9 +230,7 @@ def quick_stop(
     v, a = np.empty(cells + 1), np.empty(cells + 1)
     jerks, durations = np.empty(cells), np.empty(cells)
     rows = np.r_[kept, 3]
-    spread(
-        part.s, nodes, states[rows, 1], states[rows, 2], duration[kept], v, a, jerks, durations
-    )
+    spread(part.s, nodes, states[rows, 1], states[rows, 2], duration[kept], v, a, jerks, durations)
     return piece_of(part, v, a, jerks, durations, time)
 
 
@@ -271,5 +273,7 @@ def piece_of(
     """Put a law on all cells of a path."""
     begins = time + np.concatenate([[0.0], np.cumsum(duration)[:-1]])
     cells: IntArray = np.arange(len(duration), dtype=np.int64)
-    law = MotionLaw(begins, duration, path.s[:-1].copy(), v[:-1].copy(), a[:-1].copy(), jerk, cells)
+    law = MotionLaw(
+        begins, duration, path.s[:-1].copy(), v[:-1].copy(), a[:-1].copy(), jerk, cells
+    )
     return PlannedPiece(path, law)

@@ -27,6 +27,8 @@ from cnc_interp.nodes.showing import Progress
 Result = RunProgram.Result
 #: When all kernels must be compiled first, starting takes a minute or more [s].
 START_TIMEOUT, SLOW_START = 300.0, 8.0
+#: How long what was executed may take to be told [s].
+RECORD_TIMEOUT = 2.0
 
 
 class Client:
@@ -84,10 +86,14 @@ class Client:
         """
         if request.out is not None:
             self._node.create_subscription(
-                SetpointChunk, 'setpoints', self.received.append, STREAM
+                SetpointChunk, 'executed_setpoints', self.received.append, STREAM
             )
         self._wait_for_nodes()
         outcome = self._execute(request)
+        if request.out is not None:
+            self._wait_for_record(
+                outcome.samples + round(outcome.approach_time / self._peers.period)
+            )
         if outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples:
             raise InterpError(outcome.message)
         names = machine.axis_names
@@ -118,6 +124,10 @@ class Client:
             position=by_axis(self._peers.state.positions if self._peers.state else ()),
             notices=tuple(outcome.notices),
         )
+
+    def _wait_for_record(self, count: int) -> None:
+        """Wait until all setpoints executed were told."""
+        self._spin(lambda: sum(len(m.sequences) for m in self.received) >= count, RECORD_TIMEOUT)
 
     def _wait_for_nodes(self) -> None:
         """Wait until all four nodes answer; the first start ever compiles for a while."""

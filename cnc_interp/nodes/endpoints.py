@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+import zlib
 from collections.abc import Callable
 from typing import Any
 
 from cnc_interp_msgs.msg import SetpointChunk, StreamStatus
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.serialization import deserialize_message, serialize_message
 
 from cnc_interp.errors import StreamError
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -17,13 +19,47 @@ from cnc_interp.nodes.streams import WindowedReceiver, WindowedSender
 
 #: Time between acknowledgements when nothing happens [s].
 HEARTBEAT = 0.1
+#: Bytes of a checksum, and what separates run and plan in the name of a stream.
+CHECKSUM, PLAN = 4, '#'
 
 
-def numbers_of(message: Any) -> tuple[int, int]:
-    """Return the number of a message's first item and how many it has."""
+def numbers_of(message: Any) -> tuple[str, int, int]:
+    """Return the stream of a message, the number of its first item and how many it has."""
     if isinstance(message, SetpointChunk):
-        return message.first_sample, len(message.sequences)
-    return message.sequence, 1
+        stream = stream_of(message.program_id, message.plan)
+        return stream, message.first_sample, len(message.sequences)
+    return message.program_id, message.sequence, 1
+
+
+def stream_of(program_id: str, plan: int) -> str:
+    """Name the stream of a plan: every plan of a run is numbered from 0 and acknowledged alone."""
+    return f'{program_id}{PLAN}{plan}' if plan else program_id
+
+
+def sealed(message: Any) -> bytes:
+    """Serialise a message whose last field is a checksum of all before it."""
+    message.checksum = 0
+    data = serialize_message(message)
+    return bytes(data[:-CHECKSUM]) + zlib.crc32(data[:-CHECKSUM]).to_bytes(CHECKSUM, 'little')
+
+
+def opened(data: bytes, kind: Any) -> Any:
+    """
+    Read a message and compare its checksum, where one is given.
+
+    Raises
+    ------
+    StreamError
+        If the message was spoilt on its way.
+
+    """
+    given = int.from_bytes(data[-CHECKSUM:], 'little')
+    if given and given != zlib.crc32(data[:-CHECKSUM]):
+        raise StreamError('a message was spoilt on its way (checksum); it is sent again')
+    try:
+        return deserialize_message(data, kind)
+    except Exception as fault:
+        raise StreamError(f'a message cannot be read ({fault}); it is sent again') from None
 
 
 class Inlet:
@@ -70,30 +106,50 @@ class Inlet:
         self._refused = 0
         self.buffered_time = math.nan
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
-        self._subscription = node.create_subscription(kind, receiver.stream, self._receive, STREAM)
+        self._kind, self._gap = kind, False
+        self._subscription = node.create_subscription(
+            kind, receiver.stream, self._receive, STREAM, raw=True
+        )
         self._timer = node.create_timer(status_period, self._tick)
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
-    def _receive(self, message: Any) -> None:
+    def _receive(self, data: bytes) -> None:
         """Let a message in, or name why not."""
-        first, count = numbers_of(message)
         receiver = self.receiver
         try:
-            receiver.expect(message.program_id, first)
+            message = opened(data, self._kind)
         except StreamError as fault:
-            known = receiver.refusal if message.program_id == receiver.program_id else ''
+            self._ask_again(f'{receiver.stream}: {fault}')
+            return
+        stream, first, count = numbers_of(message)
+        try:
+            receiver.expect(stream, first)
+        except StreamError as fault:
+            mine = stream == receiver.program_id
+            if mine and first > receiver.next_number and not receiver.refusal:
+                self._ask_again(str(fault))
+                return
+            known = receiver.refusal if mine else ''
             self._name(ERROR if known else WARN, known or str(fault))
             return
         try:
             self._check(message)
         except StreamError as fault:
-            self.refuse(message.program_id, str(fault))
+            self.refuse(stream, str(fault))
             return
-        if receiver.program_id != message.program_id:
+        if receiver.program_id != stream:
             self._refused = 0
             self._diagnostics.say(receiver.stream, OK, 'no message refused')
-        receiver.take(message.program_id, count, message.end_of_program)
+        receiver.take(stream, count, message.end_of_program)
+        self._gap = False
         self._on_message(message)
+
+    def _ask_again(self, reason: str) -> None:
+        """Something is missing: have it sent again."""
+        self._name(WARN, reason)
+        if not self._gap:
+            self._gap = True
+            self.tell()
 
     def refuse(self, program_id: str, reason: str) -> None:
         """Let nothing more of a program in, and tell its sender why."""
@@ -119,9 +175,12 @@ class Inlet:
         receiver = self.receiver
         self._told = (receiver.program_id, receiver.next_number, receiver.limit, receiver.refusal)
         self._told_at = time.monotonic()
+        run, _, plan = receiver.program_id.partition(PLAN)
         self._status.publish(
             StreamStatus(
-                program_id=receiver.program_id,
+                program_id=run,
+                plan=int(plan or 0),
+                gap=self._gap,
                 stream=receiver.stream,
                 next_sequence=receiver.next_number,
                 window_limit=receiver.limit,
@@ -162,6 +221,7 @@ class Outlet:
         self.stream = stream
         self.peer: StreamStatus | None = None
         self.peer_seen = -math.inf
+        self.paused = False
         self._encode = encode
         self._publisher = node.create_publisher(kind, stream, STREAM)
         self._subscription = node.create_subscription(
@@ -174,23 +234,28 @@ class Outlet:
             return
         now = time.monotonic()
         self.peer, self.peer_seen = status, now
-        self.sender.acknowledge(status.program_id, status.next_sequence, status.window_limit, now)
+        self.sender.acknowledge(
+            stream_of(status.program_id, status.plan), status.next_sequence, status.window_limit,
+            now, status.gap,
+        )  # fmt: skip
         self.pump()
 
     @property
     def refusal(self) -> str:
         """Why the receiver refused this program; empty while it did not."""
-        mine = self.peer is not None and self.peer.program_id == self.sender.program_id
-        return str(self.peer.refusal) if mine and self.peer is not None else ''
+        peer = self.peer
+        if peer is None or stream_of(peer.program_id, peer.plan) != self.sender.program_id:
+            return ''
+        return str(peer.refusal)
 
     def pump(self) -> None:
         """Send what may be sent."""
-        if not self.sender.program_id or self.refusal:
+        if not self.sender.program_id or self.refusal or self.paused:
             return
         items = self.sender.due(time.monotonic())
         for done, item in enumerate(items):
             try:
-                self._publisher.publish(self._encode(item.item, item.first))
+                self._publisher.publish(sealed(self._encode(item.item, item.first)))
             except RCLError:  # the line is busy: the rest goes with the next call
                 self.sender.take_back(len(items) - done)
                 return

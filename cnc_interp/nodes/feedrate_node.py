@@ -2,36 +2,46 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import MachineState, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, MachineState, PathSegment, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
 
 from cnc_interp.errors import InterpError, StreamError
-from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.interpolator import Setpoints
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import Diagnostics
-from cnc_interp.nodes.endpoints import Inlet, Outlet
-from cnc_interp.nodes.messages import chunk_message, segments_from
-from cnc_interp.nodes.planning import RunPlanner, part_of
-from cnc_interp.nodes.qos import STATE
+from cnc_interp.nodes.chunk_messages import chunk_message
+from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.endpoints import Inlet, Outlet, stream_of
+from cnc_interp.nodes.messages import segments_from
+from cnc_interp.nodes.planning import RunPlanner
+from cnc_interp.nodes.playback import GOES_ON
+from cnc_interp.nodes.qos import OVERRIDE, STATE
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_segment
 from cnc_interp.nodes.streams import WindowedReceiver
 from cnc_interp.nodes.warming import warm_all
+from cnc_interp.stream.chunk import Chunk, Wait
 
-#: Segments planned together, and setpoints that wait for sending.
-BATCH, QUEUE = 64, 500
+#: Segments taken over together.
+BATCH = 64
+#: Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled.
+SAMPLED = 0.6
+#: Largest feed override, and how long after a revision that failed the next is tried [s].
+MOST, TRY_AGAIN = 1.5, 0.02
 AT_REST = (MachineState.IDLE, MachineState.STARVED)
+ON_HOLD = (MachineState.HELD, MachineState.STARVED)
 
 
 class FeedrateNode(LifecycleNode):
@@ -44,12 +54,13 @@ class FeedrateNode(LifecycleNode):
         self._segments: deque[PathSegment] = deque()
         self._planner: RunPlanner | None = None
         self._state: MachineState | None = None
-        self._pieces: deque[PlannedPiece] = deque()
+        self._run, self._plan = '', 0
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='plan')
-        self._job: Future[list[PlannedPiece]] | None = None
-        self._batch = 0
-        self._end_wanted = self._ended = self._all_planned = False
-        self._heard = 0.0
+        self._job: Future[Any] | None = None
+        self._done: Callable[[Any], None] = self._queue
+        self._end_wanted = self._ended = self._end_sent = False
+        self._override, self._single_block, self._optional_stop = 1.0, False, False
+        self._heard = self._tried = 0.0
         self._period: float = self._values['interpolation_period']
         if self._values['autostart']:
             start_lifecycle(self)
@@ -73,6 +84,9 @@ class FeedrateNode(LifecycleNode):
             self._check, self._take, self._end, self._diagnostics,
         )  # fmt: skip
         self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
+        self.create_subscription(Float64, 'feed_override', self._see_override, OVERRIDE)
+        self.create_service(SetBool, 'single_block', self._set_single_block)
+        self.create_service(SetBool, 'optional_stop', self._set_optional_stop)
         self.create_timer(0.005, self._work)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
@@ -89,6 +103,26 @@ class FeedrateNode(LifecycleNode):
         """Keep what the machine said last."""
         self._state = state
 
+    def _see_override(self, message: Float64) -> None:
+        """Take the operator's override, 0 to 1.5."""
+        value = float(message.data)
+        sound = 0.0 <= value <= MOST
+        if sound:
+            self._override = value
+            self._work()
+        said = f'{value:g}' if sound else f'{value:g} refused: it must lie between 0 and {MOST}'
+        self._diagnostics.say('feed_override', OK if sound else WARN, said)
+
+    def _set_single_block(self, request: Any, response: Any) -> Any:
+        self._single_block = request.data
+        response.success, response.message = True, f'single block: {request.data}'
+        return response
+
+    def _set_optional_stop(self, request: Any, response: Any) -> Any:
+        self._optional_stop = request.data
+        response.success, response.message = True, f'optional stop: {request.data}'
+        return response
+
     def _check(self, segment: PathSegment) -> None:
         """Let segments in while the node is active."""
         if not self._active:
@@ -99,10 +133,11 @@ class FeedrateNode(LifecycleNode):
         """Queue a sound segment; the first one begins a run."""
         if segment.sequence == 0:
             self._planner, self._state, self._job = None, None, None
-            self._end_wanted = self._ended = False
+            self._end_wanted = self._ended = self._end_sent = False
             self._segments.clear()
-            self._pieces.clear()
-            self._outlet.sender.begin(segment.program_id)
+            self._run, self._plan = segment.program_id, 0
+            self._outlet.sender.begin(self._run)
+            self._outlet.paused = False
         self._segments.append(segment)
         self._end_wanted = self._end_wanted or segment.end_of_program
         self._heard = time.monotonic()
@@ -112,47 +147,120 @@ class FeedrateNode(LifecycleNode):
         self._end_wanted = True
 
     def _work(self) -> None:
-        """Send what may be sent, and plan on when the plan gets short."""
-        self._fill()
+        """Send what may be sent; then the most urgent thing that the planning thread can do."""
         self._outlet.pump()
-        receiver = self._inlet.receiver
-        if self._outlet.refusal:
+        receiver, planner = self._inlet.receiver, self._planner
+        if self._job is not None:
+            self._collect()
+        elif self._outlet.refusal:
             self._segments.clear()
+            self._planner = None
             if not receiver.refusal:
                 self._inlet.refuse(receiver.program_id, self._outlet.refusal)
-        elif self._job is not None:
-            self._collect()
-        elif self._segments:
-            self._plan_on()
-        elif self._end_wanted and not self._ended and self._planner is not None:
+        elif planner is None:
+            self._begin_run()
+        elif self._machine_left_the_plan():
+            self._resume(planner)
+        elif self._must_revise(planner):
+            self._revise(planner)
+        else:
+            self._go_on(planner)
+
+    def _begin_run(self) -> None:
+        """Begin the run once the machine has said where it stands at rest."""
+        state = self._state
+        if not self._segments or state is None:
+            return
+        first = self._segments[0]
+        goes_on = GOES_ON in self._run
+        if state.state in (ON_HOLD if goes_on else AT_REST):
+            self._planner = RunPlanner(
+                self._transform, first.flank_height, self._period, self._values['chunk_size'],
+                np.array(state.commanded_positions), first.continue_at,
+            )  # fmt: skip
+            stream = self._planner.stream
+            stream.override, stream.single_block = self._override, self._single_block
+
+    def _machine_left_the_plan(self) -> bool:
+        """Tell whether the machine has followed a stop tail and rests."""
+        state = self._state
+        return (
+            state is not None
+            and (state.program_id, state.plan) == (self._run, self._plan)
+            and state.plan_over
+            and state.state in ON_HOLD
+        )
+
+    def _resume(self, planner: RunPlanner) -> None:
+        """Plan anew from where the machine rests."""
+        assert self._state is not None
+        self._plan += 1
+        self._end_sent = False
+        self._outlet.sender.begin(stream_of(self._run, self._plan))
+        planner.stream.override = self._override
+        planner.stream.single_block = self._single_block
+        self._submit(self._queue, planner.resume, self._state.path_position)
+
+    def _must_revise(self, planner: RunPlanner) -> bool:
+        """Tell whether override or single block have changed for setpoints that are not sent."""
+        stream, now = planner.stream, time.monotonic()
+        changed = (stream.override, stream.single_block) != (self._override, self._single_block)
+        return (
+            changed
+            and self._outlet.sender.sent > 0
+            and not self._end_sent
+            and now - self._tried > TRY_AGAIN
+        )
+
+    def _revise(self, planner: RunPlanner) -> None:
+        """Plan anew behind the last setpoint that was sent; until then nothing is sent."""
+        self._outlet.paused = True
+        self._submit(
+            self._revised, planner.stream.revise, self._outlet.sender.sent - 1, self._override,
+            self._single_block,
+        )  # fmt: skip
+
+    def _revised(self, accepted: bool) -> None:
+        if accepted:
+            self._outlet.sender.drop_unsent()
+        self._outlet.paused = False
+        self._tried = time.monotonic()
+        self._outlet.pump()
+
+    def _go_on(self, planner: RunPlanner) -> None:
+        """Sample and plan ahead; take segments when little is left to plan."""
+        unsent = self._outlet.sender.unsent * self._period
+        stream = planner.stream
+        sample = unsent < SAMPLED and stream.can_sample
+        ahead = unsent + stream.planned < self._values['plan_ahead']
+        state = self._state
+        mine = state is not None and state.program_id == self._run
+        executed = state.path_position if state is not None and mine else -math.inf
+        if sample or (ahead and stream.can_plan):
+            self._submit(self._queue, planner.work, sample, executed)
+        elif ahead and self._segments:
+            batch = [self._segments.popleft() for _ in range(min(BATCH, len(self._segments)))]
+            pauses = {int(s.last_block) for s in batch if self._pauses_behind(s)}
+            self._submit(
+                lambda _: self._inlet.receiver.consume(len(batch)), planner.push,
+                segments_from(batch), pauses,
+            )  # fmt: skip
+        elif self._end_wanted and not self._ended and not self._segments:
             self._ended = True
-            self._job = self._worker.submit(self._planner.finish)
-        elif receiver.active:
+            self._submit(lambda _: None, planner.finish)
+        elif self._inlet.receiver.active:
             self._watch_sender()
 
-    def _plan_on(self) -> None:
-        """Begin the run once the machine has said where it stands at rest; then plan ahead."""
-        if self._planner is None:
-            state = self._state
-            if state is None or state.state not in AT_REST:
-                return
-            self._planner = RunPlanner(
-                self._transform,
-                self._segments[0].flank_height,
-                self._period,
-                np.array(state.commanded_positions),
-            )
-        if self._planned_ahead() < self._values['plan_ahead']:
-            batch = [self._segments.popleft() for _ in range(min(BATCH, len(self._segments)))]
-            self._batch = len(batch)
-            self._job = self._worker.submit(self._planner.push, segments_from(batch))
+    def _pauses_behind(self, segment: PathSegment) -> bool:
+        """Tell whether the operator is waited for behind a segment (M0, M1)."""
+        return segment.program_stop == G1Block.STOP or (
+            segment.program_stop == G1Block.OPTIONAL_STOP and self._optional_stop
+        )
 
-    def _planned_ahead(self) -> float:
-        """Return the motion time that is planned but not sent [s]."""
-        waiting = self._outlet.sender.unsent * self._period
-        if self._pieces:
-            waiting += self._pieces[-1].law.end_time - float(self._pieces[0].law.time[0])
-        return waiting
+    def _submit(self, done: Callable[[Any], None], work: Callable[..., Any], *values: Any) -> None:
+        """Have something done by the planning thread."""
+        self._done = done
+        self._job = self._worker.submit(work, *values)
 
     def _collect(self) -> None:
         """Take over what the planning thread has finished, or refuse what cannot be run."""
@@ -161,51 +269,37 @@ class FeedrateNode(LifecycleNode):
             return
         self._job = None
         try:
-            self._pieces.extend(job.result())
-            self._inlet.receiver.consume(self._batch)
+            self._done(job.result())
         except InterpError as problem:
             self._inlet.refuse(self._inlet.receiver.program_id, str(problem))
-        self._batch = 0
-        self._all_planned = self._ended
-        self._fill()
+            self._planner = None
+        self._work()
 
     def _watch_sender(self) -> None:
-        """Give a program up whose segments stopped coming although the window is open."""
+        """Say that segments stopped coming although the window is open."""
         silence = time.monotonic() - self._heard
         if silence > self._values['peer_timeout']:
-            reason = f'no segments for {silence:.1f} s; lookahead_node is lost, start it again'
-            self._inlet.refuse(self._inlet.receiver.program_id, reason)
+            reason = f'no segments for {silence:.0f} s; lookahead_node is lost, start it again'
+            self._diagnostics.say('segments', WARN, reason)
 
-    def _fill(self) -> None:
-        """Interpolate the next stretches and cut them into chunks for sending."""
-        sender = self._outlet.sender
-        while self._planner is not None and self._pieces and sender.unsent < QUEUE:
-            self._queue(self._planner.samples_of(self._pieces.popleft()), end=False)
-        if self._planner is not None and self._all_planned and not self._pieces:
-            self._all_planned = False
-            last = self._planner.last_sample()
-            if last is not None:
-                self._queue(last, end=True)
-
-    def _queue(self, samples: Setpoints, end: bool) -> None:
-        """Cut setpoints into chunks."""
-        size = self._values['chunk_size']
-        for first in range(0, len(samples), size):
-            part = part_of(samples, first, min(first + size, len(samples)))
-            self._outlet.sender.put((part, end), len(part))
+    def _queue(self, chunks: list[Chunk]) -> None:
+        """Give chunks to the sender."""
+        for chunk in chunks:
+            self._outlet.sender.put(chunk, len(chunk.samples))
         self._outlet.pump()
 
-    def _encode(self, item: tuple[Setpoints, bool], first: int) -> SetpointChunk:
+    def _encode(self, chunk: Chunk, first: int) -> SetpointChunk:
         """Make the message of one chunk."""
-        samples, end = item
         assert self._planner is not None
+        self._end_sent = self._end_sent or chunk.wait is Wait.END
+        lines_of = self._planner.lines_of
         return chunk_message(
-            samples, self._planner.lines_of(samples), self._outlet.sender.program_id, first,
-            self._period, end,
+            chunk, lines_of(chunk.samples), lines_of(chunk.tail), self._run, self._plan, first,
+            self._period,
         )  # fmt: skip
 
     def close(self) -> None:
-        """End: what was sent is complete, nothing more follows."""
+        """End: what was sent is complete with its stop tail."""
         self._active = False
         self._worker.shutdown(wait=False, cancel_futures=True)
 

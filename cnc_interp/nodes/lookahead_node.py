@@ -13,7 +13,7 @@ from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import Diagnostics
+from cnc_interp.nodes.diagnostics import WARN, Diagnostics
 from cnc_interp.nodes.endpoints import Inlet, Outlet
 from cnc_interp.nodes.messages import blocks_from, segment_messages
 from cnc_interp.nodes.running import run_node
@@ -45,13 +45,13 @@ class LookaheadNode(Node):
         self._flank_height = 0.0
         self._blocks: deque[G1Block] = deque()
         self._last: PathSegments | None = None
-        diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self)
         self._outlet = Outlet(
             self, 'segments', PathSegment, values['resend_after'], lambda message, _: message
         )
         self._inlet = Inlet(
             self, WindowedReceiver('blocks', values['block_window']), G1Block, check_block,
-            self._take, self._end, diagnostics,
+            self._take, self._end, self._diagnostics,
         )  # fmt: skip
         self.create_timer(0.01, self._work)
 
@@ -60,6 +60,8 @@ class LookaheadNode(Node):
         if block.sequence == 0:
             self._begin(block)
         self._blocks.append(block)
+        if block.program_stop:
+            self._program_stops[block.sequence] = block.program_stop
         self._heard = time.monotonic()
         if len(self._blocks) >= BATCH:
             self._work()
@@ -71,6 +73,8 @@ class LookaheadNode(Node):
         self._flank_height = block.flank_height
         self._blocks.clear()
         self._last = None
+        self._program_stops: dict[int, int] = {}
+        self._continue_at = block.continue_at
         self._outlet.sender.begin(block.program_id)
 
     def _work(self) -> None:
@@ -85,11 +89,11 @@ class LookaheadNode(Node):
             self._smooth()
 
     def _watch_sender(self) -> None:
-        """Give a program up whose blocks stopped coming although the window is open."""
+        """Say that blocks stopped coming although the window is open."""
         silence = time.monotonic() - self._heard
         if self._inlet.receiver.active and silence > self._peer_timeout:
-            reason = f'no blocks for {silence:.1f} s; program_node is lost, start it again'
-            self._inlet.refuse(self._inlet.receiver.program_id, reason)
+            reason = f'no blocks for {silence:.0f} s; program_node is lost, start it again'
+            self._diagnostics.say('blocks', WARN, reason)
 
     def _smooth(self) -> None:
         """Smooth the next batch."""
@@ -143,6 +147,10 @@ class LookaheadNode(Node):
         for message in segment_messages(
             segments, sender.program_id, sender.next_number, self._flank_height, end
         ):
+            if message.sequence == 0:
+                message.continue_at = self._continue_at
+            if message.stop:
+                message.program_stop = self._program_stops.pop(message.last_block, 0)
             sender.put(message)
         self._outlet.pump()
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine import Feedback, State
+from cnc_interp.nodes.messages import packed
 from cnc_interp.nodes.playback import Playback
 
 STATES = {
@@ -18,6 +19,7 @@ STATES = {
     State.RUNNING: MachineState.RUNNING,
     State.HOLDING: MachineState.HOLDING,
     State.STARVED: MachineState.STARVED,
+    State.STOPPING: MachineState.STOPPED,
     State.FAULT: MachineState.FAULT,
 }
 
@@ -34,14 +36,38 @@ def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
     return message
 
 
+def executed_setpoints(playback: Playback, period: float) -> SetpointChunk:
+    """Return the setpoints executed since the last call, numbered through the run."""
+    rows = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    return SetpointChunk(
+        program_id=playback.program_id,
+        plan=playback.plan,
+        first_sample=playback.played - len(rows),
+        period=period,
+        axis_count=len(rows[0].position) if rows else 0,
+        positions=packed(np.array([row.position for row in rows])),
+        velocities=packed(np.array([row.velocity for row in rows])),
+        accelerations=packed(np.array([row.acceleration for row in rows])),
+        jerks=packed(np.array([row.jerk for row in rows])),
+        sequences=[row.block for row in rows],
+        line_numbers=[row.line for row in rows],
+        path_positions=[row.s for row in rows],
+        end_of_program=playback.completed,
+    )
+
+
 def machine_state(playback: Playback, period: float) -> MachineState:
     """Return state and figures of the run; the caller stamps it."""
     machine, feedback, last = playback.machine, playback.feedback, playback.last
     least = playback.least_buffered
     recent = machine.take_recent_use()
+    held = machine.state is State.HOLDING and playback.resting
     message = MachineState(
-        state=STATES[machine.state],
+        state=MachineState.HELD if held else STATES[machine.state],
         program_id=playback.program_id,
+        plan=playback.plan,
+        plan_over=playback.plan_over,
+        start_wanted=playback.start_wanted,
         completed=playback.completed,
         interpolation_period=period,
         samples=playback.played,

@@ -11,24 +11,30 @@ import numpy as np
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine import Drives, Event, SimulatedMachine, State
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.chunk_messages import chunk_from
+from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from cnc_interp.nodes.endpoints import Inlet
-from cnc_interp.nodes.machine_messages import joint_state, machine_state
-from cnc_interp.nodes.messages import setpoints_from
+from cnc_interp.nodes.endpoints import Inlet, stream_of
+from cnc_interp.nodes.machine_messages import (
+    executed_setpoints,
+    joint_state,
+    machine_state,
+)
 from cnc_interp.nodes.playback import Playback
-from cnc_interp.nodes.qos import JOINTS, STATE
+from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_chunk
 from cnc_interp.nodes.streams import WindowedReceiver
 
 #: After a longer stall of the computer the clock starts anew instead of being caught up [s].
 LONGEST_CATCH_UP = 0.5
+#: Time between reports of what was executed [s].
+EXECUTED_PERIOD = 0.1
 
 
 class MachineNode(LifecycleNode):
@@ -41,7 +47,7 @@ class MachineNode(LifecycleNode):
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._ticking: threading.Thread | None = None
-        self._told = State.INACTIVE
+        self._told: tuple[Any, ...] = ()
         if self._values['autostart']:
             start_lifecycle(self)
 
@@ -60,14 +66,16 @@ class MachineNode(LifecycleNode):
         window = round(values['buffer_time'] / self._period)
         self._inlet = Inlet(
             self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
-            lambda: None, self._diagnostics, status_period=0.01,
+            self._see_refusal, self._diagnostics, status_period=0.01,
         )  # fmt: skip
         self._joints = self.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = self.create_publisher(MachineState, 'machine_state', STATE)
+        self._executed = self.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
+        self._controls = Controls(self, self._playback, self._lock, self._give_up)
         self.create_timer(0.005, self._work)
+        self.create_timer(EXECUTED_PERIOD, self._tell_executed)
         self.create_timer(1.0 / values['joint_state_rate'], self._tell_joints)
         self.create_timer(1.0 / values['machine_state_rate'], self._tell_state)
-        self.create_service(Trigger, 'reset', self._reset)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Switch the drives on and start the clock."""
@@ -107,37 +115,63 @@ class MachineNode(LifecycleNode):
             self._ticking = None
 
     def _check(self, chunk: SetpointChunk) -> None:
-        """Let in what fits the machine while its drives are on."""
-        if self._machine.state in (State.INACTIVE, State.FAULT):
-            state = self._machine.state.value
-            raise StreamError(f'the machine is {state}: {self._machine.message or "activate it"}')
-        check_chunk(chunk, len(self._machine.machine.axis_names), self._period)
+        """Let in what fits the machine, its state, and where it stands."""
+        playback = self._playback
+        with self._lock:
+            before, state = playback.newest, self._machine.state
+            if chunk.first_sample == 0:
+                playback.refuse_beginning(chunk.program_id, chunk.plan)
+        if state in (State.INACTIVE, State.STOPPING, State.FAULT):
+            reason = self._machine.message or 'activate it'
+            raise StreamError(f'the machine is {state.value}: {reason}')
+        check_chunk(chunk, self._machine.machine, self._period, before)
 
     def _take(self, chunk: SetpointChunk) -> None:
         """Put sound setpoints into the buffer."""
         with self._lock:
             if chunk.first_sample == 0:
-                self._playback.begin(chunk.program_id)
+                self._playback.begin_plan(chunk.program_id, chunk.plan)
             self._playback.push(
-                setpoints_from(chunk), list(chunk.line_numbers), chunk.end_of_program
+                chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
             )
+
+    def _see_refusal(self) -> None:
+        """Nothing more comes of this run: stop on the path behind what is sound."""
+        with self._lock:
+            self._playback.end_with(self._inlet.receiver.refusal)
+
+    def _give_up(self, reason: str) -> None:
+        """Tell the senders that the run is over."""
+        receiver = self._inlet.receiver
+        if receiver.program_id and not receiver.refusal:
+            self._inlet.refuse(receiver.program_id, reason)
 
     def _work(self) -> None:
         """Open the window by what was played; tell at once when the state changes."""
         playback, receiver = self._playback, self._inlet.receiver
         with self._lock:
-            played = playback.played if playback.program_id == receiver.program_id else 0
-            lost, state = playback.lost, self._machine.state
+            mine = stream_of(playback.program_id, playback.plan) == receiver.program_id
+            receiver.consumed = playback.played_of_plan if mine else 0
+            over, state = mine and playback.plan_over, self._machine.state
             fault = self._machine.message if state is State.FAULT else ''
-        receiver.consumed = played
+            news = (state, playback.plan, playback.plan_over, playback.start_wanted)
         self._inlet.buffered_time = playback.buffered * self._period
-        if (lost or fault) and receiver.program_id and not receiver.refusal:
-            self._inlet.refuse(receiver.program_id, lost or fault)
-        if state is not self._told:
-            self._told = state
+        if fault:
+            self._give_up(fault)
+        elif over and receiver.active:
+            receiver.close()
+        if news != self._told:
+            self._told = news
             level = {State.FAULT: ERROR, State.STARVED: WARN}.get(state, OK)
             self._diagnostics.say('drives', level, self._machine.message or state.value)
             self._tell_state()
+
+    def _tell_executed(self) -> None:
+        with self._lock:
+            if not self._playback.executed:
+                return
+            message = executed_setpoints(self._playback, self._period)
+        self._executed.publish(message)
 
     def _tell_joints(self) -> None:
         with self._lock:
@@ -150,17 +184,6 @@ class MachineNode(LifecycleNode):
             message = machine_state(self._playback, self._period)
         message.header.stamp = self.get_clock().now().to_msg()
         self._states.publish(message)
-
-    def _reset(self, _request: Any, response: Any) -> Any:
-        """Clear a fault or what is left of a lost run."""
-        with self._lock:
-            try:
-                self._machine.handle(Event.RESET)
-                self._playback.begin('')
-                response.success, response.message = True, 'ready'
-            except StreamError as problem:
-                response.success, response.message = False, str(problem)
-        return response
 
     def close(self) -> None:
         """Stop the clock; the drives hold the last setpoint."""

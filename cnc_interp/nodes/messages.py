@@ -6,9 +6,8 @@ from array import array
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment
 
-from cnc_interp.interpolator import Setpoints
 from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
@@ -133,7 +132,7 @@ def _segment_message(
     )
     if kind in CURVES:
         message.top = _spline(segments.top[i], kind)
-        message.connection = _packed(segments.connection[i])
+        message.connection = packed(segments.connection[i])
         message.parametrization = _parametrization(segments.parametrization[i])
     return message
 
@@ -141,7 +140,7 @@ def _segment_message(
 def _spline(points: FloatArray, kind: int) -> BSpline:
     """Describe the control points that a kind of segment uses as a clamped B-spline."""
     degree, knots, count = CURVES.get(kind, LINE_CURVE)
-    return BSpline(degree=degree, dimension=3, knots=knots, control_points=_packed(points[:count]))
+    return BSpline(degree=degree, dimension=3, knots=knots, control_points=packed(points[:count]))
 
 
 def _parametrization(spans: FloatArray) -> BSpline:
@@ -152,7 +151,7 @@ def _parametrization(spans: FloatArray) -> BSpline:
     knots = np.concatenate([np.zeros(SPAN_DEGREE + 1), inner, np.ones(SPAN_DEGREE + 1)])
     points = np.concatenate([spans[:, 1:-1].ravel(), spans[-1:, -1]])
     return BSpline(
-        degree=SPAN_DEGREE, dimension=1, knots=_packed(knots), control_points=_packed(points)
+        degree=SPAN_DEGREE, dimension=1, knots=packed(knots), control_points=packed(points)
     )
 
 
@@ -165,7 +164,7 @@ def _spans_of(spline: BSpline) -> FloatArray:
     return np.concatenate([starts[:, None], values], axis=1)
 
 
-def _packed(values: FloatArray) -> array[float]:
+def packed(values: FloatArray) -> array[float]:
     """Flatten to the message's array type without touching a bit."""
     return array('d', np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
@@ -202,60 +201,4 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
         line_number=np.array([m.line_number for m in messages], dtype=np.int64),
         stop=np.array([m.stop for m in messages], dtype=np.bool_),
         deviation=np.array([(m.contour_deviation, m.orientation_deviation) for m in messages]),
-    )
-
-
-def chunk_message(
-    samples: Setpoints, lines: list[int], program_id: str, first: int, period: float, end: bool
-) -> SetpointChunk:
-    """
-    Turn consecutive setpoints into a message.
-
-    Parameters
-    ----------
-    samples : Setpoints
-        The setpoints.
-    lines : list of int
-        Line of the source text of each.
-    program_id : str
-        The run.
-    first : int
-        Number of the first setpoint in the run.
-    period : float
-        Interpolation period [s].
-    end : bool
-        True when the last setpoint is the end of the program.
-
-    """
-    return SetpointChunk(
-        program_id=program_id,
-        first_sample=first,
-        period=period,
-        axis_count=samples.position.shape[1],
-        positions=_packed(samples.position),
-        velocities=_packed(samples.velocity),
-        accelerations=_packed(samples.acceleration),
-        jerks=_packed(samples.jerk),
-        sequences=array('Q', samples.block.astype(np.uint64).tobytes()),
-        line_numbers=lines,
-        path_positions=_packed(samples.s),
-        end_of_program=end,
-    )
-
-
-def setpoints_from(message: SetpointChunk) -> Setpoints:
-    """Return the setpoints of a message, checked before; time counts from the run's first one."""
-    n, axes = len(message.sequences), message.axis_count
-
-    def table(values: array[float]) -> FloatArray:
-        return np.frombuffer(values).reshape(n, axes)
-
-    return Setpoints(
-        time=(message.first_sample + np.arange(n)) * message.period,
-        position=table(message.positions),
-        velocity=table(message.velocities),
-        acceleration=table(message.accelerations),
-        jerk=table(message.jerks),
-        block=np.frombuffer(message.sequences, dtype=np.uint64).astype(np.int64),
-        s=np.array(message.path_positions),
     )

@@ -1,66 +1,34 @@
-"""Segments of one program -> setpoints of one run, as they come; no ROS, no clock."""
+"""Segments of one program -> chunks of one run, as they come; no ROS, no clock."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from itertools import pairwise
+import math
 
 import numpy as np
 
-from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
-from cnc_interp.interpolator import Interpolator, Setpoints
+from cnc_interp.errors import PlanningError
+from cnc_interp.interpolator import Setpoints
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.approach import approach
-from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.program.blocks import FloatArray
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.stream.approach import approach
+from cnc_interp.stream.chunk import Chunk, Wait
+from cnc_interp.stream.course import from_place
+from cnc_interp.stream.motion_stream import MotionStream
 
-#: Motion that is interpolated at a time [s].
-SLICE = 0.5
-
-
-def part_of(samples: Setpoints, first: int, last: int) -> Setpoints:
-    """Take consecutive setpoints."""
-    return Setpoints(*(getattr(samples, field.name)[first:last] for field in fields(Setpoints)))
-
-
-def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
-    """Cut the motion of a planned piece into short stretches, on the same path."""
-    law = without_long_rows(piece.law)
-    stretch = np.floor((law.time - law.time[0]) / SLICE)
-    borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
-    return [
-        PlannedPiece(piece.path, rows_of(law, np.arange(first, last)))
-        for first, last in pairwise(borders)
-    ]
-
-
-def rows_of(law: MotionLaw, rows: IntArray) -> MotionLaw:
-    """Take some rows of a motion law."""
-    return MotionLaw(*(getattr(law, field.name)[rows] for field in fields(MotionLaw)))
-
-
-def without_long_rows(law: MotionLaw) -> MotionLaw:
-    """Cut rows that are longer than a stretch: a slow line is one row of many minutes."""
-    parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
-    if (parts == 1).all():
-        return law
-    row = np.repeat(np.arange(len(law)), parts)
-    place = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
-    duration = law.duration[row] / parts[row]
-    time = law.time[row] + place * duration
-    s, s_dot, s_ddot, _ = law.evaluate(time, row)
-    cut = rows_of(law, row)
-    return replace(cut, time=time, duration=duration, s=s, s_dot=s_dot, s_ddot=s_ddot)
+#: A machine farther from the path than this is not on it [m, rad].
+ON_PATH = 1e-8
+#: Source lines kept before those of blocks long executed are forgotten.
+LINES_KEPT = 100_000
 
 
 class RunPlanner:
     """
-    The planning of one run: the approach, then the program.
+    The planning of one run: the approach, then the program; or the rest of a program.
 
-    ``push`` and ``finish`` plan, which may take long, and may run in a thread of their own;
-    ``samples_of`` and the rest are quick and run where the setpoints are sent.
+    ``push``, ``work``, ``revise`` and ``resume`` may take long and run in one thread of their own.
 
     Parameters
     ----------
@@ -70,25 +38,35 @@ class RunPlanner:
         Height that measures rotations [m].
     period : float
         Interpolation period [s].
+    chunk_size : int
+        Setpoints in a chunk.
     stands : ndarray, shape (n_axes,)
         Where the machine stands, at rest [m, rad].
+    continue_at : float
+        Path length from which the program goes on; NaN or below 0 from its start [m].
 
     """
 
     def __init__(
-        self, transform: Transform, flank_height: float, period: float, stands: FloatArray
+        self,
+        transform: Transform,
+        flank_height: float,
+        period: float,
+        chunk_size: int,
+        stands: FloatArray,
+        continue_at: float = math.nan,
     ):
-        self._machine, self._period, self._stands = transform.machine, period, stands
+        self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height)
-        self._planner = FeedPlanner(transform.machine)
-        self._interpolator = Interpolator(period)
+        self.stream = MotionStream(transform.machine, period, chunk_size, self.line_of)
         self._lines: dict[int, int] = {}
         self._first_block = 0
-        self._started = False
+        self._begun = False
+        self._continue_at = continue_at if continue_at > 0.0 else None
 
-    def push(self, segments: PathSegments) -> list[PlannedPiece]:
+    def push(self, segments: PathSegments, pauses: set[int]) -> None:
         """
-        Take further segments and return the motion that is final, in short stretches.
+        Take further segments; behind the blocks in ``pauses`` cycle_start is waited for.
 
         Raises
         ------
@@ -97,32 +75,68 @@ class RunPlanner:
 
         """
         self._note_lines(segments)
+        self.stream.pause_blocks |= pauses
         path = self._builder.push(segments)
-        pieces = [] if path is None else self._planner.push(path)
-        return [stretch for piece in pieces for stretch in sliced(piece)]
+        if path is None:
+            return
+        if not self._begun:
+            found = self._begin(path)
+            if found is None:
+                return
+            path = found
+        self.stream.push(path)
 
-    def finish(self) -> list[PlannedPiece]:
-        """Plan what is left, down to rest at the end of the path."""
-        return [stretch for piece in self._planner.finish() for stretch in sliced(piece)]
+    def _begin(self, path: AxisPath) -> AxisPath | None:
+        """Put the approach before the program, or skip what was executed before a loss."""
+        if self._continue_at is None:
+            start = np.array(path.cell_left[0, 0])
+            way = approach(self._transform, self._flank_height, self._stands, start)
+            if way is not None:
+                self.stream.push(way)
+                self.stream.end_leg(Wait.NOTHING)
+            self._begun = True
+            return path
+        if path.s[-1] <= self._continue_at:
+            return None
+        there = evaluate(path, np.array([self._continue_at]))[0][0]
+        off = np.abs(there - self._stands)
+        if off.max() > ON_PATH:
+            axis = self._transform.machine.axis_names[int(np.argmax(off))]
+            raise PlanningError(
+                f'the machine does not stand on the path any more: {axis} is {off.max():.3g} '
+                '(m, rad) away; reset and run the program again'
+            )
+        self._begun = True
+        return from_place(path, self._continue_at)
 
-    def samples_of(self, piece: PlannedPiece) -> Setpoints:
-        """Interpolate the next stretch; the approach comes before the first one."""
-        samples = self._interpolator.push(piece)
-        if self._started:
-            return samples
-        self._started = True
-        start = np.array(piece.path.cell_left[0, 0])
-        before = approach(self._machine, self._period, self._stands, start)
-        return Setpoints.concatenate([before, samples])
+    def finish(self) -> None:
+        """Let the path end here."""
+        if not self._begun:
+            raise PlanningError('the program ends before the place to go on from; reset')
+        self.stream.end_leg(Wait.END)
 
-    def last_sample(self) -> Setpoints | None:
-        """Return the sample at rest at the end of the path; None when nothing was planned."""
-        return self._interpolator.finish() if self._started else None
+    def work(self, sample: bool, executed: float) -> list[Chunk]:
+        """
+        Sample a slice of the motion, or plan another portion of the path.
+
+        The path before the place ``executed`` [m] is forgotten.
+        """
+        self.stream.release(executed)
+        if sample and self.stream.can_sample:
+            return self.stream.sample()
+        if self.stream.can_plan:
+            self.stream.plan()
+        return []
+
+    def resume(self, s: float) -> list[Chunk]:
+        """Plan anew from rest at a place on the path."""
+        self.stream.resume(s)
+        return []
 
     def _note_lines(self, segments: PathSegments) -> None:
         """Remember the source line of each block; forget blocks that are long executed."""
         lines = self._lines
-        if len(lines) > 100_000:
+        if len(lines) > LINES_KEPT:
             first = self._first_block
             lines = {block: line for block, line in lines.items() if block >= first}
         for (first, last), line in zip(segments.block, segments.line_number, strict=True):
@@ -130,8 +144,12 @@ class RunPlanner:
             lines[int(last)] = int(line)
         self._lines = lines
 
+    def line_of(self, block: int) -> int:
+        """Return the source line of a block."""
+        return self._lines.get(block, 0)
+
     def lines_of(self, samples: Setpoints) -> list[int]:
         """Return the source line of each setpoint."""
-        lines = self._lines
-        self._first_block = int(samples.block[0])
-        return [lines.get(block, 0) for block in samples.block.tolist()]
+        if len(samples):
+            self._first_block = int(samples.block[0])
+        return [self._lines.get(block, 0) for block in samples.block.tolist()]

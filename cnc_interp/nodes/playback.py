@@ -1,4 +1,10 @@
-"""Plays the machine's buffer of setpoints into the simulated drives, one period at a time."""
+"""
+Plays the machine's buffer of setpoints into the simulated drives, one period at a time.
+
+Every chunk brings the tail of a stop along the path. It is followed behind the chunk when the next
+one is not there, and when the operator wants to stop; then the plan is over, and what follows must
+begin where the machine rests.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cnc_interp.errors import StreamError
 from cnc_interp.interpolator import Setpoints
-from cnc_interp.machine import Event, Feedback, SimulatedMachine, State
+from cnc_interp.machine import FOLLOWING, Event, Feedback, SimulatedMachine, State
 from cnc_interp.program.blocks import FloatArray
+from cnc_interp.stream.chunk import Chunk, Wait
+
+#: States from which the machine starts by itself when setpoints are there.
+SELF_STARTING = (State.IDLE, State.STARVED)
+#: Separates a run from the number of times it was begun again.
+GOES_ON = '+'
+STOPPED_BY_HAND = 'emergency stop; reset to go on'
 
 
 @dataclass(frozen=True)
@@ -18,10 +32,33 @@ class Row:
 
     position: FloatArray
     velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
     block: int
     line: int
     s: float
-    moving: bool
+
+
+@dataclass(frozen=True)
+class Held:
+    """A chunk in the buffer, its stop tail not unpacked."""
+
+    rows: list[Row]
+    tail: Setpoints
+    tail_lines: list[int]
+    wait: Wait
+
+
+def same_run(program_id: str, other: str) -> bool:
+    """Tell whether one run is the other, or goes on with it after a loss (``RUN+1``)."""
+    return program_id.partition(GOES_ON)[0] == other.partition(GOES_ON)[0]
+
+
+def rows_of(samples: Setpoints, lines: list[int]) -> list[Row]:
+    """Unpack setpoints."""
+    columns = (samples.block.tolist(), lines, samples.s.tolist())
+    motion = (samples.position, samples.velocity, samples.acceleration, samples.jerk)
+    return list(map(Row, *motion, *columns))
 
 
 class Playback:
@@ -33,15 +70,19 @@ class Playback:
     machine : SimulatedMachine
         The drives.
     start_count : int
-        Setpoints at hand before the machine starts, unless the program ends earlier.
+        Setpoints at hand before the machine starts, unless it must rest earlier.
 
     """
 
     def __init__(self, machine: SimulatedMachine, start_count: int):
         self.machine = machine
         self.feedback = machine.rest()
+        self.executed: deque[Row] = deque(maxlen=100_000)  # until they are told
         self._start_count = start_count
-        self._rows: deque[Row] = deque()
+        self._chunks: deque[Held] = deque()
+        self.program_id = ''
+        self.start_wanted = False
+        self.newest: FloatArray = np.empty((0, 0))
         self.begin('')
 
     def begin(self, program_id: str) -> None:
@@ -49,13 +90,54 @@ class Playback:
         if self.machine.state in (State.STARVED, State.HOLDING):
             self.machine.handle(Event.RESET)
         self.program_id = program_id
-        self._rows.clear()
-        self._end_known = False
         self.completed = False
-        self.lost = ''
         self.played = self.approach_samples = self.starvations = 0
         self.last: Row | None = None
+        self._clear()
+        self.plan, self.plan_over, self.played_of_plan = 0, False, 0
         self._forget_figures()
+
+    def refuse_beginning(self, program_id: str, plan: int) -> None:
+        """
+        Refuse a plan that cannot begin now.
+
+        Raises
+        ------
+        StreamError
+            If the machine moves, or waits for something else.
+
+        """
+        state = self.machine.state
+        if not self.resting:
+            raise StreamError(f'plan {plan} of {program_id} begins while the machine moves')
+        goes_on = same_run(program_id, self.program_id) and not self.completed
+        if program_id == self.program_id and not (plan == self.plan + 1 and self.plan_over):
+            raise StreamError(
+                f'plan {plan} cannot follow plan {self.plan} here; feedrate_node is out of step, '
+                'reset and run the program again'
+            )
+        if state is State.HOLDING and not goes_on:
+            raise StreamError(f'{self.program_id} is on hold; cycle_start or reset first')
+
+    def begin_plan(self, program_id: str, plan: int) -> None:
+        """Get ready for a new run, or for another plan of the run from where the machine rests."""
+        if not same_run(program_id, self.program_id) or self.completed:
+            self.begin(program_id)
+            self.plan = plan
+            return
+        wanted = self.start_wanted
+        self._clear()
+        self.program_id, self.plan, self.start_wanted = program_id, plan, wanted
+        self.plan_over, self.played_of_plan = False, 0
+
+    def _clear(self) -> None:
+        """Empty the buffer."""
+        self._drop_buffer()
+        self._rows: deque[Row] = deque()
+        self._current: Held | None = None
+        self._on_tail = self._leave = self.start_wanted = False
+        self._last_words = ''
+        self.resting = True
 
     def _forget_figures(self) -> None:
         """Start the figures anew: at a run, and where its approach ends."""
@@ -64,68 +146,173 @@ class Playback:
         self.largest_contour_error = 0.0
         self.least_buffered = np.inf
 
-    @property
-    def buffered(self) -> int:
-        """Setpoints at hand."""
-        return len(self._rows)
+    def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
+        """Take a chunk into the buffer."""
+        rows = rows_of(chunk.samples, lines)
+        self._chunks.append(Held(rows, chunk.tail, tail_lines, chunk.wait))
+        self.buffered += len(rows)
+        self._waits += chunk.wait is not Wait.NOTHING
+        self.newest = np.concatenate([self.newest, chunk.samples.position])[-3:]
 
-    def push(self, samples: Setpoints, lines: list[int], end: bool) -> None:
-        """Take setpoints into the buffer."""
-        moving = (np.abs(samples.velocity) + np.abs(samples.acceleration)).max(axis=1) > 0.0
-        columns = (samples.block.tolist(), lines, samples.s.tolist(), moving.tolist())
-        self._rows.extend(map(Row, samples.position, samples.velocity, *columns))
-        self._end_known = self._end_known or end
+    # What the operator asks for -----------------------------------------------------------------
+
+    def hold(self) -> None:
+        """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
+        if self.machine.state is State.HOLDING:
+            self.start_wanted = False
+            return
+        self.machine.handle(Event.HOLD, 'feed hold; cycle_start to go on')
+        self._leave = not self.resting
+
+    def stop(self, reason: str = STOPPED_BY_HAND) -> None:
+        """Stop on the path as soon as the setpoints allow, and go to FAULT."""
+        self.machine.handle(Event.STOP, reason)
+        self._leave = not self.resting
+        if self.machine.state is State.STOPPING and self.resting:
+            self._come_to_rest()
+
+    def start(self) -> None:
+        """
+        Go on, as soon as setpoints are there.
+
+        Raises
+        ------
+        StreamError
+            If there is nothing to go on with.
+
+        """
+        state = self.machine.state
+        if state is State.RUNNING:
+            return
+        if state not in (State.HOLDING, State.STARVED):
+            reason = self.machine.message or 'run a program'
+            raise StreamError(f'nothing to go on with while {state.value}: {reason}')
+        self.start_wanted = True
+
+    def end_with(self, reason: str) -> None:
+        """Nothing more will come: stop on the path behind what is at hand, then FAULT."""
+        self._last_words = reason
+        if self.resting and self.machine.state in (State.HOLDING, State.STARVED):
+            self.stop(reason)
+
+    def reset(self) -> None:
+        """Clear a fault, or give up what is left of a run, at rest only."""
+        if not self.resting:
+            raise StreamError('the machine is still moving; reset when it rests')
+        self.machine.handle(Event.RESET)
+        self.begin('')
+
+    # The clock ----------------------------------------------------------------------------------
 
     def step(self) -> Feedback:
         """Let one period pass."""
-        state = self.machine.state
-        if state in (State.IDLE, State.STARVED) and self._may_start():
-            self.machine.handle(Event.START if state is State.IDLE else Event.RESUME)
-        if self.machine.state is not State.RUNNING:
-            self.feedback = self.machine.rest()
-        elif self._rows:
+        if self.resting and self._may_start():
+            if self.machine.state is not State.RUNNING:
+                starts = self.machine.state is State.IDLE
+                self.machine.handle(Event.START if starts else Event.RESUME)
+            self.start_wanted = self.resting = False
+        if not self.resting and not self._rows:
+            self._take_next()
+        if self._rows and self.machine.state in FOLLOWING:
             self._play(self._rows.popleft())
-        elif self._end_known:
-            self.machine.handle(Event.FINISH)
-            self.completed = True
-            self.feedback = self.machine.rest()
         else:
-            self._starve()
+            self.feedback = self.machine.rest()
         return self.feedback
 
     def _may_start(self) -> bool:
-        """Start with enough at hand; never again after setpoints were missing in motion."""
-        enough = len(self._rows) >= self._start_count or self._end_known
-        return bool(self._rows) and enough and not self.lost
+        """Start with enough at hand."""
+        state = self.machine.state
+        if state is State.RUNNING:  # rests for the override only
+            return bool(self._chunks)
+        wanted = state in SELF_STARTING or (state is State.HOLDING and self.start_wanted)
+        enough = self.buffered >= self._start_count or self._waits > 0
+        return wanted and bool(self._chunks) and enough
+
+    def _take_next(self) -> None:
+        """Go on behind a chunk or a tail that was played to its end."""
+        current = self._current
+        if self._on_tail or (current is None and not self._chunks):
+            self._come_to_rest()
+        elif current is None:
+            self._follow(self._chunks.popleft())
+        elif self._leave:
+            self._follow_tail(current)
+        elif current.wait is not Wait.NOTHING:
+            self._rest_behind(current.wait)
+        elif self._chunks:
+            self._follow(self._chunks.popleft())
+        else:
+            self._starve(current)
+
+    def _follow(self, held: Held) -> None:
+        self._current = held
+        self._rows.extend(held.rows)
+        self.buffered -= len(held.rows)
+        self._waits -= held.wait is not Wait.NOTHING
+
+    def _rest_behind(self, wait: Wait) -> None:
+        """Rest where the setpoints say so; they go on from there."""
+        self.resting = True
+        self._current = None
+        if wait is Wait.END:
+            self.machine.handle(Event.FINISH)
+            self.completed = True
+        elif wait is Wait.CYCLE_START:
+            self.machine.handle(Event.HOLD, 'program stop; cycle_start to go on')
+
+    def _follow_tail(self, current: Held) -> None:
+        """Leave the plan by the stop behind the chunk."""
+        self._on_tail = True
+        self._rows.extend(rows_of(current.tail, current.tail_lines))
+        self._drop_buffer()
+        if not self._rows:
+            self._come_to_rest()
+
+    def _drop_buffer(self) -> None:
+        self._chunks.clear()
+        self.buffered = 0
+        self._waits = 0  # chunks in the buffer behind which the machine rests
+        self.newest = np.tile(self.machine.setpoints[-1], (3, 1))
+
+    def _come_to_rest(self) -> None:
+        """Be at rest on the path; another plan must follow."""
+        self._current = None
+        self._drop_buffer()
+        self.resting = self.plan_over = True
+        self._on_tail = self._leave = False
+        if self.machine.state is State.STOPPING:
+            self.machine.handle(Event.FAIL)
+
+    def _starve(self, current: Held) -> None:
+        """Nothing came in time."""
+        self.starvations += 1
+        if self._last_words:
+            self.machine.handle(Event.STOP, self._last_words)
+        elif self.machine.state is State.RUNNING:
+            self.machine.handle(
+                Event.STARVE, f'no setpoints after {self.played}: stopped on the path; goes on '
+                'when they come, or restart the node that is lost and cycle_start',
+            )  # fmt: skip
+        self._follow_tail(current)
 
     def _play(self, row: Row) -> None:
         """Follow one setpoint and keep the figures of the run."""
-        if not self._end_known:
-            self.least_buffered = min(self.least_buffered, len(self._rows))
+        current = self._current
+        flows = current is not None and current.wait is Wait.NOTHING and not self._on_tail
+        if flows and self._waits == 0:
+            self.least_buffered = min(self.least_buffered, self.buffered + len(self._rows))
         if row.block == 0:
             self.approach_samples += 1
         elif self.last is None or self.last.block == 0:
             self._forget_figures()
         self.feedback = self.machine.step(row.position, row.velocity)
+        self.executed.append(row)
         self.last = row
         self.played += 1
+        self.played_of_plan += not self._on_tail
         error = np.abs(self.feedback.following_error)
         self.largest_following_error = np.maximum(self.largest_following_error, error)
         self.largest_contour_error = max(self.largest_contour_error, self.feedback.contour_error)
         if self.machine.state is State.FAULT:
             self._rows.clear()
-
-    def _starve(self) -> None:
-        """Hold the last setpoint; after a rest the run may go on, after motion it is lost."""
-        self.starvations += 1
-        message = f'no setpoints after {self.played}: holding the last one'
-        if self.last is not None and self.last.moving:
-            self.lost = f'{message}; feedrate_node came too late or is lost, start the run again'
-            message = self.lost
-        self.machine.handle(Event.STARVE, message)
-        self.feedback = self.machine.rest()
-
-    def fail(self, reason: str) -> None:
-        """Stop the drives where they are."""
-        self._rows.clear()
-        self.machine.handle(Event.FAIL, reason)
+            self._come_to_rest()

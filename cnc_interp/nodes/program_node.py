@@ -131,7 +131,7 @@ class ProgramNode(Node):
         if state.program_id != run.program_id:
             return
         self._feedback_at = now
-        share = min(1.0, state.path_position / run.prepared.path_length)
+        share = min(1.0, max(0.0, state.path_position / run.prepared.path_length))
         elapsed = state.samples * self._peers.period
         driven = (state.samples - state.approach_samples) * self._peers.period
         self._goal.publish_feedback(

@@ -158,7 +158,7 @@ class ProgramRun:
         count = state.samples - state.approach_samples
         result.cycle_time = max(0, count - 1) * peers.period
         result.approach_time = state.approach_samples * peers.period
-        result.path_length = state.path_position
+        result.path_length = max(0.0, state.path_position)
         result.blocks_executed = state.sequence
         result.samples = count
         result.starvations = state.starvations

@@ -8,6 +8,8 @@ Quality of service of every topic, in one table.
 | ``machine_state`` | reliable | volatile | last 64 | changes of state must arrive |
 | ``loaded_program`` | reliable | transient local | last 1 | for those who join during a run |
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
+| ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
+| ``feed_override`` | reliable | transient local | last 1 | a node that starts late must know it |
 | ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
 | ``run_program`` | rclpy's defaults for actions | | | |
 """  # noqa: E501
@@ -40,3 +42,4 @@ LOADED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+OVERRIDE = LOADED

@@ -1,4 +1,4 @@
-"""What the machine received as plan files: `cnc-interp check` proves the received stream."""
+"""What the machine executed as plan files: `cnc-interp check` proves it."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from cnc_interp.errors import StreamError
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.messages import setpoints_from
-from cnc_interp.nodes.planning import part_of
+from cnc_interp.nodes.chunk_messages import setpoints_from
 from cnc_interp.pipeline import ChainOptions, plan_program, write_plan
 from cnc_interp.program import JobSetup, ReadOptions, read_program
+from cnc_interp.stream.chunk import part_of
 
 if TYPE_CHECKING:
     from cnc_interp.nodes.session import RunRequest
 
 
-def received_setpoints(chunks: list[SetpointChunk]) -> Setpoints:
+def executed(chunks: list[SetpointChunk]) -> Setpoints:
     """
-    Join the chunks of one run, the approach left out; time counts from the program's first one.
+    Join what was executed in one run, the approach left out; time counts from the program's start.
 
     Raises
     ------
@@ -34,14 +34,12 @@ def received_setpoints(chunks: list[SetpointChunk]) -> Setpoints:
     """
     parts, following = [], None
     for chunk in sorted(chunks, key=lambda chunk: chunk.first_sample):
-        if following is not None and chunk.first_sample < following:
-            continue  # sent again
         if following is not None and chunk.first_sample > following:
             raise StreamError(f'setpoints {following} to {chunk.first_sample - 1} were not heard')
         following = chunk.first_sample + len(chunk.sequences)
         parts.append(setpoints_from(chunk))
-    if not parts or not chunks[-1].end_of_program:
-        raise StreamError('the recording holds no program to its end; run it again')
+    if not parts:
+        raise StreamError('nothing was executed; run the program again')
     heard = Setpoints.concatenate(parts)
     first = int(np.searchsorted(heard.block, 1))
     program = part_of(heard, first, len(heard))
@@ -52,7 +50,7 @@ def received_setpoints(chunks: list[SetpointChunk]) -> Setpoints:
 def write_received(
     request: RunRequest, machine: Machine, chunks: list[SetpointChunk], directory: Path
 ) -> None:
-    """Write plan files with the received setpoints; blocks and path are read and planned anew."""
+    """Write plan files with the executed setpoints; blocks and path are read and planned anew."""
     options = ReadOptions(
         contour_tolerance=request.contour_tolerance,
         orientation_tolerance=request.orientation_tolerance,
@@ -73,4 +71,4 @@ def write_received(
         period=request.period,
     )
     plan = plan_program(program, machine, chain)
-    write_plan(replace(plan, setpoints=received_setpoints(chunks)), directory)
+    write_plan(replace(plan, setpoints=executed(chunks)), directory)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine import refuse_setpoints
 from cnc_interp.nodes.messages import (
     CONNECTION_POINTS,
     CURVES,
@@ -123,10 +127,16 @@ def _check_parametrization(name: str, spline: BSpline) -> None:
         raise StreamError(f'{name} must rise from 0 to 1')
 
 
-def check_chunk(message: SetpointChunk, axis_count: int, period: float) -> None:
-    """Refuse setpoints of a wrong shape, for another machine or period, or not finite."""
+def check_chunk(
+    message: SetpointChunk, machine: Machine, period: float, before: FloatArray
+) -> None:
+    """
+    Refuse setpoints of a wrong shape, for another machine or period, or beyond its limits.
+
+    ``before`` are the three setpoints before them, shape (3, n_axes).
+    """
     name = f'setpoints from {message.first_sample}'
-    n = len(message.sequences)
+    n, axis_count = len(message.sequences), len(machine.axis_names)
     if message.axis_count != axis_count:
         raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
     if message.period != period:
@@ -137,10 +147,31 @@ def check_chunk(message: SetpointChunk, axis_count: int, period: float) -> None:
     if n == 0:
         raise StreamError(f'{name}: the chunk is empty; send at least one setpoint')
     for field in ('positions', 'velocities', 'accelerations', 'jerks'):
-        values = np.frombuffer(getattr(message, field))
-        if len(values) != n * axis_count:
-            raise StreamError(f'{name}: {field} has {len(values)} values, not {n * axis_count}')
-        if not np.isfinite(values).all():
-            raise StreamError(f'{name}: {field} has a value that is not finite')
-    if len(message.line_numbers) != n or len(message.path_positions) != n:
-        raise StreamError(f'{name}: line_numbers and path_positions need {n} values each')
+        _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
+    _check_rows(f'{name}: path_positions', message.path_positions, n)
+    tail = len(message.tail_sequences)
+    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+        values = getattr(message, f'tail_{field}')
+        _check_rows(f'{name}: tail_{field}', values, tail * axis_count)
+    _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
+    if (len(message.line_numbers), len(message.tail_line_numbers)) != (n, tail):
+        raise StreamError(f'{name}: each setpoint needs a line number')
+    if message.wait > SetpointChunk.END or message.end_of_program != (
+        message.wait == SetpointChunk.END
+    ):
+        raise StreamError(f'{name}: wait {message.wait} does not fit end_of_program')
+    rows = np.concatenate(
+        [np.frombuffer(message.positions), np.frombuffer(message.tail_positions)]
+    ).reshape(-1, axis_count)
+    try:
+        refuse_setpoints(machine, period, before, rows, at_rest=True)
+    except StreamError as fault:
+        raise StreamError(f'{name}: {fault}') from None
+
+
+def _check_rows(name: str, values: array[float], count: int) -> None:
+    """Refuse a list of another length than it must have, or with values that are no numbers."""
+    if len(values) != count:
+        raise StreamError(f'{name} has {len(values)} values, not {count}')
+    if not np.isfinite(np.frombuffer(values)).all():
+        raise StreamError(f'{name} has a value that is not finite')

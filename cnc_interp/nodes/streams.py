@@ -9,6 +9,7 @@ of setpoints).
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -18,6 +19,8 @@ from cnc_interp.errors import StreamError
 Item = TypeVar('Item')
 #: Programs whose late messages are recognised as such.
 REMEMBERED = 64
+#: Time that a repetition asked for may take to arrive [s].
+SETTLE = 0.05
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class WindowedSender(Generic[Item]):
         self.limit = 0
         self.sent = 0  # number after the last item that was ever sent
         self._since = 0.0
+        self._again = -math.inf
 
     def begin(self, program_id: str) -> None:
         """Start a new program; what is left of the old one is dropped."""
@@ -109,11 +113,17 @@ class WindowedSender(Generic[Item]):
         self._in_flight = max(0, self._in_flight - items)
 
     def acknowledge(
-        self, program_id: str, next_number: int, window_limit: int, now: float
+        self, program_id: str, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
-        """Take note of what the receiver says; words about another program are ignored."""
+        """
+        Take note of what the receiver says; words about another program are ignored.
+
+        On a gap sending starts again at once, but not again before that had time to arrive.
+        """
         if program_id != self.program_id or next_number > self.sent:
             return
+        if gap and now - self._again > SETTLE:
+            self._in_flight, self._again = 0, now
         while self._items and self._items[0].after <= next_number:
             self._items.popleft()
             self._in_flight = max(0, self._in_flight - 1)
@@ -216,6 +226,10 @@ class WindowedReceiver:
         if program_id != self.program_id:
             self._begin(program_id)
         self.refusal = reason
+
+    def close(self) -> None:
+        """Expect nothing more of this program."""
+        self.complete = True
 
     def consume(self, count: int) -> None:
         """Open the window by items that were worked off."""

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.feedrate.jerk_stage import PlanOptions
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
-from cnc_interp.interpolator import Interpolator
+from cnc_interp.feedrate.limits import limit_table
+from cnc_interp.feedrate.stop_law import planned_stop, until_rest
+from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
@@ -16,6 +17,8 @@ from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.stream.chunk import Wait
+from cnc_interp.stream.motion_stream import MotionStream
 from cnc_interp.units import MM, MM_PER_MIN
 
 #: The tiny path in several windows: some kernels serve only where a window follows another.
@@ -61,7 +64,18 @@ def warm_all(transform: Transform, period: float) -> None:
     """Load the kernels from look-ahead to setpoints."""
     path = warm_kinematics(transform)
     for options in (PlanOptions(), SHORT_WINDOWS):
-        planner, interpolator = FeedPlanner(transform.machine, options), Interpolator(period)
-        pieces: list[PlannedPiece] = planner.push(path) + planner.finish()
-        for piece in pieces:
-            interpolator.push(piece)
+        planner = FeedPlanner(transform.machine, options)
+        planner.push(path)
+        planner.finish()
+    # stops in both ways, and a change of the override
+    stream = MotionStream(transform.machine, period)
+    stream.push(path)
+    stream.end_leg(Wait.END)
+    while not stream.can_sample:
+        stream.plan()
+    handed_out = sum(len(chunk.samples) for chunk in stream.sample())
+    stream.revise(handed_out - 1, 0.5, single_block=False)
+    state = stream.state_at(handed_out - 1)
+    table = limit_table(transform.machine)
+    assert state is not None
+    planned_stop(until_rest(path, *state[1], table), state[1], table, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class Course:
     def push(self, path: AxisPath) -> list[AxisPath]:
         """Take a part of the path; returns it in portions."""
         borders = [*range(0, len(path.s) - 1, PORTION), len(path.s) - 1]
-        portions = [cut(path, a, b) for a, b in zip(borders, borders[1:], strict=False)]
+        portions = [cut(path, a, b) for a, b in pairwise(borders)]
         self.items.extend(portions)
         return portions
 

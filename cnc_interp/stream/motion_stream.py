@@ -109,9 +109,7 @@ class MotionStream:
     @property
     def can_sample(self) -> bool:
         """Tell whether there is motion to sample."""
-        return bool(self._legs) and (
-            bool(self._legs[0].slices) or self._legs[0].wait is not None
-        )
+        return bool(self._legs) and (bool(self._legs[0].slices) or self._legs[0].wait is not None)
 
     def plan(self) -> None:
         """

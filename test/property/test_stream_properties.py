@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from programs import pyramid, zigzag
 
+from cnc_interp.feedrate.window import plan_path
 from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.stream.chunk import Wait, part_of
@@ -132,7 +132,7 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
         if sent and stream.revise(count - 1, wanted, single_block=False):
             queue, override, accepted = [], wanted, accepted + 1
         queue += drain(stream, until=int(rng.integers(20, 1200)))
-        if override == 0.0 and queue:
+        if override == 0.0 and queue and not stream.can_sample:
             assert queue[-1].wait is Wait.OVERRIDE
         take = int(rng.integers(1, len(queue) + 1)) if queue else 0
         sent, queue = sent + queue[:take], queue[take:]
@@ -151,7 +151,7 @@ def test_a_lower_override_slows_at_once_and_down_to_its_feed():
     assert stream.revise(count - 1, 0.3, single_block=False)
     after = joined(drain(stream))
     speed = np.diff(after.s) / T
-    assert speed[5] < speed[0]
+    assert speed[60] < speed[:20].min()
     assert speed[400:].max() <= 0.3 * 0.05 * (1 + 1e-6)
     assert_sound(Setpoints.concatenate([joined(chunks), after]), path)
 

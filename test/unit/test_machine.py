@@ -173,11 +173,12 @@ def test_the_table_by_its_meaning():
     assert reached == set(State)
     # A fault is left by reset or switching off only; drives that are off do not start.
     assert {e for s, e in TRANSITIONS if s is State.FAULT} == {
-        Event.RESET, Event.DEACTIVATE, Event.FAIL,
+        Event.RESET, Event.DEACTIVATE, Event.FAIL, Event.STOP,
     }  # fmt: skip
     assert {e for s, e in TRANSITIONS if s is State.INACTIVE} == {Event.ACTIVATE}
     # Whatever moves can fail, and nothing that moves can be switched off.
-    for state in (State.RUNNING, State.HOLDING, State.STARVED):
+    for state in (State.RUNNING, State.HOLDING, State.STARVED, State.STOPPING):
+        assert TRANSITIONS[state, Event.STOP] is State.STOPPING
         assert TRANSITIONS[state, Event.FAIL] is State.FAULT
         assert (state, Event.DEACTIVATE) not in TRANSITIONS
 

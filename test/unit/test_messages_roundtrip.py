@@ -17,11 +17,12 @@ from cnc_interp.errors import InterpError, StreamError
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes import messages, soundness
+from cnc_interp.nodes import chunk_messages, messages, soundness
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import ReadOptions, read_program, read_text
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import CORNER, PathSegments
+from cnc_interp.stream.chunk import Chunk, Wait, part_of
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / 'shared' / 'programs'
@@ -191,18 +192,30 @@ def setpoints(n=10, axes=5):
 
 @pytest.mark.parametrize('axes', [3, 5])
 def test_setpoints_keep_every_bit(axes):
-    sent = setpoints(axes=axes)
-    message = messages.chunk_message(sent, list(range(10)), 'p', 0, 0.001, end=True)
+    sent = Chunk(setpoints(axes=axes), setpoints(7, axes), Wait.CYCLE_START)
+    message = chunk_messages.chunk_message(
+        sent, list(range(10)), list(range(7)), 'p', 3, 20, 0.001
+    )
     (received,) = over_the_wire([message])
-    soundness.check_chunk(received, axes, 0.001)
-    same_bits(messages.setpoints_from(received), sent)
+    back = chunk_messages.chunk_from(received)
+    for name in ('samples', 'tail'):
+        for field in ('position', 'velocity', 'acceleration', 'jerk', 'block', 's'):
+            there, here = (getattr(getattr(c, name), field) for c in (back, sent))
+            assert there.tobytes() == here.tobytes(), (name, field)
+    assert back.wait is Wait.CYCLE_START
     assert list(received.line_numbers) == list(range(10))
-    assert received.end_of_program
+    assert list(received.tail_line_numbers) == list(range(7))
+    assert (received.plan, received.first_sample) == (3, 20)
+    assert not received.end_of_program
 
 
 def sound(kind):
     if kind is SetpointChunk:
-        return messages.chunk_message(setpoints(), [0] * 10, 'p', 0, 0.001, end=False)
+        still = Setpoints(
+            np.arange(10) * 0.001, *np.zeros((4, 10, 5)), np.ones(10, dtype=int), np.zeros(10)
+        )
+        chunk = Chunk(still, part_of(still, 0, 7), Wait.NOTHING)
+        return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, 'p', 0, 0, 0.001)
     blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, ReadOptions()).blocks
     if kind is G1Block:
         return messages.block_messages(blocks, 'p', 0, H, end=True)[1]
@@ -212,7 +225,7 @@ def sound(kind):
 
 def check(message):
     if isinstance(message, SetpointChunk):
-        soundness.check_chunk(message, 5, 0.001)
+        soundness.check_chunk(message, Machine.load('xyzac'), 0.001, np.zeros((3, 5)))
     elif isinstance(message, G1Block):
         soundness.check_block(message)
     else:
@@ -250,8 +263,16 @@ NAN, INF = float('nan'), float('inf')
         (SetpointChunk, 'period', 0.002, 'period'),
         (SetpointChunk, 'positions', [0.0] * 49, '49 values'),
         (SetpointChunk, 'velocities', [NAN] * 50, 'velocities'),
-        (SetpointChunk, 'line_numbers', [1] * 9, 'line_numbers'),
+        (SetpointChunk, 'line_numbers', [1] * 9, 'line number'),
         (SetpointChunk, 'sequences', [], 'empty'),
+        (SetpointChunk, 'tail_positions', [0.0] * 34, '34 values'),
+        (SetpointChunk, 'tail_line_numbers', [1] * 6, 'line number'),
+        (SetpointChunk, 'positions', [0.0] * 49 + [1e-6], 'C asked for .* times its largest'),
+        (SetpointChunk, 'tail_positions', [0.0] * 30 + [1e-7] + [0.0] * 4, 'X asked for'),
+        (SetpointChunk, 'positions', [0.0] * 49 + [1e6], 'C asked'),
+        (SetpointChunk, 'positions', [0.6] + [0.0] * 49, 'soft limit: X'),
+        (SetpointChunk, 'wait', 4, 'wait 4'),
+        (SetpointChunk, 'end_of_program', True, 'wait 0 does not fit'),
     ],
 )
 def test_unsound_values_are_refused_by_name(kind, field, value, word):

@@ -1,9 +1,9 @@
-"""The machine's buffer and the approach: closed-form moves played period by period."""
+"""The machine's buffer and the approach: moves played period by period."""
 
 import numpy as np
 import pytest
 
-pytest.importorskip('ruckig', reason='needs ruckig; run the tests with ./cnc test')
+pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.errors import StreamError, TravelError
 from cnc_interp.feedrate.motion_law import MotionLaw
@@ -11,13 +11,17 @@ from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine import Event, SimulatedMachine, State
-from cnc_interp.nodes.approach import approach
-from cnc_interp.nodes.planning import SLICE, part_of, sliced
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine import Event, SimulatedMachine, State, refuse_setpoints
 from cnc_interp.nodes.playback import Playback
+from cnc_interp.stream.approach import approach
+from cnc_interp.stream.chunk import Chunk, Wait, part_of
+from cnc_interp.stream.leg import SLICE, sliced
+from cnc_interp.stream.motion_stream import MotionStream
 
 T = 0.001
 MACHINE = Machine.load('xyzac')
+TRANSFORM = Transform.of(MACHINE)
 HOME = np.zeros(5)
 LIMITS = (MACHINE.max_velocity, MACHINE.max_acceleration, MACHINE.max_jerk)
 POSES = [
@@ -34,130 +38,223 @@ def playback(start_count=50):
     return Playback(machine, start_count)
 
 
-def move(target, block=1):
-    samples = approach(MACHINE, T, HOME, np.array(target))
-    return Setpoints(
-        samples.time, samples.position, samples.velocity, samples.acceleration, samples.jerk,
-        np.full(len(samples), block), np.linspace(0.0, 0.1, len(samples)),
-    )  # fmt: skip
+def chunks_to(target, wait=Wait.END, start=HOME):
+    """The chunks of a straight move."""
+    stream = MotionStream(MACHINE, T)
+    stream.push(approach(TRANSFORM, 0.03, np.asarray(start, float), np.array(target)))
+    stream.end_leg(wait)
+    chunks = []
+    while stream.can_plan or stream.can_sample:
+        chunks += stream.sample() if stream.can_sample else stream.plan() or []
+    return chunks
+
+
+def samples_to(target):
+    return Setpoints.concatenate([chunk.samples for chunk in chunks_to(target)])
+
+
+def feed(play, chunks):
+    for chunk in chunks:
+        play.push(chunk, [1] * len(chunk.samples), [2] * len(chunk.tail))
+
+
+def use_of(positions):
+    """Largest use of each limit from rest to rest."""
+    q = np.concatenate([positions[:1].repeat(3, 0), positions, positions[-1:].repeat(3, 0)])
+    return max(
+        (np.abs(np.diff(q, order, axis=0)).max(axis=0) / T**order / limit).max()
+        for order, limit in enumerate(LIMITS, start=1)
+    )
+
+
+def step_until(play, done, most=20_000):
+    """Step; returns the setpoints of the drives."""
+    heard = []
+    while not done():
+        assert len(heard) < most, 'never came'
+        heard.append(play.step().setpoint)
+    return np.array(heard)
 
 
 @pytest.mark.parametrize('target', POSES)
 def test_approach_holds_all_limits_and_ends_at_rest(target):
-    samples = approach(MACHINE, T, HOME, np.array(target))
+    samples = samples_to(target)
     assert np.array_equal(samples.position[-1], target)
     assert not samples.velocity[-1].any() and not samples.acceleration[-1].any()
-    held = np.concatenate([np.zeros((3, 5)), samples.position, np.tile(target, (3, 1))])
-    for order, limit in enumerate(LIMITS, start=1):
-        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
-        assert use.max() <= 1.001
-    assert (samples.block == 0).all()
-
-
-def test_approach_takes_as_long_as_its_slowest_axis_alone():
-    alone = approach(MACHINE, T, HOME, np.array([0.0, 0.0, 0.3, 0.0, 0.0]))
-    together = approach(MACHINE, T, HOME, np.array([0.01, 0.0, 0.3, 0.1, 0.1]))
-    assert len(together) == len(alone)
+    assert use_of(samples.position) <= 1.001
+    assert (samples.block == 0).all() and samples.s[-1] == 0.0
+    straight = samples.position @ np.array(target) / (np.array(target) @ np.array(target))
+    assert np.abs(samples.position - straight[:, None] * target).max() < 1e-12
 
 
 def test_no_approach_where_the_machine_stands():
-    assert len(approach(MACHINE, T, HOME, HOME)) == 0
+    assert approach(TRANSFORM, 0.03, HOME, HOME) is None
 
 
 def test_approach_outside_the_travel_is_refused():
     with pytest.raises(TravelError, match='axis X'):
-        approach(MACHINE, T, HOME, np.array([0.6, 0.0, 0.0, 0.0, 0.0]))
+        approach(TRANSFORM, 0.03, HOME, np.array([0.6, 0.0, 0.0, 0.0, 0.0]))
 
 
 def test_waits_for_enough_then_plays_everything_in_order():
-    play, samples = playback(50), move([0.02, 0.0, 0.0, 0.1, 0.0])
+    play, chunks = playback(50), chunks_to([0.02, 0.0, 0.0, 0.1, 0.0])
     play.begin('p')
-    play.push(part_of(samples, 0, 40), [1] * 40, False)
+    feed(play, chunks[:4])
     for _ in range(5):
         assert play.step().state is State.IDLE
-    play.push(part_of(samples, 40, len(samples)), [1] * (len(samples) - 40), True)
-    heard = []
-    for _ in range(len(samples)):
-        heard.append(play.step().setpoint)
-    assert np.array_equal(heard, samples.position)
-    assert play.machine.state is State.RUNNING and not play.completed
-    play.step()
-    assert play.machine.state is State.IDLE and play.completed
-    assert play.played == len(samples) and play.starvations == 0
+    feed(play, chunks[4:])
+    heard = step_until(play, lambda: play.completed)
+    assert np.array_equal(heard[:-1], np.concatenate([c.samples.position for c in chunks]))
+    assert play.machine.state is State.IDLE and play.starvations == 0
+    assert play.played == len(heard) - 1
 
 
 def test_a_short_program_starts_without_a_full_buffer():
-    play, samples = playback(10_000), move([1e-6, 0.0, 0.0, 0.0, 0.0])
+    play = playback(10_000)
     play.begin('p')
-    play.push(samples, [1] * len(samples), True)
+    feed(play, chunks_to([1e-6, 0.0, 0.0, 0.0, 0.0]))
     assert play.step().state is State.RUNNING
 
 
-def test_starving_in_motion_holds_the_last_setpoint_and_ends_the_run():
-    play, samples = playback(50), move([0.1, 0.0, 0.0, 0.0, 0.0])
+@pytest.mark.parametrize('given', [6, 15, 16, 40, 60])
+def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
+    target = [0.4, 0.0, 0.0, 0.2, 0.0]
+    play, chunks = playback(50), chunks_to(target)
     play.begin('p')
-    play.push(part_of(samples, 0, 100), [1] * 100, False)
+    feed(play, chunks[:given])
+    heard = step_until(play, lambda: play.plan_over)
+    assert play.machine.state is State.STARVED and play.starvations == 1
+    assert f'no setpoints after {10 * given}' in play.machine.message
+    assert use_of(heard) <= 1.001
+    assert np.array_equal(heard[-1], chunks[given - 1].tail.position[-1])
+    play.refuse_beginning('p', 1)
+    play.begin_plan('p', 1)
+    feed(play, chunks_to(target, start=heard[-1]))
+    more = step_until(play, lambda: play.completed)
+    assert use_of(np.concatenate([heard, more])) <= 1.001
+    assert np.array_equal(more[-1], target)
+
+
+@pytest.mark.parametrize('at', [1, 7, 10, 63, 200, 700])
+def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
+    target = [0.4, 0.1, 0.0, 0.2, 0.0]
+    play, chunks = playback(50), chunks_to(target)
+    play.begin('p')
+    feed(play, chunks)
+    before = np.array([play.step().setpoint for _ in range(at)])
+    play.hold()
+    assert play.machine.state is State.HOLDING and not play.resting
+    heard = np.concatenate([before, step_until(play, lambda: play.resting)])
+    of = (at - 1) // 10
+    assert len(heard) - at <= 11 + len(chunks[of].tail)
+    assert use_of(heard) <= 1.001 and play.plan_over
+    play.begin_plan('p', 1)
+    feed(play, chunks_to(target, start=heard[-1]))
+    for _ in range(50):
+        assert play.step().state is State.HOLDING
+    play.start()
+    more = step_until(play, lambda: play.completed)
+    assert use_of(np.concatenate([heard, more])) <= 1.001
+
+
+def test_a_program_stop_waits_for_cycle_start_and_goes_on_in_the_same_plan():
+    play = playback(20)
+    play.begin('p')
+    feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.CYCLE_START))
+    step_until(play, lambda: play.resting and play.played > 0)
+    assert play.machine.state is State.HOLDING and not play.plan_over
+    feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
+    for _ in range(50):
+        assert play.step().state is State.HOLDING
+    play.start()
+    assert step_until(play, lambda: play.completed)[-1][0] == 0.02
+
+
+def test_an_override_of_zero_rests_without_starving():
+    play = playback(20)
+    play.begin('p')
+    feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.OVERRIDE))
+    step_until(play, lambda: play.resting and play.played > 0)
+    for _ in range(50):
+        assert play.step().state is State.RUNNING
+    feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
+    step_until(play, lambda: play.completed)
+    assert play.starvations == 0
+
+
+@pytest.mark.parametrize('first', ['running', 'holding', 'starved', 'waiting'])
+def test_emergency_stop_ends_in_fault_on_the_path_and_reset_clears_it(first):
+    play, chunks = playback(50), chunks_to([0.2, 0.1, 0.0, 0.2, 0.0])
+    play.begin('p')
+    feed(play, chunks[:30] if first == 'starved' else chunks)
+    heard = [play.step().setpoint for _ in range(305 if first == 'starved' else 300)]
+    if first in ('holding', 'waiting'):
+        play.hold()
+    if first == 'waiting':
+        heard += list(step_until(play, lambda: play.resting))
+    play.stop()
+    if not play.resting:
+        assert play.machine.state is State.STOPPING
+        with pytest.raises(StreamError, match='still moving'):
+            play.reset()
+        heard += list(step_until(play, lambda: play.resting))
+    assert play.machine.state is State.FAULT and 'emergency stop' in play.machine.message
+    assert use_of(np.array(heard)) <= 1.001
+    with pytest.raises(StreamError, match='emergency stop'):
+        play.start()
+    play.reset()
+    assert play.machine.state is State.IDLE
+
+
+def test_what_cannot_begin_is_refused():
+    play, chunks = playback(50), chunks_to([0.2, 0.0, 0.0, 0.0, 0.0])
+    play.begin('p')
+    feed(play, chunks)
     for _ in range(100):
         play.step()
-    for _ in range(200):
-        feedback = play.step()
-        assert feedback.state is State.STARVED
-        assert np.array_equal(feedback.setpoint, samples.position[99])
-    assert 'no setpoints after 100' in play.lost and play.starvations == 1
-    play.push(part_of(samples, 100, 200), [1] * 100, False)
-    assert play.step().state is State.STARVED  # going on at full speed would be a jump
-    play.begin('q')
-    assert play.machine.state is State.IDLE and play.lost == ''
-
-
-def test_starving_at_rest_goes_on_when_setpoints_come():
-    play, there = playback(5), move([0.01, 0.0, 0.0, 0.0, 0.0])
-    play.begin('p')
-    play.push(there, [1] * len(there), False)
-    for _ in range(len(there) + 100):
-        play.step()
-    assert play.machine.state is State.STARVED and play.lost == ''
-    back = part_of(there, 0, len(there))
-    mirrored = Setpoints(
-        back.time, back.position[::-1].copy(), -back.velocity[::-1], back.acceleration[::-1],
-        back.jerk, back.block + 1, back.s,
-    )  # fmt: skip
-    play.push(mirrored, [2] * len(there), True)
-    while not play.completed:
-        play.step()
-    assert play.starvations == 1 and play.last.block == 2
+    with pytest.raises(StreamError, match='while the machine moves'):
+        play.refuse_beginning('q', 0)
+    play.hold()
+    step_until(play, lambda: play.resting)
+    with pytest.raises(StreamError, match='plan 3 cannot follow plan 0'):
+        play.refuse_beginning('p', 3)
+    with pytest.raises(StreamError, match='p is on hold'):
+        play.refuse_beginning('q', 0)
+    play.refuse_beginning('p', 1)
+    play.refuse_beginning('p+1', 0)
 
 
 def test_figures_of_the_program_leave_the_approach_out():
     play = playback(1)
-    fast = approach(MACHINE, T, HOME, np.array([0.1, 0.0, 0.0, 0.0, 0.0]))
-    play.begin('p')
-    play.push(fast, [0] * len(fast), False)
+    fast = chunks_to([0.1, 0.0, 0.0, 0.0, 0.0], Wait.NOTHING)
+    count = sum(len(chunk.samples) for chunk in fast)
     still = np.zeros((20, 5))
-    position = np.tile(fast.position[-1], (20, 1))
-    rest = Setpoints(
-        np.arange(20) * T, position, still, still, still, np.ones(20, dtype=int), np.zeros(20)
-    )
-    play.push(rest, [3] * 20, True)
-    while not play.completed:
-        play.step()
-    assert (play.approach_samples, play.played) == (len(fast), len(fast) + 20)
+    position = np.tile(fast[-1].samples.position[-1], (20, 1))
+    ones = np.ones(20, dtype=int)
+    rest = Setpoints(np.arange(20) * T, position, still, still, still, ones, np.zeros(20))
+    play.begin('p')
+    feed(play, [*fast, Chunk(rest, part_of(rest, 0, 0), Wait.END)])
+    step_until(play, lambda: play.completed)
+    assert (play.approach_samples, play.played) == (count, count + 20)
     assert play.machine.largest_use[0].max() < 1e-9
 
 
-def test_soft_limit_stops_the_machine_with_the_reason():
-    play = playback(1)
-    outside = np.array([[0.5001, 0.0, 0.0, 0.0, 0.0]])
-    still = np.zeros((1, 5))
-    play.machine.place(np.array([0.4999, 0.0, 0.0, 0.0, 0.0]))
-    play.begin('p')
-    one = Setpoints(np.zeros(1), outside, still, still, still, np.ones(1, dtype=int), np.zeros(1))
-    play.push(one, [7], True)
-    feedback = play.step()
-    assert feedback.state is State.FAULT
-    assert 'X' in play.machine.message and feedback.setpoint[0] == 0.4999
-    with pytest.raises(StreamError):
-        play.machine.step(outside[0], still[0])
+@pytest.mark.parametrize(
+    ('row', 'value', 'words'),
+    [
+        (40, 0.6, 'soft limit: X to 0.6'),
+        (40, 1e-7, 'X asked for .* times its largest jerk'),
+        (40, 1e-3, 'X asked for .* times its largest'),
+        (-1, 1e-7, 'X asked for .* times its largest'),
+    ],
+)
+def test_setpoints_that_cannot_be_are_refused_before_they_are_executed(row, value, words):
+    positions = samples_to([0.1, 0.0, 0.0, 0.0, 0.0]).position.copy()
+    before = np.zeros((3, 5))
+    refuse_setpoints(MACHINE, T, before, positions, at_rest=True)
+    positions[row, 0] += value
+    with pytest.raises(StreamError, match=words):
+        refuse_setpoints(MACHINE, T, before, positions, at_rest=True)
 
 
 def slow_line():

@@ -1,0 +1,61 @@
+"""The operator's services of the machine: feed_hold, cycle_start, emergency_stop, reset."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from std_srvs.srv import Trigger
+
+from cnc_interp.errors import StreamError
+from cnc_interp.nodes.playback import Playback
+
+
+class Controls:
+    """
+    Services that act on the playback at once, whatever became of the other nodes.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    playback : Playback
+        The machine's buffer.
+    lock : Lock
+        Held while the playback is touched.
+    give_up : callable
+        Told the reason when a run is over for good.
+
+    """
+
+    def __init__(
+        self, node: Any, playback: Playback, lock: threading.Lock, give_up: Callable[[str], None]
+    ):
+        self._playback, self._lock, self._give_up = playback, lock, give_up
+        for name, act in (
+            ('feed_hold', playback.hold),
+            ('cycle_start', playback.start),
+            ('emergency_stop', playback.stop),
+            ('reset', self._reset),
+        ):
+            node.create_service(Trigger, name, self._answering(act))
+
+    def _answering(self, act: Callable[[], None]) -> Callable[[Any, Any], Any]:
+        """Make a service of an action that raises when it is not possible."""
+
+        def serve(_request: Any, response: Any) -> Any:
+            try:
+                with self._lock:
+                    act()
+                    state = self._playback.machine.state.value
+                response.success, response.message = True, state
+            except StreamError as problem:
+                response.success, response.message = False, str(problem)
+            return response
+
+        return serve
+
+    def _reset(self) -> None:
+        self._playback.reset()
+        self._give_up('given up by reset')

@@ -57,17 +57,14 @@ class Children:
             'ROS_LOG_DIR': self._folder.name,
             PARENT: str(os.getpid()),
         }
-        self._nodes = [
-            self._start(node, namespace, parameters.get(node, {}), file) for node in NODES
-        ]
+        self._namespace, self._parameters, self._file = namespace, parameters, file
+        self._nodes = {node: self._start(node) for node in NODES}
 
-    def _start(
-        self, node: str, namespace: str, parameters: dict[str, object], file: Path
-    ) -> Started:
+    def _start(self, node: str) -> Started:
         """Start one node; what it prints goes to a file."""
         command = [sys.executable, '-m', f'cnc_interp.nodes.{node}', '--ros-args']
-        command += ['-r', f'__ns:={namespace}', '--params-file', str(file)]
-        for name, value in parameters.items():
+        command += ['-r', f'__ns:={self._namespace}', '--params-file', str(self._file)]
+        for name, value in self._parameters.get(node, {}).items():
             command += ['-p', f'{name}:={value}']
         log = Path(self._folder.name) / f'{node}.txt'
         with log.open('wb') as output:
@@ -91,29 +88,36 @@ class Children:
             With the last words of the node that ended.
 
         """
-        for node in self._nodes:
+        for node in self._nodes.values():
             if node.process.poll() is not None:
                 words = node.log.read_text(errors='replace').strip().splitlines()
                 last = words[-1] if words else f'exit code {node.process.returncode}'
                 raise InterpError(f'{node.name} ended: {last.removeprefix("cnc_interp: ")}')
 
+    def revive(self) -> list[str]:
+        """Start nodes again that were killed by a signal; returns their names."""
+        dead = [n.name for n in self._nodes.values() if (n.process.poll() or 0) < 0]
+        for name in dead:
+            self._nodes[name] = self._start(name)
+        return dead
+
     @property
     def process_ids(self) -> dict[str, int]:
         """Process of each node."""
-        return {node.name: node.process.pid for node in self._nodes}
+        return {node.name: node.process.pid for node in self._nodes.values()}
 
     @property
     def exit_codes(self) -> dict[str, int | None]:
         """Exit code of each node; None while it runs."""
-        return {node.name: node.process.poll() for node in self._nodes}
+        return {node.name: node.process.poll() for node in self._nodes.values()}
 
     def end(self) -> None:
         """Ask all nodes to end, wait, and kill only what does not."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             if node.process.poll() is None:
                 node.process.send_signal(signal.SIGTERM)
         deadline = time.monotonic() + LAST_WAIT
-        for node in self._nodes:
+        for node in self._nodes.values():
             try:
                 node.process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:

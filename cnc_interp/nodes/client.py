@@ -15,6 +15,7 @@ from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
 
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
@@ -59,6 +60,8 @@ class Client:
         self._executor.add_node(self._node)
         self._action = ActionClient(self._node, RunProgram, 'run_program')
         self._peers = Peers(self._node)
+        self._cycle_start = self._node.create_client(Trigger, 'cycle_start')
+        self._restarted = False
         self.received: list[SetpointChunk] = []
         self._feedback: RunProgram.Feedback | None = None
         self._first_motion = float('nan')
@@ -176,6 +179,7 @@ class Client:
                     file=sys.stderr,
                 )
             self._see_motion()
+            self._bring_back_lost_nodes()
             if self._feedback is not None:
                 progress.show(self._feedback)
             return bool(wanted.done())
@@ -188,6 +192,17 @@ class Client:
             for notice in result.notices:
                 print(f'note: {notice}', file=sys.stderr)
         return result
+
+    def _bring_back_lost_nodes(self) -> None:
+        """Start killed nodes again, and go on from where the machine has stopped."""
+        for name in self._children.revive():
+            print(f'\n{name} was killed; it is started again', file=sys.stderr)
+            self._restarted = True
+        state = self._peers.state
+        stands = state is not None and state.plan_over and not state.start_wanted
+        if self._restarted and stands and not self._peers.missing(time.monotonic(), 1.0):
+            self._restarted = False
+            self._cycle_start.call_async(Trigger.Request())
 
     def _take_feedback(self, message: Any) -> None:
         self._feedback = message.feedback

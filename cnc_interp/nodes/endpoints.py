@@ -15,12 +15,16 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.errors import StreamError
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
-from cnc_interp.nodes.streams import WindowedReceiver, WindowedSender
+from cnc_interp.nodes.streams import PLAN, WindowedReceiver, WindowedSender
 
 #: Time between acknowledgements when nothing happens [s].
 HEARTBEAT = 0.1
-#: Bytes of a checksum, and what separates run and plan in the name of a stream.
-CHECKSUM, PLAN = 4, '#'
+#: Bytes of a checksum.
+CHECKSUM = 4
+
+
+class TooLate(StreamError):
+    """A sound message of a stream that the receiver has left already."""
 
 
 def numbers_of(message: Any) -> tuple[str, int, int]:
@@ -75,7 +79,7 @@ class Inlet:
     kind : type
         Message type.
     check : callable
-        Raises StreamError for a message that is not sound.
+        Raises StreamError for a message that is not sound, TooLate when its stream was left.
     on_message : callable
         Takes a sound message, in order.
     on_refusal : callable
@@ -134,6 +138,10 @@ class Inlet:
             return
         try:
             self._check(message)
+        except TooLate as fault:
+            receiver.close()
+            self._name(WARN, str(fault))
+            return
         except StreamError as fault:
             self.refuse(stream, str(fault))
             return

@@ -26,11 +26,10 @@ from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.endpoints import Inlet, Outlet, stream_of
 from cnc_interp.nodes.messages import segments_from
 from cnc_interp.nodes.planning import RunPlanner
-from cnc_interp.nodes.playback import GOES_ON
 from cnc_interp.nodes.qos import OVERRIDE, STATE
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_segment
-from cnc_interp.nodes.streams import WindowedReceiver
+from cnc_interp.nodes.streams import GOES_ON, WindowedReceiver
 from cnc_interp.nodes.warming import warm_all
 from cnc_interp.stream.chunk import Chunk, Wait
 
@@ -40,7 +39,6 @@ BATCH = 64
 SAMPLED = 0.6
 #: Largest feed override, and how long after a revision that failed the next is tried [s].
 MOST, TRY_AGAIN = 1.5, 0.02
-AT_REST = (MachineState.IDLE, MachineState.STARVED)
 ON_HOLD = (MachineState.HELD, MachineState.STARVED)
 
 
@@ -173,7 +171,8 @@ class FeedrateNode(LifecycleNode):
             return
         first = self._segments[0]
         goes_on = GOES_ON in self._run
-        if state.state in (ON_HOLD if goes_on else AT_REST):
+        rests = state.state == MachineState.IDLE or (state.state in ON_HOLD and state.plan_over)
+        if rests and (goes_on or state.state != MachineState.HELD):
             self._planner = RunPlanner(
                 self._transform, first.flank_height, self._period, self._values['chunk_size'],
                 np.array(state.commanded_positions), first.continue_at,

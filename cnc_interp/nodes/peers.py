@@ -45,6 +45,11 @@ class Peers:
         self.state = state
         self._state_seen = time.monotonic()
 
+    def trust(self, now: float) -> None:
+        """Forget how long the others were silent: this node was not listening."""
+        self._seen = dict.fromkeys(self._seen, now)
+        self._state_seen = now
+
     @property
     def period(self) -> float:
         """Interpolation period of the machine [s]; 0 while it is unknown."""

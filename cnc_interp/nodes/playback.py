@@ -16,13 +16,12 @@ import numpy as np
 from cnc_interp.errors import StreamError
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.machine import FOLLOWING, Event, Feedback, SimulatedMachine, State
+from cnc_interp.nodes.streams import GOES_ON
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.stream.chunk import Chunk, Wait
 
 #: States from which the machine starts by itself when setpoints are there.
 SELF_STARTING = (State.IDLE, State.STARVED)
-#: Separates a run from the number of times it was begun again.
-GOES_ON = '+'
 STOPPED_BY_HAND = 'emergency stop; reset to go on'
 
 
@@ -153,6 +152,11 @@ class Playback:
         self.buffered += len(rows)
         self._waits += chunk.wait is not Wait.NOTHING
         self.newest = np.concatenate([self.newest, chunk.samples.position])[-3:]
+
+    @property
+    def left(self) -> bool:
+        """Tell whether the plan was left by a stop tail: its further setpoints are void."""
+        return self._on_tail or self.plan_over
 
     # What the operator asks for -----------------------------------------------------------------
 

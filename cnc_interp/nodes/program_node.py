@@ -12,6 +12,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1Block, LoadedProgram
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
@@ -21,6 +22,7 @@ from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.endpoints import Outlet
 from cnc_interp.nodes.messages import block_messages
 from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.playback import same_run
 from cnc_interp.nodes.preparing import prepare
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
@@ -30,6 +32,8 @@ from cnc_interp.nodes.warming import warm_kinematics
 Result = RunProgram.Result
 #: Blocks queued for sending at a time, and time between feedbacks [s].
 QUEUE, FEEDBACK = 512, 0.1
+#: After a longer pause of its own the node has slept, not the others [s].
+FROZEN = 0.5
 
 
 class ProgramNode(Node):
@@ -46,7 +50,11 @@ class ProgramNode(Node):
         self._peers = Peers(self)
         self._outlet = Outlet(self, 'blocks', G1Block, self._values['resend_after'], self._encode)
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
-        self._feedback_at = 0.0
+        self._feedback_at = self._worked_at = 0.0
+        self._asked: Any = None
+        self._buttons = {
+            name: self.create_client(Trigger, name) for name in ('feed_hold', 'reset')
+        }
         self._server = ActionServer(
             self, RunProgram, 'run_program', lambda _: Result(),
             handle_accepted_callback=self._accept,
@@ -91,10 +99,15 @@ class ProgramNode(Node):
         """Bring the run forward by one step."""
         run = self._run
         if run is None:
+            self._see_unknown_run()
             return
         now = time.monotonic()
+        if now - self._worked_at > FROZEN:
+            self._peers.trust(now)
+        self._worked_at = now
         if self._goal.is_cancel_requested and not run.cancelled:
-            run.cancel(self._outlet.sender)
+            run.cancelled = True
+            self._press('feed_hold')
         if run.prepared is None:
             outcome = run.see_prepared()
         elif not run.started:
@@ -108,8 +121,30 @@ class ProgramNode(Node):
             self._outlet.pump()
             outcome = run.watch(self._peers, now, self._values['peer_timeout'])
             self._tell_progress(run, now)
+            self._help(run)
         if outcome is not None:
             self._finish(run, *outcome)
+
+    def _see_unknown_run(self) -> None:
+        """Say what to do where cycle_start was asked for a run that this node has not begun."""
+        state = self._peers.state
+        if state is not None and state.start_wanted and state.program_id:
+            text = 'the program of this run is not known here any more; reset, then run it again'
+            self._diagnostics.say('program', WARN, text)
+
+    def _help(self, run: ProgramRun) -> None:
+        """Bring a cancelled run to its end, and one that lost a node on again."""
+        if run.cancelled and run.rests:
+            self._press('reset')
+        elif run.may_go_on():
+            run.begin_again(self._outlet.sender)
+        level = WARN if run.trouble else OK
+        self._diagnostics.say('program', level, run.trouble or f'running {run.name}')
+
+    def _press(self, button: str) -> None:
+        """Use a service of the machine; while one is asked, the next waits."""
+        if self._asked is None or self._asked.done():
+            self._asked = self._buttons[button].call_async(Trigger.Request())
 
     def _encode(self, row: int, sequence: int) -> G1Block:
         """Make the message of one block."""
@@ -121,6 +156,8 @@ class ProgramNode(Node):
             blocks[row : row + 1], run.program_id, sequence, run.prepared.options.flank_height,
             end=sequence == run.last_sequence,
         )  # fmt: skip
+        if sequence == 0:
+            message.continue_at = run.continue_at
         return message
 
     def _tell_progress(self, run: ProgramRun, now: float) -> None:
@@ -128,7 +165,7 @@ class ProgramNode(Node):
         state = self._peers.state
         if now - self._feedback_at < FEEDBACK or state is None or run.prepared is None:
             return
-        if state.program_id != run.program_id:
+        if not same_run(state.program_id, run.program_id):
             return
         self._feedback_at = now
         share = min(1.0, max(0.0, state.path_position / run.prepared.path_length))

@@ -13,8 +13,9 @@ from cnc_interp_msgs.msg import LoadedProgram, MachineState
 
 from cnc_interp.errors import InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
+from cnc_interp.nodes.playback import same_run
 from cnc_interp.nodes.preparing import Prepared
-from cnc_interp.nodes.streams import WindowedSender
+from cnc_interp.nodes.streams import GOES_ON, WindowedSender
 
 Result = RunProgram.Result
 Outcome = tuple[int, str]
@@ -40,8 +41,10 @@ class ProgramRun:
         self.prepared: Prepared | None = None
         self.started = self.cancelled = False
         self.last_sequence = -1
-        self._queued = 0
-        self._blocks_sent: int | None = None  # known before the end when the run is cancelled
+        self.missing = self.lost = ''  # nodes that are silent, and that forgot the run
+        self.continue_at = 0.0
+        self._queued = self._times = 0
+        self._state: MachineState | None = None  # the last one of this run
         self._known_by: set[str] = set()
         self._asked_at = time.monotonic()
 
@@ -70,7 +73,9 @@ class ProgramRun:
         if not missing and state is not None:
             if state.state in (MachineState.FAULT, MachineState.STOPPED):
                 return Result.STOPPED, f'the machine is stopped: {state.message}; call reset'
-            self.started = state.state in (MachineState.IDLE, MachineState.STARVED)
+            self.started = state.state == MachineState.IDLE or (
+                state.state == MachineState.STARVED and state.plan_over
+            )
         if not self.started and now - self._asked_at > PATIENCE:
             what = f'{missing} does not answer' if missing else 'the machine is moving'
             return Result.STREAM_LOST, f'{what}; start all four nodes and try again'
@@ -96,64 +101,93 @@ class ProgramRun:
     def fill(self, sender: WindowedSender[int], most: int) -> None:
         """Queue the next rows; not the whole program at once."""
         while self._queued <= self.last_sequence and sender.unsent < most:
-            sender.put(min(self._queued, self._last_row))
+            sender.put(self._queued)
             self._queued += 1
 
-    @property
-    def _last_row(self) -> int:
-        assert self.prepared is not None
-        return len(self.prepared.blocks) - 1
-
-    def cancel(self, sender: WindowedSender[int]) -> None:
-        """Send no more blocks; the path ends where the last one sent ends."""
-        self.cancelled = True
-        if not self.started or sender.sent > self.last_sequence:
-            return
-        sender.drop_unsent()
-        last = sender.next_number - 1
-        if last < 0:
-            self._queued, self.last_sequence = 1, -1
-            return
-        self._blocks_sent = last
-        # The last pose once more: no motion of its own, it only carries the end.
-        sender.put(last)
-        self.last_sequence = last + 1
-        self._queued = self.last_sequence + 1
-
     def watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Tell when the run is over, and how."""
-        if self.cancelled and self.last_sequence < 0:
-            return Result.CANCELED, 'cancelled before anything moved'
+        """Tell when the run is over, and how; a lost node alone does not end it."""
         state = peers.state
+        if state is not None and same_run(state.program_id, self.program_id):
+            self._state = state
+            if state.state == MachineState.FAULT:
+                return Result.STOPPED, state.message
+            if state.completed:
+                return Result.SUCCEEDED, 'executed to the end'
         refusal = peers.refusal(self.program_id)
-        mine = state is not None and state.program_id == self.program_id
-        if state is not None and mine and state.state == MachineState.FAULT:
-            return Result.STOPPED, state.message
-        if refusal and not (state and mine and state.state == MachineState.RUNNING):
-            lost = state is not None and mine and state.state == MachineState.STARVED
-            return Result.STREAM_LOST if lost else Result.REFUSED, refusal
-        missing = peers.missing(now, timeout)
-        if missing:
-            return Result.STREAM_LOST, f'{missing} does not answer any more; start it again'
+        if refusal and not self._moves(state):
+            if self.cancelled:
+                return Result.CANCELED, 'cancelled; the machine rests on the path'
+            moved = self._state is not None
+            return Result.STOPPED if moved else Result.REFUSED, refusal
+        self.missing = peers.missing(now, timeout)
+        if self.missing == 'machine_node':
+            return Result.STREAM_LOST, 'machine_node does not answer any more; start it again'
         for stream, node in RECEIVERS.items():
             if peers.knows(stream, self.program_id):
                 self._known_by.add(node)
             elif node in self._known_by:
-                return Result.STREAM_LOST, f'{node} was restarted; run the program again'
-        if state is not None and mine and state.completed:
-            if self.cancelled:
-                return Result.CANCELED, 'cancelled; the machine rests on the path'
-            return Result.SUCCEEDED, 'executed to the end'
+                self.lost = node
         return None
+
+    def _moves(self, state: MachineState | None) -> bool:
+        """Tell whether the machine is still on its way."""
+        return (
+            state is not None
+            and self._state is state
+            and (
+                state.state in (MachineState.RUNNING, MachineState.STOPPED, MachineState.HOLDING)
+                or (state.state == MachineState.STARVED and not state.plan_over)
+            )
+        )
+
+    @property
+    def rests(self) -> bool:
+        """Tell whether the machine rests on the path of this run."""
+        state = self._state
+        return state is not None and (
+            state.state == MachineState.HELD
+            or (state.state == MachineState.STARVED and state.plan_over)
+        )
+
+    @property
+    def trouble(self) -> str:
+        """What keeps the run from going on, and what to do; empty when nothing does."""
+        if self.missing:
+            return f'{self.missing} does not answer; start it again, then cycle_start'
+        return f'{self.lost} was restarted; cycle_start goes on from here' if self.lost else ''
+
+    def may_go_on(self) -> bool:
+        """Tell whether the operator wants to go on behind a loss, and all nodes are there."""
+        return bool(
+            self.lost
+            and not self.missing
+            and self.rests
+            and self._state is not None
+            and self._state.start_wanted
+        )
+
+    def begin_again(self, sender: WindowedSender[int]) -> None:
+        """
+        Send the program once more, for the part behind the place where the machine rests.
+
+        All of it, because rounding looks at what lies before: the same blocks give the same path.
+        """
+        assert self._state is not None
+        self._times += 1
+        self.continue_at = self._state.path_position
+        self.program_id = f'{self.program_id.partition(GOES_ON)[0]}{GOES_ON}{self._times}'
+        self.lost, self._queued = '', 0
+        self._known_by.clear()
+        sender.begin(self.program_id)
 
     def result(self, code: int, message: str, peers: Peers, sent: int) -> RunProgram.Result:
         """Collect what the run came to."""
         result = Result(code=code, message=message, program_id=self.program_id)
         if self.prepared is not None:
             result.notices = list(self.prepared.notices)
-        result.blocks_sent = max(0, sent - 1) if self._blocks_sent is None else self._blocks_sent
-        state = peers.state
-        if state is None or state.program_id != self.program_id:
+        result.blocks_sent = max(0, sent - 1)
+        state = self._state
+        if state is None:
             return result
         count = state.samples - state.approach_samples
         result.cycle_time = max(0, count - 1) * peers.period

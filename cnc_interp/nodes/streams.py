@@ -19,8 +19,17 @@ from cnc_interp.errors import StreamError
 Item = TypeVar('Item')
 #: Programs whose late messages are recognised as such.
 REMEMBERED = 64
+#: Separate a run from how often it was begun again, and from the number of a plan.
+GOES_ON, PLAN = '+', '#'
 #: Time that a repetition asked for may take to arrive [s].
 SETTLE = 0.05
+
+
+def goes_on(program_id: str, other: str) -> bool:
+    """Tell whether a run is another one that was begun again after a loss."""
+    run, _, times = program_id.partition(GOES_ON)
+    other_run, _, other_times = other.partition(PLAN)[0].partition(GOES_ON)
+    return run == other_run and times.isdigit() and int(times) > int(other_times or 0)
 
 
 @dataclass(frozen=True)
@@ -194,7 +203,7 @@ class WindowedReceiver:
 
     def _expect_new(self, program_id: str, first: int) -> None:
         """Check that another program may begin here."""
-        if self.active:
+        if self.active and not goes_on(program_id, self.program_id):
             raise StreamError(
                 f'{self.stream}: foreign program {program_id} while {self.program_id} runs; '
                 'wait for its end'

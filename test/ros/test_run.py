@@ -129,8 +129,7 @@ def test_cancelling_ends_at_rest_on_the_path(nodes):
     nodes.spin_until(lambda: nodes.peers.state.state == MachineState.RUNNING)
     handle.cancel_goal_async()
     result = nodes.result_of(handle)
-    assert result.code in (Result.CANCELED, Result.SUCCEEDED)  # all blocks may be on their way
-    assert result.blocks_executed == result.blocks_sent
+    assert result.code == Result.CANCELED
     assert nodes.next_state().state == MachineState.IDLE
 
 

@@ -23,7 +23,7 @@ HEARTBEAT = 0.1
 CHECKSUM = 4
 
 
-class TooLate(StreamError):
+class TooLateError(StreamError):
     """A sound message of a stream that the receiver has left already."""
 
 
@@ -79,7 +79,7 @@ class Inlet:
     kind : type
         Message type.
     check : callable
-        Raises StreamError for a message that is not sound, TooLate when its stream was left.
+        Raises StreamError for a message that is not sound, TooLateError when its stream was left.
     on_message : callable
         Takes a sound message, in order.
     on_refusal : callable
@@ -138,7 +138,7 @@ class Inlet:
             return
         try:
             self._check(message)
-        except TooLate as fault:
+        except TooLateError as fault:
             receiver.close()
             self._name(WARN, str(fault))
             return

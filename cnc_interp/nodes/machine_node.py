@@ -19,7 +19,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.chunk_messages import chunk_from
 from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from cnc_interp.nodes.endpoints import Inlet, TooLate, stream_of
+from cnc_interp.nodes.endpoints import Inlet, TooLateError, stream_of
 from cnc_interp.nodes.machine_messages import (
     executed_setpoints,
     joint_state,
@@ -121,7 +121,7 @@ class MachineNode(LifecycleNode):
             before, state = playback.newest, self._machine.state
             mine = (chunk.program_id, chunk.plan) == (playback.program_id, playback.plan)
             if mine and playback.left:
-                raise TooLate(f'setpoints from {chunk.first_sample} came after the stop')
+                raise TooLateError(f'setpoints from {chunk.first_sample} came after the stop')
             if chunk.first_sample == 0:
                 playback.refuse_beginning(chunk.program_id, chunk.plan)
         if state in (State.INACTIVE, State.STOPPING, State.FAULT):

@@ -131,14 +131,12 @@ class ProgramRun:
 
     def _moves(self, state: MachineState | None) -> bool:
         """Tell whether the machine is still on its way."""
-        return (
-            state is not None
-            and self._state is state
-            and (
-                state.state in (MachineState.RUNNING, MachineState.STOPPED, MachineState.HOLDING)
-                or (state.state == MachineState.STARVED and not state.plan_over)
-            )
-        )
+        mine = self._state is state
+        if state is None or not mine:
+            return False
+        on_the_way = (MachineState.RUNNING, MachineState.STOPPED, MachineState.HOLDING)
+        starves = state.state == MachineState.STARVED and not state.plan_over
+        return state.state in on_the_way or starves
 
     @property
     def rests(self) -> bool:

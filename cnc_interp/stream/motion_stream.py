@@ -299,6 +299,8 @@ class MotionStream:
             while self.can_plan and new is not None and not self.can_sample:
                 self.plan()
         except PlanningError:
+            found = None
+        if found is None or (new is not None and new.planner.stuck):
             vars(self).update(kept)
             return False
         return True

@@ -1,4 +1,4 @@
-"""Real processes: hold, override, single block, emergency stop, nodes frozen and killed in motion."""
+"""Real processes: hold, override, single block, stops, nodes frozen and killed in motion."""
 
 import os
 import signal
@@ -32,7 +32,8 @@ WAVES = 6
 PROGRAM = (
     'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n'
     + ''.join(
-        f'G1 X{20 * k + 10} Y{8 * (k % 2)} A{14 + k % 3} C{30 + 3 * k} F3000\nG1 X{20 * k + 20} Y4\n'
+        f'G1 X{20 * k + 10} Y{8 * (k % 2)} A{14 + k % 3} C{30 + 3 * k} F3000\n'
+        f'G1 X{20 * k + 20} Y4\n'
         for k in range(WAVES)
     )
     + 'M30\n'

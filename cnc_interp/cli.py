@@ -14,6 +14,7 @@ from typing import Any
 from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
 from cnc_interp.errors import InterpError
+from cnc_interp.nodes.bag_command import add_bag_commands, check_bag, is_bag, report_bag
 from cnc_interp.units import MM, MM_PER_MIN, MS
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
@@ -66,6 +67,9 @@ def parser() -> argparse.ArgumentParser:
         '--out', type=Path, metavar='DIR', help='write what the machine received as plan files'
     )
     run.add_argument(
+        '--record', type=Path, metavar='BAG', help='record all messages of the run into a bag'
+    )
+    run.add_argument(
         '--panel', action='store_true', help='the operator page beside it, until Ctrl-C'
     )
     page_options(run)
@@ -95,19 +99,23 @@ def parser() -> argparse.ArgumentParser:
 
     check = command(
         commands, 'check', check_command,
-        'prove every setpoint of a plan against limits and tolerances',
+        'prove every setpoint of a plan or a recorded run against limits and tolerances',
         'cnc-interp check out/pyramid',
     )  # fmt: skip
-    check.add_argument('directory', type=Path, metavar='DIR', help='folder with plan files')
+    check.add_argument(
+        'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
+    )
     check.add_argument('--machine', metavar='M', help='another machine than the plan names')
     check.add_argument('--json', action='store_true', help='print the proof as JSON')
 
     report = command(
         commands, 'report', report_command,
-        'write one self-contained HTML page about a plan',
+        'write one self-contained HTML page about a plan or a recorded run',
         'cnc-interp report out/pyramid --html out/pyramid.html',
     )  # fmt: skip
-    report.add_argument('directory', type=Path, metavar='DIR', help='folder with plan files')
+    report.add_argument(
+        'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
+    )
     report.add_argument('--machine', metavar='M', help='another machine than the plan names')
     report.add_argument(
         '--html', type=Path, metavar='FILE', help='page to write (default: DIR/report.html)'
@@ -143,6 +151,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     urdf.add_argument('machine', metavar='M', help='bundled machine or YAML file')
     urdf.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
+    add_bag_commands(commands, command, positive)
     add_cam_commands(commands, command, positive)
     return top
 
@@ -328,8 +337,11 @@ def check_command(options: argparse.Namespace) -> int:
     from cnc_interp.plan_files import read_plan
     from cnc_interp.verify import verify_plan
 
-    name = options.machine or read_plan(options.directory).summary.get('machine', '')
-    proof = verify_plan(options.directory, Machine.load(name))
+    if is_bag(options.directory):
+        proof = check_bag(options.directory, options.machine or '')
+    else:
+        name = options.machine or read_plan(options.directory).summary.get('machine', '')
+        proof = verify_plan(options.directory, Machine.load(name))
     print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
     return FINE if proof.ok else FAILED
 
@@ -340,8 +352,13 @@ def report_command(options: argparse.Namespace) -> int:
     from cnc_interp.report import write_report
 
     page = options.html or options.directory / 'report.html'
-    machine = Machine.load(options.machine) if options.machine else None
-    write_report(options.directory, page, machine, options.compare)
+    if is_bag(options.directory):
+        if options.compare:
+            raise InterpError('--compare sets two folders of plan files side by side, not bags')
+        report_bag(options.directory, page, options.machine or '')
+    else:
+        machine = Machine.load(options.machine) if options.machine else None
+        write_report(options.directory, page, machine, options.compare)
     print(f'report         {page}')
     return FINE
 

@@ -178,22 +178,7 @@ class PlanWriter:
     def blocks(self, blocks: Blocks) -> None:
         """Write further rows of the program."""
         self.figures.blocks(blocks)
-        self._archives['blocks'].append(
-            {
-                'tip': blocks.tip,
-                'axis': blocks.axis,
-                'feed': effective_feed(blocks, self._tip),
-                'line': blocks.line_number,
-                'contour_tolerance': blocks.contour_tolerance,
-                'orientation_tolerance': blocks.orientation_tolerance,
-                'rapid': blocks.rapid,
-                'rotary': blocks.rotary,
-                'duration': blocks.duration,
-                'exact_stop': blocks.exact_stop,
-                'top': blocks.top,
-                'knot_interval': blocks.knot_interval,
-            }
-        )
+        self._archives['blocks'].append(block_columns(blocks, self._tip))
         self._tip = blocks.tip[-1] if len(blocks) else self._tip
 
     def segments(self, segments: PathSegments) -> None:
@@ -309,6 +294,24 @@ class _Column:
         shape = list(self._shape)
         shape[self._along] = self._count
         return {'descr': self._dtype.str, 'fortran_order': False, 'shape': tuple(shape)}
+
+
+def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[str, Any]:
+    """Return the columns of ``blocks.npz``; ``tip_before`` as for `effective_feed`."""
+    return {
+        'tip': blocks.tip,
+        'axis': blocks.axis,
+        'feed': effective_feed(blocks, tip_before),
+        'line': blocks.line_number,
+        'contour_tolerance': blocks.contour_tolerance,
+        'orientation_tolerance': blocks.orientation_tolerance,
+        'rapid': blocks.rapid,
+        'rotary': blocks.rotary,
+        'duration': blocks.duration,
+        'exact_stop': blocks.exact_stop,
+        'top': blocks.top,
+        'knot_interval': blocks.knot_interval,
+    }
 
 
 def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:

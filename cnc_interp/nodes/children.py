@@ -44,11 +44,18 @@ class Children:
         Values for the nodes, by node name, on top of the parameter file.
     file : Path
         Parameter file.
+    arguments : dict, optional
+        Further ROS arguments, by node name: remappings.
 
     """
 
     def __init__(
-        self, namespace: str, domain: int, parameters: dict[str, dict[str, object]], file: Path
+        self,
+        namespace: str,
+        domain: int,
+        parameters: dict[str, dict[str, object]],
+        file: Path,
+        arguments: dict[str, list[str]] | None = None,
     ):
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_')
         self._environment = os.environ | {
@@ -58,6 +65,7 @@ class Children:
             PARENT: str(os.getpid()),
         }
         self._namespace, self._parameters, self._file = namespace, parameters, file
+        self._arguments = arguments or {}
         self._nodes = {node: self._start(node) for node in NODES}
 
     def _start(self, node: str) -> Started:
@@ -66,6 +74,7 @@ class Children:
         command += ['-r', f'__ns:={self._namespace}', '--params-file', str(self._file)]
         for name, value in self._parameters.get(node, {}).items():
             command += ['-p', f'{name}:={value}']
+        command += self._arguments.get(node, [])
         log = Path(self._folder.name) / f'{node}.txt'
         with log.open('wb') as output:
             process = subprocess.Popen(

@@ -22,14 +22,15 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import STREAM
+from cnc_interp.nodes.recorder import Recorder
 from cnc_interp.nodes.session import RunRequest, RunResult
 from cnc_interp.nodes.showing import Progress
 
 Result = RunProgram.Result
 #: When all kernels must be compiled first, starting takes a minute or more [s].
 START_TIMEOUT, SLOW_START = 300.0, 8.0
-#: How long what was executed may take to be told [s].
-RECORD_TIMEOUT = 2.0
+#: How long topics may take to be found, and what was executed to be told [s].
+RECORD_TIMEOUT = 10.0
 
 
 class Client:
@@ -87,13 +88,26 @@ class Client:
             When the program was refused before anything moved, or a node ended.
 
         """
-        if request.out is not None:
+        if request.out is not None or request.record is not None:
             self._node.create_subscription(
                 SetpointChunk, 'executed_setpoints', self.received.append, STREAM
             )
+        recorder = Recorder(self._node, request.record) if request.record is not None else None
+        try:
+            return self._run(request, machine, started, recorder)
+        finally:
+            if recorder is not None:
+                recorder.close()
+
+    def _run(
+        self, request: RunRequest, machine: Machine, started: float, recorder: Recorder | None
+    ) -> RunResult:
+        """Run a program while what is said is recorded."""
         self._wait_for_nodes()
+        if recorder is not None and not self._spin(recorder.ready, RECORD_TIMEOUT):
+            raise InterpError(f'{request.record}: not all topics of the run can be heard')
         outcome = self._execute(request)
-        if request.out is not None:
+        if request.out is not None or recorder is not None:
             self._wait_for_record(
                 outcome.samples + round(outcome.approach_time / self._peers.period)
             )

@@ -33,15 +33,15 @@ class Controls:
         self, node: Any, playback: Playback, lock: threading.Lock, give_up: Callable[[str], None]
     ):
         self._playback, self._lock, self._give_up = playback, lock, give_up
-        for name, act in (
-            ('feed_hold', playback.hold),
-            ('cycle_start', playback.start),
-            ('emergency_stop', playback.stop),
-            ('reset', self._reset),
+        for name, act, gives_up in (
+            ('feed_hold', playback.hold, ''),
+            ('cycle_start', playback.start, ''),
+            ('emergency_stop', playback.stop, ''),
+            ('reset', playback.reset, 'given up by reset'),
         ):
-            node.create_service(Trigger, name, self._answering(act))
+            node.create_service(Trigger, name, self._answering(act, gives_up))
 
-    def _answering(self, act: Callable[[], None]) -> Callable[[Any, Any], Any]:
+    def _answering(self, act: Callable[[], None], gives_up: str) -> Callable[[Any, Any], Any]:
         """Make a service of an action that raises when it is not possible."""
 
         def serve(_request: Any, response: Any) -> Any:
@@ -49,13 +49,11 @@ class Controls:
                 with self._lock:
                     act()
                     state = self._playback.machine.state.value
+                if gives_up:  # not under the lock: the senders are told, and the playback
+                    self._give_up(gives_up)
                 response.success, response.message = True, state
             except StreamError as problem:
                 response.success, response.message = False, str(problem)
             return response
 
         return serve
-
-    def _reset(self) -> None:
-        self._playback.reset()
-        self._give_up('given up by reset')

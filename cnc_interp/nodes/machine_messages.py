@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from sensor_msgs.msg import JointState
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine import Feedback, State
 from cnc_interp.nodes.messages import packed
-from cnc_interp.nodes.playback import Playback
+from cnc_interp.nodes.playback import Executed, Playback
 
 STATES = {
     State.INACTIVE: MachineState.IDLE,
@@ -36,15 +37,24 @@ def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
     return message
 
 
-def executed_setpoints(playback: Playback, period: float) -> SetpointChunk:
+def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]:
     """Return the setpoints executed since the last call, numbered through the run."""
-    rows = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    told = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    plans = groupby(told, key=lambda executed: (executed.program_id, executed.plan))
+    messages = [_executed_of_plan(list(executed), period) for _, executed in plans]
+    if messages:
+        messages[-1].end_of_program = playback.completed
+    return messages
+
+
+def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
+    first, rows = executed[0], [entry.row for entry in executed]
     return SetpointChunk(
-        program_id=playback.program_id,
-        plan=playback.plan,
-        first_sample=playback.played - len(rows),
+        program_id=first.program_id,
+        plan=first.plan,
+        first_sample=first.number,
         period=period,
-        axis_count=len(rows[0].position) if rows else 0,
+        axis_count=len(rows[0].position),
         positions=packed(np.array([row.position for row in rows])),
         velocities=packed(np.array([row.velocity for row in rows])),
         accelerations=packed(np.array([row.acceleration for row in rows])),
@@ -52,7 +62,6 @@ def executed_setpoints(playback: Playback, period: float) -> SetpointChunk:
         sequences=[row.block for row in rows],
         line_numbers=[row.line for row in rows],
         path_positions=[row.s for row in rows],
-        end_of_program=playback.completed,
     )
 
 

@@ -171,10 +171,9 @@ class MachineNode(LifecycleNode):
 
     def _tell_executed(self) -> None:
         with self._lock:
-            if not self._playback.executed:
-                return
-            message = executed_setpoints(self._playback, self._period)
-        self._executed.publish(message)
+            messages = executed_setpoints(self._playback, self._period)
+        for message in messages:
+            self._executed.publish(message)
 
     def _tell_joints(self) -> None:
         with self._lock:

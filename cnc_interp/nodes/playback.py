@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from cnc_interp.errors import StreamError
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.machine import FOLLOWING, Event, Feedback, SimulatedMachine, State
-from cnc_interp.nodes.streams import GOES_ON
+from cnc_interp.nodes.streams import same_run
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.stream.chunk import Chunk, Wait
 
@@ -38,6 +39,15 @@ class Row:
     s: float
 
 
+class Executed(NamedTuple):
+    """A setpoint that was executed: its run and plan, and its number in the run."""
+
+    program_id: str
+    plan: int
+    number: int
+    row: Row
+
+
 @dataclass(frozen=True)
 class Held:
     """A chunk in the buffer, its stop tail not unpacked."""
@@ -46,11 +56,6 @@ class Held:
     tail: Setpoints
     tail_lines: list[int]
     wait: Wait
-
-
-def same_run(program_id: str, other: str) -> bool:
-    """Tell whether one run is the other, or goes on with it after a loss (``RUN+1``)."""
-    return program_id.partition(GOES_ON)[0] == other.partition(GOES_ON)[0]
 
 
 def rows_of(samples: Setpoints, lines: list[int]) -> list[Row]:
@@ -76,10 +81,10 @@ class Playback:
     def __init__(self, machine: SimulatedMachine, start_count: int):
         self.machine = machine
         self.feedback = machine.rest()
-        self.executed: deque[Row] = deque(maxlen=100_000)  # until they are told
+        self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are told
         self._start_count = start_count
         self._chunks: deque[Held] = deque()
-        self.program_id = ''
+        self.program_id = self._given_up = ''
         self.start_wanted = False
         self.newest: FloatArray = np.empty((0, 0))
         self.begin('')
@@ -109,6 +114,8 @@ class Playback:
         state = self.machine.state
         if not self.resting:
             raise StreamError(f'plan {plan} of {program_id} begins while the machine moves')
+        if self._given_up and same_run(program_id, self._given_up):
+            raise StreamError(f'{program_id} was given up by reset; run the program again')
         goes_on = same_run(program_id, self.program_id) and not self.completed
         if program_id == self.program_id and not (plan == self.plan + 1 and self.plan_over):
             raise StreamError(
@@ -204,6 +211,7 @@ class Playback:
         if not self.resting:
             raise StreamError('the machine is still moving; reset when it rests')
         self.machine.handle(Event.RESET)
+        self._given_up = self.program_id or self._given_up
         self.begin('')
 
     # The clock ----------------------------------------------------------------------------------
@@ -310,7 +318,7 @@ class Playback:
         elif self.last is None or self.last.block == 0:
             self._forget_figures()
         self.feedback = self.machine.step(row.position, row.velocity)
-        self.executed.append(row)
+        self.executed.append(Executed(self.program_id, self.plan, self.played, row))
         self.last = row
         self.played += 1
         self.played_of_plan += not self._on_tail

@@ -22,11 +22,11 @@ from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.endpoints import Outlet
 from cnc_interp.nodes.messages import block_messages
 from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.playback import same_run
 from cnc_interp.nodes.preparing import prepare
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.running import run_node
+from cnc_interp.nodes.streams import same_run
 from cnc_interp.nodes.warming import warm_kinematics
 
 Result = RunProgram.Result

@@ -13,9 +13,8 @@ from cnc_interp_msgs.msg import LoadedProgram, MachineState
 
 from cnc_interp.errors import InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
-from cnc_interp.nodes.playback import same_run
 from cnc_interp.nodes.preparing import Prepared
-from cnc_interp.nodes.streams import GOES_ON, WindowedSender
+from cnc_interp.nodes.streams import GOES_ON, WindowedSender, same_run
 
 Result = RunProgram.Result
 Outcome = tuple[int, str]

@@ -50,6 +50,8 @@ class RunRequest:
         Leave out the lines that begin with a slash.
     out : Path, optional
         Folder for plan files of what the machine received.
+    record : Path, optional
+        Bag to record all messages into.
     quiet : bool
         Show no progress.
 
@@ -71,6 +73,7 @@ class RunRequest:
     rotary_sense: str = 'programmed'
     skip_blocks: bool = False
     out: Path | None = None
+    record: Path | None = None
     quiet: bool = False
 
     @staticmethod
@@ -93,6 +96,7 @@ class RunRequest:
             rotary_sense=options.rotary_sense,
             skip_blocks=options.skip_blocks,
             out=options.out,
+            record=options.record,
             quiet=options.json,
         )
 

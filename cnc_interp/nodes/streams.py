@@ -25,6 +25,11 @@ GOES_ON, PLAN = '+', '#'
 SETTLE = 0.05
 
 
+def same_run(program_id: str, other: str) -> bool:
+    """Tell whether one run is the other, or goes on with it after a loss (``RUN+1``)."""
+    return program_id.partition(GOES_ON)[0] == other.partition(GOES_ON)[0]
+
+
 def goes_on(program_id: str, other: str) -> bool:
     """Tell whether a run is another one that was begun again after a loss."""
     run, _, times = program_id.partition(GOES_ON)

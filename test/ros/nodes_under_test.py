@@ -17,18 +17,20 @@ from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.session import nodes_file
 
-START, PATIENCE = 300.0, 30.0  # [s]; the first start compiles; bounds, not timings
+START, PATIENCE = 300.0, 120.0  # [s]; the first start compiles; bounds, not timings
 
 
 class NodesUnderTest:
     """Start the nodes, talk to them, end them."""
 
-    def __init__(self, parameters=None):
+    def __init__(self, parameters=None, arguments=None):
         self.namespace = f'/test_{uuid.uuid4().hex[:8]}'
-        domain = 1 + os.getpid() % 100
-        self.children = Children(self.namespace, domain, parameters or {}, nodes_file())
+        self.domain = 1 + os.getpid() % 100
+        self.children = Children(
+            self.namespace, self.domain, parameters or {}, nodes_file(), arguments
+        )
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=domain)
+        rclpy.init(context=self.context, domain_id=self.domain)
         self.node = rclpy.create_node('tester', namespace=self.namespace, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -44,12 +46,14 @@ class NodesUnderTest:
         )
         self.blocks = self.node.create_publisher(G1Block, 'blocks', qos.STREAM)
         self.action = ActionClient(self.node, RunProgram, 'run_program')
-        self.reset = self.node.create_client(Trigger, 'reset')
+        names = ('feed_hold', 'cycle_start', 'reset', 'emergency_stop')
+        self.buttons = {name: self.node.create_client(Trigger, name) for name in names}
         self.spin_until(
             lambda: (
                 self.action.server_is_ready()
                 and not self.peers.missing(time.monotonic(), 1.0)
                 and self.blocks.get_subscription_count() == 1
+                and all(client.service_is_ready() for client in self.buttons.values())
             ),
             START,
         )
@@ -68,6 +72,12 @@ class NodesUnderTest:
             if self.watching:
                 self.children.check()
             self.executor.spin_once(timeout_sec=0.05)
+
+    def press(self, button):
+        """Use a service of the machine; returns its answer."""
+        answer = self.buttons[button].call_async(Trigger.Request())
+        self.spin_until(answer.done)
+        return answer.result()
 
     def start(self, **goal):
         """Send a goal; returns its handle."""

@@ -13,6 +13,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine import Event, SimulatedMachine, State, refuse_setpoints
+from cnc_interp.nodes.machine_messages import executed_setpoints
 from cnc_interp.nodes.playback import Playback
 from cnc_interp.stream.approach import approach
 from cnc_interp.stream.chunk import Chunk, Wait, part_of
@@ -222,6 +223,24 @@ def test_what_cannot_begin_is_refused():
         play.refuse_beginning('q', 0)
     play.refuse_beginning('p', 1)
     play.refuse_beginning('p+1', 0)
+
+
+def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
+    play = playback(50)
+    play.begin('p')
+    feed(play, chunks_to([0.2, 0.0, 0.0, 0.0, 0.0]))
+    for _ in range(100):
+        play.step()
+    play.hold()
+    step_until(play, lambda: play.resting)
+    played = play.played
+    play.reset()
+    (told,) = executed_setpoints(play, T)  # what was executed before is still told
+    assert (told.program_id, told.first_sample, len(told.sequences)) == ('p', 0, played)
+    for late in (('p', 1), ('p+1', 0)):  # they were on their way
+        with pytest.raises(StreamError, match='given up by reset'):
+            play.refuse_beginning(*late)
+    play.refuse_beginning('q', 0)
 
 
 def test_figures_of_the_program_leave_the_approach_out():

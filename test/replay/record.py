@@ -1,0 +1,81 @@
+"""
+Record the bags of these tests anew: ``PYTHONPATH=test/ros python test/replay/record.py``.
+
+To be done where planning has changed on purpose; look at the difference first
+(``cnc-interp replay BAG --compare``).
+"""
+
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState
+from nodes_under_test import NodesUnderTest
+from relay import ARGUMENTS, Relay
+
+from cnc_interp.nodes.recorder import Recorder
+
+HERE = Path(__file__).resolve().parent
+#: Chunks as long as they may be: fewer tails, smaller bags.
+PARAMETERS = {'feedrate_node': {'chunk_size': 100}}
+PROGRAM = """G21 G90 G94
+TRAORI
+G0 X0 Y0 Z0 A10 C0
+G1 X6 A12 C5 F3000
+G1 Y6 A14 C20
+G1 X0 Y8 A12 C30
+M30
+"""
+
+
+class Session:
+    """Nodes, recorder, and a relay that may be bad, until closed."""
+
+    def __init__(self, bag, share=0.0):
+        shutil.rmtree(bag, ignore_errors=True)
+        arguments = {'program_node': ARGUMENTS['program_node']}
+        self.nodes = NodesUnderTest(PARAMETERS, arguments)
+        self.relay = Relay(
+            self.nodes.namespace, self.nodes.domain, np.random.default_rng(7), share, ['blocks']
+        )
+        self.recorder = Recorder(self.nodes.node, bag)
+        self.nodes.spin_until(self.recorder.ready)
+
+    def run(self, hold=False):
+        handle = self.nodes.start(text=PROGRAM)
+        if hold:
+            self.nodes.spin_until(
+                lambda: (
+                    self.nodes.peers.state.path_position > 0.004
+                    and self.nodes.peers.state.approach_samples
+                )
+            )
+            self.nodes.press('feed_hold')
+            self.nodes.spin_until(lambda: self.nodes.peers.state.state == MachineState.HELD)
+            self.nodes.spin_until(lambda: self.nodes.peers.state.plan == 1)
+            self.nodes.press('cycle_start')
+        result = self.nodes.result_of(handle)
+        assert result.code == RunProgram.Result.SUCCEEDED, result.message
+        until = time.monotonic() + 1.0
+        self.nodes.spin_until(lambda: time.monotonic() > until)
+
+    def close(self):
+        self.recorder.close()
+        self.relay.close()
+        self.nodes.close()
+
+
+def main():
+    session = Session(HERE / 'held')
+    session.run(hold=True)
+    session.close()
+    session = Session(HERE / 'faulty', share=0.6)
+    session.run()
+    print(session.relay.counts)
+    session.close()
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,173 @@
+"""Recorded bags: computed again bit for bit, proven, reported, read by others; faults again."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from ament_index_python.packages import get_package_share_directory
+from cnc_interp_msgs.msg import MachineState
+from mcap.reader import make_reader
+from nodes_under_test import NodesUnderTest
+from rclpy.serialization import deserialize_message, serialize_message
+from record import PARAMETERS
+
+from cnc_interp.cli import main
+from cnc_interp.nodes.bag import TOPICS, Bag, BagWriter
+from cnc_interp.nodes.replaying import compute_again
+from cnc_interp.nodes.streams import same_run
+
+HERE = Path(__file__).parent
+HELD, FAULTY = HERE / 'held', HERE / 'faulty'
+
+
+@pytest.mark.parametrize('path', [HELD, FAULTY], ids=['held', 'faulty'])
+def test_recorded_blocks_give_the_recorded_setpoints(path):
+    with Bag(path) as bag:
+        found = list(compute_again(bag))
+    assert [c.same for c in found] == [c.recorded for c in found]
+    assert min(c.recorded for c in found) > 100
+    assert len(found) == (2 if path == HELD else 1)
+
+
+@pytest.mark.parametrize('path', [HELD, FAULTY], ids=['held', 'faulty'])
+def test_recorded_run_is_proven_and_reported(path, tmp_path, capsys):
+    assert main(['check', str(path)]) == 0
+    assert 'proven' in capsys.readouterr().out
+    page = tmp_path / 'page.html'
+    assert main(['report', str(path), '--html', str(page)]) == 0
+    assert page.stat().st_size > 100_000
+
+
+def copied(source, target, change):
+    """Copy a bag with a change to each message; None leaves it out."""
+    with Bag(source) as bag:
+        writer = BagWriter(target)
+        for name, value in bag.parameters.items():
+            node, _, parameter = name.partition('.')
+            writer.note(node, {parameter: value})
+        for topic, stamp, data in bag.raw(*TOPICS):
+            changed = change(topic, data)
+            if changed is not None:
+                writer.write(topic, changed, stamp)
+        writer.close()
+
+
+def test_one_bit_of_one_setpoint_is_seen(tmp_path, capsys):
+    done = []
+
+    def spoil(topic, data):
+        if topic != 'setpoints' or done:
+            return data
+        done.append(True)
+        message = deserialize_message(data, TOPICS[topic][0])
+        message.positions[-1] = np.nextafter(message.positions[-1], np.inf)
+        return serialize_message(message)
+
+    copied(HELD, tmp_path / 'spoilt', spoil)
+    assert main(['replay', str(tmp_path / 'spoilt'), '--compare']) == 1
+    assert 'the same up to 99, then DIFFERENT' in capsys.readouterr().out
+    assert main(['replay', str(HELD), '--compare']) == 0
+
+
+def test_an_executed_setpoint_off_the_path_is_not_proven(tmp_path, capsys):
+    def shift(topic, data):
+        if topic != 'executed_setpoints':
+            return data
+        message = deserialize_message(data, TOPICS[topic][0])
+        message.positions[2] += 1e-3
+        return serialize_message(message)
+
+    copied(HELD, tmp_path / 'shifted', shift)
+    assert main(['check', str(tmp_path / 'shifted')]) == 1
+    assert 'NOT proven' in capsys.readouterr().out
+
+
+def test_what_is_missing_is_named(tmp_path, capsys):
+    copied(HELD, tmp_path / 'no_blocks', lambda topic, data: data if topic != 'blocks' else None)
+    assert main(['check', str(tmp_path / 'no_blocks')]) == 2
+    assert 'block 0' in capsys.readouterr().err
+    assert main(['record', str(HELD)]) == 2
+    assert 'is there already' in capsys.readouterr().err
+    shutil.copytree(HELD, tmp_path / 'cut')
+    (file,) = (tmp_path / 'cut').glob('*.mcap')
+    file.write_bytes(file.read_bytes()[:2000])
+    assert main(['replay', str(tmp_path / 'cut'), '--compare']) == 2
+    assert 'not a bag that can be read' in capsys.readouterr().err
+
+
+def test_other_readers_understand_the_bag():
+    """Schemas, QoS and type hashes are those of ROS; the reference library reads the file."""
+    (file,) = HELD.glob('*.mcap')
+    share = Path(get_package_share_directory('cnc_interp_msgs')) / 'msg'
+    with file.open('rb') as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == 'ros2'
+        summary = reader.get_summary()
+        schemas = {schema.name: schema for schema in summary.schemas.values()}
+        for channel in summary.channels.values():
+            assert channel.message_encoding == 'cdr'
+            assert 'reliability: reliable' in channel.metadata['offered_qos_profiles']
+        assert schemas['cnc_interp_msgs/msg/PathSegment'].encoding == 'ros2msg'
+        assert b'MSG: cnc_interp_msgs/BSpline' in schemas['cnc_interp_msgs/msg/PathSegment'].data
+        counted = sum(1 for _ in reader.iter_messages())
+    assert counted == summary.statistics.message_count > 50
+    with Bag(HELD) as bag:
+        for connection in bag.connections:
+            package, _, name = connection.msgtype.split('/')
+            if package == 'cnc_interp_msgs':
+                told = json.loads((share / f'{name}.json').read_text(encoding='utf-8'))
+                hashes = {t['type_name']: t['hash_string'] for t in told['type_hashes']}
+                assert connection.digest == hashes[connection.msgtype]
+
+
+def faults(messages, node):
+    """What the look-ahead said about its blocks, one after the other."""
+    said = [
+        status.message
+        for array in messages
+        for status in array.status
+        if status.name == f'{node}: blocks'
+    ]
+    return [b for a, b in zip([None, *said], said, strict=False) if a != b]
+
+
+def test_recorded_faults_come_again():
+    with Bag(FAULTY) as bag:
+        blocks = [data for _, _, data in bag.raw('blocks')]
+        expected = faults(bag.read('/diagnostics'), 'lookahead_node')
+        chunks = bag.read('executed_setpoints')
+    assert any('gap' in text for text in expected)
+    assert any('checksum' in text for text in expected)
+    running = NodesUnderTest(PARAMETERS)
+    try:
+        heard = []
+        running.node.create_subscription(
+            TOPICS['/diagnostics'][0], '/diagnostics', heard.append, TOPICS['/diagnostics'][1]
+        )
+        executed = []
+        running.node.create_subscription(
+            TOPICS['executed_setpoints'][0], 'executed_setpoints', executed.append,
+            TOPICS['executed_setpoints'][1],
+        )  # fmt: skip
+        for data in blocks:
+            running.blocks.publish(data)
+        running.spin_until(lambda: running.peers.state.completed)
+        assert running.next_state().state == MachineState.IDLE
+        wanted = [p for m in chunks for p in m.positions]
+        running.spin_until(lambda: sum(len(m.positions) for m in executed) >= len(wanted))
+        assert [p for m in executed for p in m.positions] == wanted
+        assert same_run(executed[0].program_id, chunks[0].program_id)
+        mine = [
+            array
+            for array in heard
+            if any(status.hardware_id == running.namespace for status in array.status)
+        ]
+        again = faults(mine, 'lookahead_node')
+        assert again[-len(expected) :] == expected or again == expected
+    finally:
+        running.close()

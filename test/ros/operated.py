@@ -1,0 +1,130 @@
+"""The nodes in operation: an operator's panel, and proof of what the drives were told."""
+
+import os
+import signal
+
+import numpy as np
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from nodes_under_test import NodesUnderTest
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
+
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.streams import same_run
+from cnc_interp.pipeline import ChainOptions, smoothing_options
+from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.smoothing.lookahead import LookAhead
+
+Result = RunProgram.Result
+T = 0.001
+MACHINE = Machine.load('xyzac')
+TRANSFORM = Transform.of(MACHINE)
+LIMITS = (MACHINE.max_velocity, MACHINE.max_acceleration, MACHINE.max_jerk)
+
+
+def waves(count):
+    """A program of corners and turns, to and fro, F 3000."""
+    lines = ['G21 G90 G94', 'TRAORI', 'G0 X0 Y0 Z0 A15 C30']
+    for k in range(count):
+        x = 20 * min(k % 12, 12 - k % 12)
+        step = 1 if k % 12 < 6 else -1
+        turn = 30 + 3 * min(k % 12, 12 - k % 12)
+        lines.append(f'G1 X{x + 10 * step} Y{8 * (k % 2)} A{14 + k % 3} C{turn} F3000')
+        lines.append(f'G1 X{x + 20 * step} Y4')
+    return '\n'.join([*lines, 'M30', ''])
+
+
+PROGRAM = waves(6)
+
+
+def blocks_of(text):
+    return read_text(text, 'waves.ngc', TRANSFORM, ReadOptions()).blocks
+
+
+def path_of(text):
+    lookahead = LookAhead(smoothing_options(TRANSFORM, ChainOptions()))
+    builder = AxisPathBuilder(TRANSFORM, 0.03)
+    parts = [builder.push(lookahead.push(blocks_of(text))), builder.push(lookahead.finish())]
+    return AxisPath.join([part for part in parts if part is not None])
+
+
+class Bench(NodesUnderTest):
+    """The nodes, the operator's panel, and the record of what the drives were told."""
+
+    def __init__(self, parameters=None, arguments=None):
+        super().__init__(parameters, arguments)
+        self.executed = []
+        self.node.create_subscription(
+            SetpointChunk, 'executed_setpoints', self.executed.append, qos.STREAM
+        )
+        self.switch = self.node.create_client(SetBool, 'single_block')
+        self.override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
+        self.spin_until(self.switch.service_is_ready)
+
+    def single_block(self, on):
+        answer = self.switch.call_async(SetBool.Request(data=on))
+        self.spin_until(answer.done)
+
+    @property
+    def state(self):
+        return self.peers.state
+
+    def kill(self, node):
+        self.watching = False
+        os.kill(self.children.process_ids[node], signal.SIGKILL)
+        self.spin_until(lambda: self.children.exit_codes[node] is not None)
+
+    def begin(self, text=PROGRAM):
+        self.text = text
+        self.executed.clear()
+        self.single_block(False)
+        self.override.publish(Float64(data=1.0))
+        return self.start(text=text)
+
+    def until_at(self, length):
+        """Spin until the machine has run so far [m]."""
+        self.spin_until(
+            lambda: (
+                self.state.state == MachineState.RUNNING
+                and self.state.approach_samples
+                and self.state.path_position > length
+            )
+        )
+
+    def until_state(self, state):
+        self.spin_until(lambda: self.state.state == state)
+
+    def recorded(self):
+        """Everything the drives were told in this run, proven."""
+        state = self.next_state()
+        run, count = state.program_id, state.samples
+
+        def told():
+            return [m for m in self.executed if same_run(m.program_id, run)]
+
+        self.spin_until(lambda: sum(len(m.sequences) for m in told()) >= count)
+        q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
+        s = np.concatenate([m.path_positions for m in told()])
+        held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
+        for order, limit in enumerate(LIMITS, start=1):
+            use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
+            assert use.max() <= 1.001, (order, use)
+        path = path_of(self.text)
+        on = s >= 0.0
+        assert np.abs(q[on] - evaluate(path, s[on])[0]).max() < 1e-9
+        assert (np.diff(s) >= -1e-12).all()
+        return q, s
+
+    def finish(self, handle):
+        result = self.result_of(handle)
+        assert (result.code, result.message) == (Result.SUCCEEDED, 'executed to the end')
+        assert result.blocks_sent == result.blocks_executed == len(blocks_of(self.text)) - 1
+        q, s = self.recorded()
+        path = path_of(self.text)
+        assert abs(s[-1] - path.s[-1]) < 1e-12 and np.abs(q[-1] - path.q[-1]).max() < 1e-12
+        return result, s

@@ -1,0 +1,55 @@
+"""The SROS 2 policy lets every node do what it does, and no more."""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from nodes_under_test import NodesUnderTest
+
+from cnc_interp.nodes.children import NODES
+
+POLICY = Path(__file__).parents[2] / 'config' / 'sros2' / 'policy.xml'
+#: What every node has, and what the includes of sros2 cover.
+COMMON = ('/rosout', '/parameter_events', 'parameter', '_action/', 'type_description', '/clock')
+LIFECYCLE = ('change_state', 'get_state', 'get_available', 'get_transition', 'transition_event')
+
+
+def allowed(node, element, right):
+    for profile in ElementTree.parse(POLICY).iter('profile'):
+        if profile.get('node') == node:
+            return {
+                name.text.rpartition('/')[2]
+                for group in profile.findall(element)
+                if group.get(right) == 'ALLOW'
+                for name in group
+            }
+    raise AssertionError(f'no profile of {node}')
+
+
+def own(names_and_types):
+    return {
+        name.rpartition('/')[2]
+        for name, _ in names_and_types
+        if not any(part in name for part in COMMON + LIFECYCLE)
+    }
+
+
+def test_policy_and_nodes_agree():
+    running = NodesUnderTest()
+    graph, space = running.node, running.namespace
+    try:
+        for node in NODES:
+            for element, right, ask in (
+                ('topics', 'publish', graph.get_publisher_names_and_types_by_node),
+                ('topics', 'subscribe', graph.get_subscriber_names_and_types_by_node),
+                ('services', 'reply', graph.get_service_names_and_types_by_node),
+                ('services', 'request', graph.get_client_names_and_types_by_node),
+            ):
+                assert own(ask(node, space)) == allowed(node, element, right), (node, right)
+        assert allowed('program_node', 'actions', 'execute') == {'run_program'}
+    finally:
+        running.close()
+    assert not allowed('observer', 'topics', 'publish')

@@ -280,7 +280,8 @@ class AxisPathBuilder:
     def _join(self, parts: list[Cells]) -> AxisPath:
         """Put parts together into a piece of path that begins where the last one ended."""
         steps = np.concatenate([part.steps for part in parts])
-        s = self._s + np.concatenate([[0.0], np.cumsum(steps)])
+        # Added one by one: the same bits however the segments arrive.
+        s = np.cumsum(np.concatenate([[self._s], steps]))
         stop = np.concatenate([[self._stopped], *(part.stop for part in parts)])
         left = np.concatenate([part.left for part in parts]).swapaxes(0, 1).copy()
         right = np.concatenate([part.right for part in parts]).swapaxes(0, 1).copy()

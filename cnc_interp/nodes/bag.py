@@ -35,8 +35,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from cnc_interp.errors import InterpError
+from cnc_interp.errors import InterpError, StreamError
 from cnc_interp.nodes import qos
+from cnc_interp.nodes.endpoints import opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
@@ -51,6 +52,8 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'feed_override': (Float64, qos.OVERRIDE),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }
+#: Topics whose messages end with a checksum.
+SEALED = ('blocks', 'segments', 'setpoints')
 #: Before the parameters of the nodes, in the custom data of a bag.
 PARAMETER = 'parameter.'
 ENDLESS = QosTime(2147483647, 4294967295)
@@ -154,7 +157,7 @@ class Bag:
             self._reader.open()
         except (ReaderError, OSError, ValueError, AssertionError) as fault:
             raise InterpError(f'{path}: not a bag that can be read ({fault})') from None
-        custom = dict(self._reader.metadata.custom or {})
+        custom = dict(self._reader.storage.metadata.custom or {})
         self.parameters = {
             key.removeprefix(PARAMETER): json.loads(value)
             for key, value in custom.items()
@@ -173,13 +176,14 @@ class Bag:
             raise InterpError(f'{self.path}: cannot be read to its end ({fault})') from None
 
     def read(self, topic: str) -> list[Any]:
-        """Return all messages of a topic that can be read."""
+        """Return all sound messages of a topic."""
         kind = TOPICS[topic][0]
         found = []
         for _, _, data in self.raw(topic):
             try:
-                found.append(deserialize_message(data, kind))
-            except Exception:  # spoilt on purpose or on its way: the receiver asked again
+                sealed = topic in SEALED
+                found.append(opened(data, kind) if sealed else deserialize_message(data, kind))
+            except StreamError:  # spoilt on its way: the receiver asked again
                 continue
         return found
 

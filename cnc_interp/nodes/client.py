@@ -23,6 +23,7 @@ from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import STREAM
 from cnc_interp.nodes.recorder import Recorder
+from cnc_interp.nodes.running import stay_on_this_host
 from cnc_interp.nodes.session import RunRequest, RunResult
 from cnc_interp.nodes.showing import Progress
 
@@ -50,6 +51,7 @@ class Client:
 
     def __init__(self, namespace: str, domain: int, children: Children):
         self._children = children
+        stay_on_this_host()
         self._context = rclpy.Context()
         rclpy.init(
             context=self._context,

@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.bag import TOPICS, BagWriter
+from cnc_interp.nodes.running import stay_on_this_host
 
 #: Nodes whose parameters decide what becomes of the same blocks.
 ASKED = {
@@ -96,6 +97,7 @@ def record(path: Path, namespace: str) -> int:
         number: signal.signal(number, lambda found, _frame: stop.append(found))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
+    stay_on_this_host()
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('record', namespace=namespace, context=context)

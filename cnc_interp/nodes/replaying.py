@@ -24,6 +24,7 @@ from cnc_interp.nodes.chunk_messages import setpoints_from
 from cnc_interp.nodes.messages import blocks_from
 from cnc_interp.nodes.planning import RunPlanner
 from cnc_interp.nodes.recorded import blocks_of, chain_options
+from cnc_interp.nodes.running import stay_on_this_host
 from cnc_interp.pipeline import smoothing_options
 from cnc_interp.smoothing.lookahead import LookAhead
 
@@ -206,6 +207,7 @@ def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
         number: signal.signal(number, lambda found, _frame: stop.append(found))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
+    stay_on_this_host()
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('replay', namespace=namespace, context=context)

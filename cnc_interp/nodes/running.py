@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -46,6 +47,7 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda found, _frame: stop.append(found))
     come_first()
+    stay_on_this_host()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
@@ -76,10 +78,19 @@ def come_first() -> None:
     Ask the system to serve this process before others; only some users may.
 
     On Linux this holds for the calling thread and those that it starts from now on, so it comes
-    before the threads of ROS.
+    before the threads of ROS. Where processes are scheduled by session, as desktops do, niceness
+    counts among those of one session only; then the session of the node is moved up.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+    if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell
+        with contextlib.suppress(OSError):
+            Path('/proc/self/autogroup').write_text(str(NICENESS), encoding='ascii')
+
+
+def stay_on_this_host() -> None:
+    """Be found by programs of this host only, unless the environment says otherwise."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:

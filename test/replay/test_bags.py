@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from nodes_under_test import NodesUnderTest
 from rclpy.serialization import deserialize_message, serialize_message
 from record import PARAMETERS
+from rosbags.rosbag2 import Reader
 
 from cnc_interp.cli import main
 from cnc_interp.nodes.bag import TOPICS, Bag, BagWriter
@@ -116,7 +117,7 @@ def test_other_readers_understand_the_bag():
         assert b'MSG: cnc_interp_msgs/BSpline' in schemas['cnc_interp_msgs/msg/PathSegment'].data
         counted = sum(1 for _ in reader.iter_messages())
     assert counted == summary.statistics.message_count > 50
-    with Bag(HELD) as bag:
+    with Reader(HELD) as bag:
         for connection in bag.connections:
             package, _, name = connection.msgtype.split('/')
             if package == 'cnc_interp_msgs':
@@ -159,6 +160,8 @@ def test_recorded_faults_come_again():
         running.spin_until(lambda: running.peers.state.completed)
         assert running.next_state().state == MachineState.IDLE
         wanted = [p for m in chunks for p in m.positions]
+        if running.peers.state.starvations:
+            pytest.skip('the computer is too busy: setpoints came late')
         running.spin_until(lambda: sum(len(m.positions) for m in executed) >= len(wanted))
         assert [p for m in executed for p in m.positions] == wanted
         assert same_run(executed[0].program_id, chunks[0].program_id)

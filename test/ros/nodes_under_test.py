@@ -85,9 +85,9 @@ class NodesUnderTest:
         self.spin_until(accepted.done)
         return accepted.result()
 
-    def result_of(self, handle):
+    def result_of(self, handle, patience=PATIENCE):
         wanted = handle.get_result_async()
-        self.spin_until(wanted.done)
+        self.spin_until(wanted.done, patience)
         return wanted.result().result
 
     def run(self, **goal):

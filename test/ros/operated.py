@@ -6,7 +6,7 @@ import signal
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
-from nodes_under_test import NodesUnderTest
+from nodes_under_test import PATIENCE, NodesUnderTest
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -120,8 +120,8 @@ class Bench(NodesUnderTest):
         assert (np.diff(s) >= -1e-12).all()
         return q, s
 
-    def finish(self, handle):
-        result = self.result_of(handle)
+    def finish(self, handle, patience=PATIENCE):
+        result = self.result_of(handle, patience)
         assert (result.code, result.message) == (Result.SUCCEEDED, 'executed to the end')
         assert result.blocks_sent == result.blocks_executed == len(blocks_of(self.text)) - 1
         q, s = self.recorded()

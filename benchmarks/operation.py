@@ -1,0 +1,216 @@
+"""
+Holds, override changes, kills and bad messages at random moments, with real processes.
+
+``PYTHONPATH=.:test/ros python benchmarks/operation.py --reactions 20 --holds 200 --overrides 200
+--kills 50 --messages 1000``; the same at small count is in ``test/ros``. After every run all
+setpoints that the machine executed are proven: limits by differences, path by its own evaluation,
+end of the program reached, blocks sent = executed. A reaction time counts from the command to the
+first setpoint that differs from the motion before it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import MachineState
+from operated import Bench, T, waves
+from rclpy.time import Time
+from relay import ARGUMENTS, Relay
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+#: Blocks of the program in which things happen, twice; its corners and turns take a minute.
+WAVES = 120
+#: A line at constant speed, for reaction times [mm], and its feedrate [mm/min].
+LINE, FEED = 150, 1200
+KILLED = ('feedrate_node', 'lookahead_node')
+
+
+def straight() -> str:
+    """Program of one long line at constant speed."""
+    return f'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\nG1 X{LINE} F{FEED}\nM30\n'
+
+
+class Trial:
+    """Random events on one bench."""
+
+    def __init__(self, seed: int, arguments: dict[str, list[str]] | None = None):
+        self.random = np.random.default_rng(seed)
+        self.bench = Bench(arguments=arguments)
+
+    def pause(self, most: float) -> None:
+        """Let a random time pass."""
+        until = time.monotonic() + self.random.uniform(0.05, most)
+        self.bench.spin_until(lambda: time.monotonic() > until)
+
+    def wait_in_program(self) -> bool:
+        """Wait until the program moves, or is over; tells whether it moves."""
+        bench = self.bench
+        bench.spin_until(
+            lambda: (
+                bench.state.completed
+                or (bench.state.state == MachineState.RUNNING and bench.state.approach_samples > 0)
+            )
+        )
+        return not bench.state.completed
+
+    def holds(self, count: int) -> None:
+        """Hold and go on at random moments."""
+        done = runs = starved = 0
+        while done < count:
+            handle = self.bench.begin(waves(WAVES))
+            self.bench.spin_until(lambda: not self.bench.state.completed)
+            while done < count and self.wait_in_program():
+                self.pause(0.6)
+                if not self.bench.press('feed_hold').success or not self.held():
+                    break
+                done += 1
+                assert self.bench.press('cycle_start').success
+            starved += self.finish(handle).starvations
+            runs += 1
+            say('holds', done, runs, starved)
+
+    def held(self) -> bool:
+        """Wait until the machine holds; False where the program ended first."""
+        ends = (MachineState.HELD, MachineState.IDLE)
+        self.bench.spin_until(lambda: self.bench.state.state in ends)
+        return bool(self.bench.state.state == MachineState.HELD)
+
+    def overrides(self, count: int) -> None:
+        """Change the override at random moments."""
+        done = runs = starved = 0
+        while done < count:
+            handle = self.bench.begin(waves(WAVES))
+            self.bench.spin_until(lambda: not self.bench.state.completed)
+            while done < count and self.wait_in_program():
+                self.bench.override.publish(Float64(data=float(self.random.uniform(0.0, 1.5))))
+                done += 1
+                self.pause(0.5)
+            self.bench.override.publish(Float64(data=1.0))
+            starved += self.finish(handle).starvations
+            runs += 1
+            say('override changes', done, runs, starved)
+
+    def kills(self, count: int) -> None:
+        """Kill a node at random moments, start it again, go on."""
+        bench, done, runs = self.bench, 0, 0
+        while done < count:
+            handle = bench.begin(waves(WAVES))
+            bench.spin_until(lambda: not bench.state.completed)
+            while done < count and self.wait_in_program():
+                self.pause(1.5)
+                node = KILLED[int(self.random.integers(len(KILLED)))]
+                bench.kill(node)
+                if node == 'lookahead_node':  # what it has sent would be executed first
+                    bench.press('feed_hold')
+                bench.spin_until(lambda: bench.state.completed or bench.state.plan_over)
+                bench.children.revive()
+                bench.watching = True
+                done += 1
+                if bench.state.completed:
+                    break
+                bench.diagnostics.clear()
+                self.restarted()
+                assert bench.press('cycle_start').success
+                say('kills', done, runs, 0)
+            bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))
+            self.finish(handle)
+            runs += 1
+        say('kills', done, runs, 0)
+
+    def restarted(self) -> None:
+        """Wait until the restart was noticed."""
+        said = self.bench.diagnostics
+        self.bench.spin_until(lambda: any('was restarted' in text for _, text in said))
+
+    def finish(self, handle: Any) -> Any:
+        """Wait for the end; prove what was executed."""
+        result, _ = self.bench.finish(handle, patience=600.0)
+        return result
+
+    def reactions(self, command: str, count: int) -> list[float]:
+        """Measure the reaction to a hold or an override on a line at constant speed [s]."""
+        found: list[float] = []
+        bench = self.bench
+        while len(found) < count:
+            handle = bench.begin(straight())
+            bench.spin_until(lambda: not bench.state.completed)
+            bench.until_at(0.03)
+            self.pause(0.5)
+            state, now = bench.state, bench.node.get_clock().now()
+            if command == 'hold':
+                bench.buttons['feed_hold'].call_async(Trigger.Request())
+            else:
+                bench.override.publish(Float64(data=0.4))
+            stamp = Time.from_msg(state.header.stamp, clock_type=now.clock_type)
+            pressed = state.samples + (now - stamp).nanoseconds * 1e-9 / T
+            if command == 'hold':
+                assert self.held()
+                bench.press('cycle_start')
+            else:
+                self.pause(0.6)
+                bench.override.publish(Float64(data=1.0))
+            bench.finish(handle)
+            _, s = bench.recorded()
+            speed = np.diff(s) / T
+            changed = np.abs(speed / (FEED / 60e3) - 1.0) > 1e-6
+            after = np.flatnonzero(changed[int(pressed) :])
+            found.append((int(pressed) + after[0] + 1 - pressed) * T)
+        return found
+
+    def close(self) -> None:
+        """End the processes."""
+        self.bench.close()
+
+
+def messages(count: int, seed: int) -> None:
+    """Run over a bad line until so many messages were spoilt, lost, repeated or reordered."""
+    trial = Trial(seed, ARGUMENTS)
+    relay = Relay(trial.bench.namespace, trial.bench.domain, trial.random, 0.05)
+    try:
+        runs = starved = 0
+        while relay.faults < count:
+            starved += trial.finish(trial.bench.begin(waves(WAVES))).starvations
+            runs += 1
+            print(f'messages         {relay.counts}, {relay.passed} passed on untouched; {runs} '
+                  f'runs, {starved} times starved; all proven', flush=True)  # fmt: skip
+    finally:
+        relay.close()
+        trial.close()
+
+
+def say(what: str, done: int, runs: int, starved: int) -> None:
+    """Tell how far it has come."""
+    print(f'{what:<17}{done} in {runs} proven runs, {starved} times starved', flush=True)
+
+
+def main() -> int:
+    """Run what is asked for."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    for name in ('holds', 'overrides', 'kills', 'messages', 'reactions'):
+        asked.add_argument(f'--{name}', type=int, default=0)
+    asked.add_argument('--seed', type=int, default=1)
+    options = asked.parse_args()
+    if options.holds or options.overrides or options.kills or options.reactions:
+        trial = Trial(options.seed)
+        try:
+            for command in ('hold', 'override') if options.reactions else ():
+                times = np.array(trial.reactions(command, options.reactions)) * 1e3
+                print(f'reaction to {command:<9} median {np.median(times):.0f} ms, largest '
+                      f'{times.max():.0f} ms, {len(times)} times', flush=True)  # fmt: skip
+            trial.holds(options.holds)
+            trial.overrides(options.overrides)
+            trial.kills(options.kills)
+        finally:
+            trial.close()
+    if options.messages:
+        messages(options.messages, options.seed)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -17,7 +17,7 @@ BEGIN, END = '<!-- made by benchmarks/run.py -->', '<!-- to here -->'
 
 def write_tables() -> None:
     """Write both from all figures that are there."""
-    lines = ['# Results', '', 'Made by `benchmarks/run.py`: all of one process on one core.']
+    lines = ['# Results', '', 'Made by `benchmarks/run.py`: each section by one process on one core.']
     lines += ['Planning times are CPU seconds. What the columns mean: `README.md` in this folder.']
     for section, (title, table) in TABLES.items():
         if load(section):

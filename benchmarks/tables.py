@@ -17,8 +17,12 @@ BEGIN, END = '<!-- made by benchmarks/run.py -->', '<!-- to here -->'
 
 def write_tables() -> None:
     """Write both from all figures that are there."""
-    lines = ['# Results', '', 'Made by `benchmarks/run.py`: each section by one process on one core.']
-    lines += ['Planning times are CPU seconds. What the columns mean: `README.md` in this folder.']
+    lines = [
+        '# Results',
+        '',
+        'Made by `benchmarks/run.py`: each section by one process on one core.',
+        'Planning times are CPU seconds. What the columns mean: `README.md` in this folder.',
+    ]
     for section, (title, table) in TABLES.items():
         if load(section):
             lines += ['', f'## {title}', '', *table()]

@@ -157,9 +157,10 @@ class Trial:
             bench.finish(handle)
             _, s = bench.recorded()
             speed = np.diff(s) / T
-            changed = np.abs(speed / (FEED / 60e3) - 1.0) > 1e-6
-            after = np.flatnonzero(changed[int(pressed) :])
-            found.append((int(pressed) + after[0] + 1 - pressed) * T)
+            at = int(pressed)
+            changed = np.abs(speed / np.median(speed[at - 50 : at]) - 1.0) > 1e-4
+            after = np.flatnonzero(changed[at:])
+            found.append((at + after[0] + 1 - pressed) * T)
         return found
 
     def close(self) -> None:

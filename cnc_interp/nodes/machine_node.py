@@ -11,6 +11,7 @@ import numpy as np
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
@@ -26,15 +27,18 @@ from cnc_interp.nodes.machine_messages import (
     machine_state,
 )
 from cnc_interp.nodes.playback import Playback
-from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
+from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_chunk
 from cnc_interp.nodes.streams import WindowedReceiver
+from cnc_interp.nodes.trajectories import joint_trajectory
 
 #: After a longer stall of the computer the clock starts anew instead of being caught up [s].
 LONGEST_CATCH_UP = 0.5
 #: Time between reports of what was executed [s].
 EXECUTED_PERIOD = 0.1
+#: Time between trajectories for a controller [s].
+TRAJECTORY_PERIOD = 0.05
 
 
 class MachineNode(LifecycleNode):
@@ -71,6 +75,11 @@ class MachineNode(LifecycleNode):
         self._joints = self.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = self.create_publisher(MachineState, 'machine_state', STATE)
         self._executed = self.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
+        if values['trajectory_topic']:
+            self._trajectories = self.create_publisher(
+                JointTrajectory, values['trajectory_topic'], TRAJECTORY
+            )
+            self.create_timer(TRAJECTORY_PERIOD, self._tell_trajectory)
         self._controls = Controls(self, self._playback, self._lock, self._give_up)
         self.create_timer(0.005, self._work)
         self.create_timer(EXECUTED_PERIOD, self._tell_executed)
@@ -174,6 +183,15 @@ class MachineNode(LifecycleNode):
             messages = executed_setpoints(self._playback, self._period)
         for message in messages:
             self._executed.publish(message)
+
+    def _tell_trajectory(self) -> None:
+        with self._lock:
+            rows = self._playback.coming()
+        if rows:
+            stamp = self.get_clock().now().to_msg()
+            self._trajectories.publish(
+                joint_trajectory(rows, self._machine.machine, self._period, stamp)
+            )
 
     def _tell_joints(self) -> None:
         with self._lock:

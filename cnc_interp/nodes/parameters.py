@@ -68,6 +68,9 @@ MACHINE_NODE = (
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     Declared('position_gain', 100.0, 'Gain kv of the drives [1/s]', 1.0, 1000.0),
     Declared('feed_forward', 1.0, 'Share of velocity feed-forward of the drives [-]', 0.0, 1.0),
+    Declared(
+        'trajectory_topic', '', 'Where to publish the setpoints to come as JointTrajectory too'
+    ),
     Declared('time_constant', 0.002, 'Lag of the velocity loop of the drives [s]', 1e-4, 0.1),
 )
 PROGRAM = (

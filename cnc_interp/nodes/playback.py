@@ -165,6 +165,19 @@ class Playback:
         """Tell whether the plan was left by a stop tail: its further setpoints are void."""
         return self._on_tail or self.plan_over
 
+    def coming(self) -> list[Row]:
+        """Return the setpoints to come as things stand, the stop behind them included."""
+        current, rows = self._current, list(self._rows)
+        if self.resting or self._on_tail:
+            return rows
+        if not self._leave:
+            for held in self._chunks:
+                if current is not None and current.wait is not Wait.NOTHING:
+                    break
+                current = held
+                rows += held.rows
+        return rows + (rows_of(current.tail, current.tail_lines) if current else [])
+
     # What the operator asks for -----------------------------------------------------------------
 
     def hold(self) -> None:

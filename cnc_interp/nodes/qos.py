@@ -10,6 +10,7 @@ Quality of service of every topic, in one table.
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
 | ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
 | ``feed_override`` | reliable | transient local | last 1 | a node that starts late must know it |
+| trajectories | reliable | volatile | last 1 | each replaces the one before |
 | ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
 | ``run_program`` | rclpy's defaults for actions | | | |
 """  # noqa: E501
@@ -35,6 +36,7 @@ STREAM = _reliable(DEPTH)
 STATUS = _reliable(64)
 STATE = _reliable(64)
 JOINTS = _reliable(10)
+TRAJECTORY = _reliable(1)
 DIAGNOSTICS = _reliable(64)
 LOADED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

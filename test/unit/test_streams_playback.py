@@ -313,3 +313,20 @@ def test_stretches_are_short_and_give_the_same_setpoints():
     assert np.array_equal(joined.time, whole.time)
     assert np.abs(joined.position - whole.position).max() < 1e-15
     assert np.abs(joined.velocity - whole.velocity).max() < 1e-15
+
+
+def test_what_is_to_come_ends_at_rest_whatever_is_asked():
+    play, chunks = playback(50), chunks_to([0.4, 0.1, 0.0, 0.2, 0.0])
+    play.begin('p')
+    assert play.coming() == []
+    feed(play, chunks[:40])
+    for _ in range(203):
+        play.step()
+    told = play.coming()
+    assert len(told) == 400 - 203 + len(chunks[39].tail)
+    assert np.abs(told[-1].velocity).max() < 1e-6
+    play.hold()
+    held = play.coming()
+    assert len(held) == 7 + len(chunks[20].tail)
+    heard = step_until(play, lambda: play.resting)
+    assert np.array_equal(heard[: len(held)], np.array([row.position for row in held]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ from cnc_interp.nodes.bag_command import add_bag_commands, check_bag, is_bag, re
 from cnc_interp.units import MM, MM_PER_MIN, MS
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
+#: Text is not drawn wider than this [characters].
+WIDEST = 100
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -83,6 +86,10 @@ def parser() -> argparse.ArgumentParser:
     plan.add_argument(
         '--out', type=Path, metavar='DIR', required=True, help='folder for the plan files'
     )
+    plan.add_argument(
+        '--look', action='store_true',
+        help='draw the feed profile in text, as a terminal always gets it',
+    )  # fmt: skip
 
     convert = command(
         commands, 'convert', convert_command,
@@ -276,8 +283,22 @@ def plan_command(options: argparse.Namespace) -> int:
         tell(stream.notices)
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
+        if options.look or sys.stdout.isatty():
+            print(sketch(options.out))
         print(f'plan files     {options.out}')
     return FINE
+
+
+def sketch(directory: Path) -> str:
+    """Draw the feed profile of a plan with what the output can show."""
+    from cnc_interp.report.sketch import EIGHTHS, feed_sketch
+
+    try:
+        EIGHTHS.encode(sys.stdout.encoding or 'ascii')
+        unicode = True
+    except UnicodeEncodeError:
+        unicode = False
+    return feed_sketch(directory, min(shutil.get_terminal_size().columns, WIDEST), unicode)
 
 
 def chain_options(options: argparse.Namespace) -> Any:

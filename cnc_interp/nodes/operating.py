@@ -32,7 +32,6 @@ __all__ = [
     'TRIGGERS',
     'Alarm',
     'Answer',
-    'LoadedProgram',
     'MachineState',
     'Operating',
 ]

@@ -16,6 +16,7 @@ from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.operating import Answer, MachineState, Operating
+from cnc_interp.nodes.streams import same_run
 from cnc_interp.panel.preview import Choices, Planner, Preview
 from cnc_interp.panel.tube import tube
 from cnc_interp.program.blocks import FloatArray
@@ -105,7 +106,7 @@ class Desk:
         program, job = self.nodes.program, self._running
         if job is None or job.plan is None or program is None:
             return None
-        same = state.program_id == program.program_id == self._adopted
+        same = same_run(state.program_id, self._adopted) and program.program_id == self._adopted
         # A run with options that the planner was not told has another path.
         told = math.isclose(job.plan.length, program.path_length, rel_tol=SAME_LENGTH)
         return job.plan if same and told else None

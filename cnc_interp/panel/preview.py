@@ -1,8 +1,8 @@
 """
 A program planned beside the machine: its path, feeds and times, and the proof.
 
-The same commands that a user gives (`plan`, `check`) run as processes of lowest priority: nothing
-of it competes with the nodes, and their one line of complaint is what the operator reads.
+The same commands that a user gives (`plan`, `check`) run as processes of lower priority than the
+nodes, and their one line of complaint is what the operator reads.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from cnc_interp.units import MM, MM_PER_MIN
 
 #: Points that are drawn at most.
 DRAWN = 20000
-#: Given to the kernel for the planning process: it runs when nothing else wants to.
-NICENESS = 19
+#: Of the planning process: the nodes always come first, yet it gets on beside other work.
+NICENESS = 5
 
 
 @dataclass(frozen=True)
@@ -197,5 +197,5 @@ class Planner:
 
 
 def be_last() -> None:
-    """Step behind all other processes."""
+    """Step behind the nodes."""
     os.nice(NICENESS)

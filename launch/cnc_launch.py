@@ -1,26 +1,38 @@
-"""Start the four nodes of the interpolator; they configure and activate themselves."""
+"""
+Start the four nodes of the interpolator; they configure and activate themselves.
+
+``show:=true`` adds what RViz and Foxglove draw: the machine's frames and the markers of the paths.
+"""
+
+import sys
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.conditions import IfCondition
+from launch.substitutions import Command, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 NODES = ('lookahead_node', 'feedrate_node', 'machine_node', 'program_node')
 
-PARAMETERS_FILE = PathJoinSubstitution([FindPackageShare('cnc_interp'), 'config', 'nodes.yaml'])
+SHARE = FindPackageShare('cnc_interp')
+PARAMETERS_FILE = PathJoinSubstitution([SHARE, 'config', 'nodes.yaml'])
+RVIZ_FILE = PathJoinSubstitution([SHARE, 'config', 'views', 'cnc.rviz'])
 
 ARGUMENTS = (
     ('machine', 'xyzac', 'Name of a bundled machine, or path of a machine file.'),
     ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
+    ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),
+    ('rviz', 'false', 'Also start RViz; needs show:=true.'),
+    ('rviz_file', RVIZ_FILE, 'Configuration of RViz.'),
     ('log_level', 'info', 'Least severe messages that are logged: debug, info, warn or error.'),
 )
 
 
-def node(name: str) -> Node:
+def node(name: str, condition: IfCondition | None = None) -> Node:
     """Describe one node; the values of this launch win over those of the parameters file."""
     values = {
         'machine': ParameterValue(LaunchConfiguration('machine'), value_type=str),
@@ -34,7 +46,30 @@ def node(name: str) -> Node:
         parameters=[LaunchConfiguration('parameters_file'), values],
         ros_arguments=['--log-level', LaunchConfiguration('log_level')],
         output='screen',
+        condition=condition,
     )
+
+
+def views() -> list[Node]:
+    """Describe what draws."""
+    show = IfCondition(LaunchConfiguration('show'))
+    urdf = Command([sys.executable, ' -m cnc_interp urdf ', LaunchConfiguration('machine')])
+    frames = Node(
+        package='robot_state_publisher',
+        executable='robot_state_publisher',
+        namespace=LaunchConfiguration('namespace'),
+        parameters=[{'robot_description': ParameterValue(urdf, value_type=str)}],
+        output='screen',
+        condition=show,
+    )
+    rviz = Node(
+        package='rviz2',
+        executable='rviz2',
+        namespace=LaunchConfiguration('namespace'),
+        arguments=['-d', LaunchConfiguration('rviz_file')],
+        condition=IfCondition(LaunchConfiguration('rviz')),
+    )
+    return [frames, node('markers_node', show), rviz]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -43,4 +78,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=value, description=text)
         for name, value, text in ARGUMENTS
     ]
-    return LaunchDescription([*arguments, *(node(name) for name in NODES)])
+    return LaunchDescription([*arguments, *(node(name) for name in NODES), *views()])

@@ -85,6 +85,12 @@ PROGRAM = (
     RESEND,
 )
 
+MARKERS = (
+    MACHINE,
+    Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
+    Declared('spacing', 5e-5, 'Least distance between points of a line [m]', 0.0, 0.1),
+)
+
 
 def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
     """
@@ -129,7 +135,9 @@ def descriptor_of(parameter: Declared) -> ParameterDescriptor:
 
 def check_change(changes: list[Any]) -> SetParametersResult:
     """Refuse changes while the node runs: buffers, windows and plans are built on the values."""
-    known = {p.name for table in (LOOKAHEAD, FEEDRATE, MACHINE_NODE, PROGRAM) for p in table}
+    known = {
+        p.name for table in (LOOKAHEAD, FEEDRATE, MACHINE_NODE, PROGRAM, MARKERS) for p in table
+    }
     for change in changes:
         if change.name in known:
             return SetParametersResult(

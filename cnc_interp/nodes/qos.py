@@ -11,6 +11,8 @@ Quality of service of every topic, in one table.
 | ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
 | ``feed_override`` | reliable | transient local | last 1 | a node that starts late must know it |
 | trajectories | reliable | volatile | last 1 | each replaces the one before |
+| ``markers`` | reliable | volatile | last 16 | what RViz asks for; all are sent again to a new listener |
+| ``blocks``, ``executed_setpoints`` for those who only look | best effort | volatile | last 4096 | no sender waits for a viewer |
 | ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
 | ``run_program`` | rclpy's defaults for actions | | | |
 """  # noqa: E501
@@ -35,6 +37,13 @@ def _reliable(depth: int) -> QoSProfile:
 STREAM = _reliable(DEPTH)
 STATUS = _reliable(64)
 STATE = _reliable(64)
+MARKERS = _reliable(16)
+LISTENING = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=DEPTH,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
 JOINTS = _reliable(10)
 TRAJECTORY = _reliable(1)
 DIAGNOSTICS = _reliable(64)

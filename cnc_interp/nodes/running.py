@@ -26,7 +26,9 @@ SPIN_TIMEOUT = 0.1
 NICENESS = -10
 
 
-def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int:
+def run_node(
+    make: Callable[[], Any], arguments: list[str] | None = None, urgent: bool = True
+) -> int:
     """
     Run one node until Ctrl-C, SIGTERM or the end of its context.
 
@@ -36,6 +38,8 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
         Makes the node once ROS is up; the node's ``close`` ends it in a controlled way.
     arguments : list of str, optional
         Command line, ROS arguments included.
+    urgent : bool
+        Whether others wait for it: false for a node that only shows.
 
     Returns
     -------
@@ -46,7 +50,8 @@ def run_node(make: Callable[[], Any], arguments: list[str] | None = None) -> int
     stop: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda found, _frame: stop.append(found))
-    come_first()
+    if urgent:
+        come_first()
     stay_on_this_host()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = None

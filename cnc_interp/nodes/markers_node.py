@@ -1,0 +1,154 @@
+"""
+The markers node: programmed and executed path for RViz and Foxglove, on topic ``markers``.
+
+It only listens, best effort, so that no stream ever waits for it.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable
+
+import numpy as np
+from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from geometry_msgs.msg import Point
+from rclpy.node import Node
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import parameters
+from cnc_interp.nodes.qos import LISTENING, MARKERS
+from cnc_interp.nodes.running import run_node
+from cnc_interp.nodes.streams import same_run
+from cnc_interp.units import MM
+
+#: The frame of programs, see the machines' URDF.
+FRAME = 'workpiece'
+#: Points of one marker: long lines are cut, so that only their end is sent again.
+POINTS = 1000
+PROGRAMMED = ColorRGBA(r=0.55, g=0.62, b=0.68, a=1.0)
+EXECUTED = ColorRGBA(r=0.30, g=0.76, b=0.54, a=1.0)
+
+
+class Strip:
+    """
+    A line that grows, as markers of at most ``POINTS`` points.
+
+    Parameters
+    ----------
+    name : str
+        Namespace of its markers.
+    colour : ColorRGBA
+        Its colour.
+    width : float
+        Its width [m].
+    spacing : float
+        Points nearer than this to the one before are left out [m].
+
+    """
+
+    def __init__(self, name: str, colour: ColorRGBA, width: float, spacing: float):
+        self._name, self._colour, self._width, self._spacing = name, colour, width, spacing
+        self._markers: list[Marker] = []
+        self._last: tuple[float, ...] | None = None
+        self._first_changed = 0
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._markers, self._last, self._first_changed = [], None, 0
+
+    def add(self, place: Iterable[float]) -> None:
+        """Add a point [m]."""
+        found = tuple(float(x) for x in place)
+        if self._last is not None and math.dist(found, self._last) < self._spacing:
+            return
+        point = Point(x=found[0], y=found[1], z=found[2])
+        if not self._markers or len(self._markers[-1].points) >= POINTS:
+            joint = [self._markers[-1].points[-1]] if self._markers else []
+            self._markers.append(self._empty(joint))
+        self._markers[-1].points.append(point)
+        self._first_changed = min(self._first_changed, len(self._markers) - 1)
+        self._last = found
+
+    def _empty(self, points: list[Point]) -> Marker:
+        marker = Marker(
+            ns=self._name, id=len(self._markers), type=Marker.LINE_STRIP, action=Marker.ADD,
+            color=self._colour, points=points,
+        )  # fmt: skip
+        marker.header.frame_id = FRAME
+        marker.scale.x = self._width
+        marker.pose.orientation.w = 1.0
+        return marker
+
+    def news(self, everything: bool) -> list[Marker]:
+        """Return the markers that have changed since the last call, or all."""
+        first = 0 if everything else self._first_changed
+        self._first_changed = len(self._markers)
+        return [marker for marker in self._markers[first:] if len(marker.points) > 1]
+
+
+class MarkersNode(Node):
+    """Draws what the blocks ask for and what the drives were told."""
+
+    def __init__(self) -> None:
+        super().__init__('markers_node')
+        values = parameters.declare(self, parameters.MARKERS)
+        self._transform = Transform.of(Machine.load(values['machine']))
+        spacing = values['spacing']
+        self._programmed = Strip('programmed', PROGRAMMED, 0.3 * MM, spacing)
+        self._executed = Strip('executed', EXECUTED, 0.6 * MM, spacing)
+        self._program_id, self._sequence = '', -1
+        self._cleared, self._viewers = False, 0
+        self._publisher = self.create_publisher(MarkerArray, 'markers', MARKERS)
+        self.create_subscription(G1Block, 'blocks', self._see_block, LISTENING)
+        self.create_subscription(
+            SetpointChunk, 'executed_setpoints', self._see_setpoints, LISTENING
+        )
+        self.create_timer(1.0 / values['rate'], self._tell)
+
+    def _begin(self, program_id: str) -> None:
+        """Clear the picture when another program begins."""
+        if not same_run(program_id, self._program_id):
+            self._program_id, self._sequence, self._cleared = program_id, -1, True
+            self._programmed.clear()
+            self._executed.clear()
+
+    def _see_block(self, block: G1Block) -> None:
+        self._begin(block.program_id)
+        if block.sequence > self._sequence:  # one that is sent again is known
+            self._sequence = block.sequence
+            self._programmed.add(block.tip)
+
+    def _see_setpoints(self, chunk: SetpointChunk) -> None:
+        """Take the last setpoint of the message that follows the program."""
+        self._begin(chunk.program_id)
+        q = np.reshape(chunk.positions, (-1, chunk.axis_count))
+        if len(q) and chunk.sequences[-1] > 0:
+            tip, _ = self._transform.forward(q[-1:])
+            self._executed.add(tip[0])
+
+    def _tell(self) -> None:
+        """Send what has changed; everything when somebody new looks."""
+        viewers = self.count_subscribers('markers')
+        everything, self._viewers = viewers > self._viewers, viewers
+        markers = self._programmed.news(everything) + self._executed.news(everything)
+        if self._cleared:
+            markers.insert(0, Marker(action=Marker.DELETEALL))
+            self._cleared = False
+        if markers:
+            self._publisher.publish(MarkerArray(markers=markers))
+
+    def close(self) -> None:
+        """End; nothing depends on this node."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(MarkersNode, arguments, urgent=False)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

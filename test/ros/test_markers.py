@@ -1,0 +1,133 @@
+"""The markers node: what it draws is what the blocks ask for and what the drives were told."""
+
+import os
+import subprocess
+import sys
+import time
+import uuid
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+import rclpy
+from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from rclpy.executors import SingleThreadedExecutor
+from visualization_msgs.msg import Marker, MarkerArray
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.messages import block_messages
+from cnc_interp.program import ReadOptions, read_text
+
+PATIENCE = 120.0
+TRANSFORM = Transform.of(Machine.load('xyzac'))
+CORNERS = np.array([[0, 0, 0], [12, 0, 0], [12, 9, 0], [0, 9, 4]]) * 1e-3
+PROGRAM = (
+    'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n'
+    + ''.join(f'G1 X{x * 1e3:g} Y{y * 1e3:g} Z{z * 1e3:g} F3000\n' for x, y, z in CORNERS[1:])
+    + 'M30\n'
+)
+
+
+class Viewer:
+    """The markers node as a process, somebody who streams, and somebody who looks."""
+
+    def __init__(self):
+        namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', 1 + os.getpid() % 100
+        command = [sys.executable, '-m', 'cnc_interp.nodes.markers_node', '--ros-args']
+        self.process = subprocess.Popen(
+            [*command, '-r', f'__ns:={namespace}'],
+            env=os.environ
+            | {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'},
+        )
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node('viewer', namespace=namespace, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.markers = {}
+        self.blocks = self.node.create_publisher(G1Block, 'blocks', qos.STREAM)
+        self.executed = self.node.create_publisher(SetpointChunk, 'executed_setpoints', qos.STREAM)
+        self.look()
+        self.spin_until(
+            lambda: (
+                self.node.count_publishers('markers') == 1
+                and self.blocks.get_subscription_count() == 1
+                and self.executed.get_subscription_count() == 1
+            )
+        )
+
+    def look(self):
+        self.node.create_subscription(MarkerArray, 'markers', self.see, qos.MARKERS)
+
+    def see(self, array):
+        for marker in array.markers:
+            if marker.action == Marker.DELETEALL:
+                self.markers.clear()
+            else:
+                assert marker.header.frame_id == 'workpiece'
+                self.markers[marker.ns, marker.id] = marker
+
+    def points(self, name):
+        found = [m for key, m in sorted(self.markers.items()) if key[0] == name]
+        return np.array([[p.x, p.y, p.z] for m in found for p in m.points]).reshape(-1, 3)
+
+    def spin_until(self, done):
+        deadline = time.monotonic() + PATIENCE
+        while not done():
+            assert time.monotonic() < deadline, 'waited too long'
+            assert self.process.poll() is None, 'the markers node ended'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def stream(self, run):
+        """Send the blocks of the program, one of them twice, and setpoints along them."""
+        blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, ReadOptions()).blocks
+        messages = block_messages(blocks, run, 0, 0.03, end=True)
+        for message in [*messages, messages[1]]:
+            self.blocks.publish(message)
+        share = np.linspace(0.0, len(CORNERS) - 1, 3001)
+        tips = np.array([np.interp(share, np.arange(len(CORNERS)), x) for x in CORNERS.T]).T
+        rotary = np.tile(np.radians([15.0, 30.0]), (len(tips), 1))
+        q = np.c_[TRANSFORM.linear(tips, rotary), rotary]
+        for k in range(0, len(q) - 9, 10):
+            self.executed.publish(
+                SetpointChunk(
+                    program_id=run, axis_count=5, positions=q[k : k + 10].ravel(),
+                    sequences=[1] * 10,
+                )
+            )  # fmt: skip
+        return tips[9 : 10 * ((len(q) - 9) // 10) + 10 : 10]
+
+    def close(self):
+        self.process.terminate()
+        assert self.process.wait(20.0) == 0
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def viewer():
+    running = Viewer()
+    yield running
+    running.close()
+
+
+def test_programmed_and_executed_path_are_drawn(viewer):
+    tips = viewer.stream('one')
+    viewer.spin_until(lambda: len(viewer.points('executed')) == len(tips))
+    assert np.abs(viewer.points('executed') - tips).max() < 1e-9
+    viewer.spin_until(lambda: len(viewer.points('programmed')) == len(CORNERS))
+    assert np.abs(viewer.points('programmed') - CORNERS).max() < 1e-12
+
+    # Who comes later sees it too, a run that goes on keeps it, another one begins anew.
+    viewer.markers.clear()
+    viewer.look()
+    viewer.spin_until(lambda: len(viewer.points('executed')) == len(tips))
+    viewer.stream('one+1')
+    viewer.spin_until(lambda: len(viewer.points('executed')) == 2 * len(tips))
+    viewer.stream('two')
+    viewer.spin_until(lambda: len(viewer.points('executed')) == len(tips))

@@ -12,7 +12,17 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 # Imported, but without a rosdep key: the README names them for a full ROS 2.
-WITHOUT_KEY = {'apsw', 'fastapi', 'mcap', 'nicegui', 'plotly', 'rosbags', 'ruckig', 'starlette'}
+WITHOUT_KEY = {
+    'apsw',
+    'contourpy',
+    'fastapi',
+    'mcap',
+    'nicegui',
+    'plotly',
+    'rosbags',
+    'ruckig',
+    'starlette',
+}
 RENAMED = {
     'toppra': 'python3-toppra-pip',
     'yaml': 'python3-yaml',

@@ -120,7 +120,7 @@ class Trial:
             bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))
             self.finish(handle)
             runs += 1
-        say('kills', done, runs, 0)
+            say('kills', done, runs, 0)
 
     def restarted(self) -> None:
         """Wait until the restart was noticed."""

@@ -47,6 +47,8 @@ class Comparison:
         Setpoints that were recorded.
     same : int
         How many of them, from the first, are the same bit for bit.
+    difference : float
+        Largest difference of a position [m, rad]; infinite where setpoints are missing.
     overridden : bool
         True where the feed override changed on the way: it cannot be known behind which setpoint.
 
@@ -56,6 +58,7 @@ class Comparison:
     plan: int
     recorded: int
     same: int
+    difference: float
     overridden: bool
 
     @property
@@ -69,7 +72,10 @@ class Comparison:
         if self.same == self.recorded:
             return f'{name}, computed again: the same bit for bit'
         reason = 'the feed override changed' if self.overridden else 'DIFFERENT'
-        return f'{name}, computed again: the same up to {self.same}, then {reason}'
+        return (
+            f'{name}, computed again: the same up to {self.same}, then {reason}, '
+            f'by {self.difference:.1e} (m, rad) at most'
+        )
 
 
 def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
@@ -136,8 +142,9 @@ def _compare_run(
             planner.resume(rests[plan - 1])
         again = _all_samples(planner, len(samples))
         yield Comparison(
-            program_id, plan, len(samples), _same(samples, again), len(set(overrides)) > 1
-        )
+            program_id, plan, len(samples), _same(samples, again), _difference(samples, again),
+            len(set(overrides)) > 1,
+        )  # fmt: skip
 
 
 def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
@@ -184,6 +191,13 @@ def _same(samples: Setpoints, again: Setpoints) -> int:
         a, b = getattr(samples, name)[:n], getattr(again, name)[:n]
         same &= (a == b).reshape(n, -1).all(axis=1)
     return n if same.all() else int(np.argmin(same))
+
+
+def _difference(samples: Setpoints, again: Setpoints) -> float:
+    """Return the largest difference of a position."""
+    if len(again) < len(samples):
+        return float('inf')
+    return float(np.abs(samples.position - again.position[: len(samples)]).max(initial=0.0))
 
 
 def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from mcap.reader import make_reader
 from nodes_under_test import NodesUnderTest
 from rclpy.serialization import deserialize_message, serialize_message
-from record import PARAMETERS
+from record import PARAMETERS, record
 from rosbags.rosbag2 import Reader
 
 from cnc_interp.cli import main
@@ -28,13 +28,28 @@ HERE = Path(__file__).parent
 HELD, FAULTY = HERE / 'held', HERE / 'faulty'
 
 
+@pytest.fixture(scope='module')
+def recorded_now(tmp_path_factory):
+    bag = tmp_path_factory.mktemp('bags') / 'now'
+    record(bag, 0.0, hold=True)
+    return bag
+
+
 @pytest.mark.parametrize('path', [HELD, FAULTY], ids=['held', 'faulty'])
-def test_recorded_blocks_give_the_recorded_setpoints(path):
+def test_recorded_blocks_give_the_recorded_motion(path):
+    """Another processor may round differently, so not bit for bit."""
     with Bag(path) as bag:
+        found = list(compute_again(bag))
+    assert max(c.difference for c in found) < 1e-6
+    assert min(c.recorded for c in found) > 100
+    assert len(found) == (2 if path == HELD else 1)  # behind a hold a plan begins anew
+
+
+def test_blocks_recorded_now_give_the_same_setpoints_bit_for_bit(recorded_now):
+    with Bag(recorded_now) as bag:
         found = list(compute_again(bag))
     assert [c.same for c in found] == [c.recorded for c in found]
     assert min(c.recorded for c in found) > 100
-    assert len(found) == (2 if path == HELD else 1)  # behind a hold a plan begins anew
 
 
 @pytest.mark.parametrize('path', [HELD, FAULTY], ids=['held', 'faulty'])
@@ -60,7 +75,7 @@ def copied(source, target, change):
         writer.close()
 
 
-def test_one_bit_of_one_setpoint_is_seen(tmp_path, capsys):
+def test_one_bit_of_one_setpoint_is_seen(recorded_now, tmp_path, capsys):
     done = []
 
     def spoil(topic, data):
@@ -71,10 +86,10 @@ def test_one_bit_of_one_setpoint_is_seen(tmp_path, capsys):
         message.positions[-1] = np.nextafter(message.positions[-1], np.inf)
         return sealed(message)
 
-    copied(HELD, tmp_path / 'spoilt', spoil)
+    copied(recorded_now, tmp_path / 'spoilt', spoil)
     assert main(['replay', str(tmp_path / 'spoilt'), '--compare']) == 1
     assert 'the same up to 99, then DIFFERENT' in capsys.readouterr().out
-    assert main(['replay', str(HELD), '--compare']) == 0
+    assert main(['replay', str(recorded_now), '--compare']) == 0
 
 
 def test_an_executed_setpoint_off_the_path_is_not_proven(tmp_path, capsys):
@@ -165,7 +180,8 @@ def test_recorded_faults_come_again():
         if running.peers.state.starvations:
             pytest.skip('the computer is too busy: setpoints came late')
         running.spin_until(lambda: sum(len(m.positions) for m in executed) >= len(wanted))
-        assert [p for m in executed for p in m.positions] == wanted
+        found = [p for m in executed for p in m.positions]
+        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-6)  # other processors round
         assert same_run(executed[0].program_id, chunks[0].program_id)
         mine = [
             array

@@ -1,0 +1,139 @@
+"""A real browser for the tests: Debian's Chromium, spoken to over its DevTools protocol."""
+
+import base64
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+import urllib.request
+from contextlib import ExitStack
+from pathlib import Path
+
+from websockets.sync.client import connect
+
+NAMES = ('chromium', 'chromium-browser', 'google-chrome')
+PATIENCE = 60.0
+
+
+def found():
+    """Path of a browser, or None."""
+    return next((path for path in map(shutil.which, NAMES) if path), None)
+
+
+class Browser:
+    """A browser without a window; WebGL is computed in software."""
+
+    def __init__(self):
+        self._folder = tempfile.TemporaryDirectory(prefix='cnc_browser_')
+        profile = Path(self._folder.name)
+        self._process = subprocess.Popen(
+            [
+                found(), '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
+                '--remote-debugging-port=0', f'--user-data-dir={profile}', '--no-first-run',
+                '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--hide-scrollbars',
+                '--disable-dev-shm-usage', '--disable-background-networking',
+                '--disable-background-timer-throttling', '--disable-renderer-backgrounding',
+                'about:blank',
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        marker = profile / 'DevToolsActivePort'
+        deadline = time.monotonic() + PATIENCE
+        while not (marker.exists() and marker.read_text().count('\n')):
+            assert time.monotonic() < deadline, 'the browser does not start'
+            time.sleep(0.05)
+        self._address = f'127.0.0.1:{marker.read_text().splitlines()[0]}'
+
+    def open(self, url, width=1366, height=768, mobile=False):
+        """Open a page in a tab of its own."""
+        request = urllib.request.Request(f'http://{self._address}/json/new', method='PUT')
+        target = json.load(urllib.request.urlopen(request))
+        tab = Tab(target['webSocketDebuggerUrl'])
+        tab.size(width, height, mobile)
+        tab.go(url)
+        return tab
+
+    def close(self):
+        self._process.terminate()
+        self._process.wait()
+        shutil.rmtree(self._folder.name, ignore_errors=True)
+
+
+class Tab:
+    """One page."""
+
+    def __init__(self, url):
+        self._open = ExitStack()
+        self._socket = self._open.enter_context(connect(url, max_size=None))
+        self._number = 0
+        self.faults = []
+        self.send('Runtime.enable')
+        self.send('Page.enable')
+
+    def send(self, method, **parameters):
+        self._number += 1
+        self._socket.send(json.dumps({'id': self._number, 'method': method, 'params': parameters}))
+        while True:
+            message = json.loads(self._socket.recv(timeout=PATIENCE))
+            if message.get('method') == 'Runtime.exceptionThrown':
+                self.faults.append(message['params']['exceptionDetails'])
+            if message.get('id') == self._number:
+                assert 'error' not in message, message
+                return message['result']
+
+    def size(self, width, height, mobile=False):
+        self.send(
+            'Emulation.setDeviceMetricsOverride',
+            width=width, height=height, deviceScaleFactor=1, mobile=mobile,
+        )  # fmt: skip
+
+    def go(self, url):
+        self.send('Page.navigate', url=url)
+
+    def run(self, script):
+        """Value of a JavaScript expression."""
+        answer = self.send('Runtime.evaluate', expression=script, returnByValue=True,
+                           awaitPromise=True)  # fmt: skip
+        assert 'exceptionDetails' not in answer, answer
+        return answer['result'].get('value')
+
+    def text(self, name):
+        """Text of the element that carries a mark."""
+        return self.run(f'document.querySelector(`[data-mark="{name}"]`)?.textContent')
+
+    def click(self, name):
+        self.wait(lambda: self.run(f'!!document.querySelector(`[data-mark="{name}"]`)'))
+        self.run(f'document.querySelector(`[data-mark="{name}"]`).click()')
+
+    def wait(self, done, patience=PATIENCE):
+        deadline = time.monotonic() + patience
+        while not done():
+            assert time.monotonic() < deadline, 'waited too long for the page'
+            time.sleep(0.05)
+
+    def choose_file(self, selector, path):
+        """Give a file to an input element."""
+        root = self.send('DOM.getDocument')['root']['nodeId']
+        found = self.send('DOM.querySelector', nodeId=root, selector=selector)['nodeId']
+        self.send('DOM.setFileInputFiles', nodeId=found, files=[str(path)])
+
+    def press_key(self, name, key, times=1):
+        """Press a key on an element."""
+        code = {'ArrowLeft': 37, 'ArrowRight': 39}[key]
+        self.run(f'document.querySelector(`[data-mark="{name}"] [tabindex]`).focus()')
+        for kind in ('rawKeyDown', 'keyUp') * times:
+            self.send('Input.dispatchKeyEvent', type=kind, key=key, windowsVirtualKeyCode=code)
+
+    def reload(self):
+        self.send('Page.reload')
+
+    def screenshot(self, path):
+        image = self.send('Page.captureScreenshot', format='png')
+        Path(path).write_bytes(base64.b64decode(image['data']))
+
+    def close(self):
+        """Close it as its user does."""
+        self.send('Page.close')
+        self._open.close()

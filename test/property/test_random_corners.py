@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, BSpline
+from scipy.special import comb
 
 from cnc_interp.smoothing.corner import Corners, Style, first_lengths, fit
 from cnc_interp.smoothing.curves import poses
@@ -13,6 +14,8 @@ from cnc_interp.units import DEG, MM, UM
 HEIGHT = 30 * MM
 COUNT = 50000
 KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
+#: Sum of the weights that points have in each term of a cubic's power series.
+WEIGHTS = (1, 12, 48, 64)
 
 
 def random_corners(seed, count):
@@ -45,25 +48,39 @@ def random_corners(seed, count):
     )
 
 
-def axis_derivatives(curves, side):
-    """o, o_s and o_ss where a corner begins (side 0) or ends (1), from its control points."""
-    forward = slice(None) if side == 0 else slice(None, None, -1)
-    p, t = curves.bottom[:, forward], curves.top[:, forward]
-    e, n = curves.connection[:, forward], curves.connection.shape[1] - 1
-    d0 = t[:, 0] - p[:, 0]
-    first = [6 * (x[:, 1] - x[:, 0]) for x in (p, t)]
-    second = [24 * x[:, 0] - 36 * x[:, 1] + 12 * x[:, 2] for x in (p, t)]
-    d1 = first[1] - first[0] + n * e[:, 1]
-    d2 = second[1] - second[0] + n * (n - 1) * (e[:, 2] - 2 * e[:, 1])
-    size = norm(d0)[:, None]
-    o = d0 / size
-    along = dot(d1, o)[:, None]
-    o1 = (d1 - along * o) / size
-    grow = (dot(d1, d1)[:, None] + dot(d0, d2)[:, None]) / size - along**2 / size
-    o2 = (d2 - 2 * along * o1 - grow * o) / size
-    v = norm(first[0])[:, None]
-    v1 = dot(first[0], second[0])[:, None] / v
-    return o, o1 / v, (o2 - o1 / v * v1) / v**2
+def product(a, b):
+    """Product of two power series, the terms along axis 0."""
+    return np.stack([sum(a[j] * b[k - j] for j in range(k + 1)) for k in range(len(a))])
+
+
+def power(a, exponent):
+    """Power series to a power, by the recurrence that r' a = exponent r a' gives."""
+    r = [a[0] ** exponent]
+    for k in range(1, len(a)):
+        terms = ((exponent * j - (k - j)) * a[j] * r[k - j] for j in range(1, k + 1))
+        r.append(sum(terms) / (k * a[0]))
+    return np.stack(r)
+
+
+def squared(a):
+    """Power series of the square of the length of vectors, (terms, n, 1)."""
+    return product(a, a).sum(axis=2, keepdims=True)
+
+
+def cubic_series(points):
+    """Power series by u of a corner's B-spline at its first point, (4, n, 3)."""
+    a, b, c = points[:, 1], 0.5 * (points[:, 1] + points[:, 2]), points[:, 2]
+    end = 0.5 * (b + 0.5 * (c + points[:, 3]))
+    start = points[:, 0]
+    return np.stack(
+        [start, 6 * (a - start), 12 * (b - 2 * a + start), 8 * (end - 3 * b + 3 * a - start)]
+    )
+
+
+def bezier_series(points):
+    """First four terms of the power series of a Bezier curve at its first point, (4, n, 3)."""
+    n = points.shape[1] - 1
+    return np.stack([comb(n, k) * np.diff(points, k, axis=1)[:, 0] for k in range(4)])
 
 
 def fitted(seed, count, method, in_step, septic):
@@ -75,9 +92,15 @@ def fitted(seed, count, method, in_step, septic):
     return corners, outer, curves, deviation
 
 
-@pytest.fixture(scope='module', params=[False, True], ids=['quintic', 'septic'])
-def many(request):
-    return fitted(1 + request.param, COUNT, 'exact', True, request.param)
+@pytest.fixture(scope='module', params=[2, 3], ids=['quintic', 'septic'])
+def order(request):
+    """Derivatives of the tool axis that continue."""
+    return request.param
+
+
+@pytest.fixture(scope='module')
+def many(order):
+    return fitted(order - 1, COUNT, 'exact', True, order == 3)
 
 
 def rounding(corners):
@@ -85,20 +108,37 @@ def rounding(corners):
     return 1e-13 + 3e-16 * HEIGHT * norm(corners.rates).max(axis=1)
 
 
-def test_tool_axis_continues_to_the_second_derivative(many):
+def test_tip_and_tool_axis_continue_their_lines(many, order):
+    """Tip to the second derivative, tool axis to the second or, with the septic, the third."""
     corners, outer, curves, _ = many
     for side, sense in ((0, 1.0), (1, -1.0)):  # seen inward from each end
+        forward = slice(None) if side == 0 else slice(None, None, -1)
+        bottom, top = (cubic_series(x[:, forward]) for x in (curves.bottom, curves.top))
+        leg, size = corners.legs[:, side], outer[:, side, None]
+        straight = bottom[:3] + np.zeros((3, 1, 1))
+        straight[0] -= corners.tip + size * leg
+        beside = straight - (straight * leg).sum(axis=2, keepdims=True) * leg
+        assert (np.abs(beside) < 1e-9 * size + 1e-15).all()
+        assert (np.abs(straight[0]) < 1e-9 * size + 1e-15).all()
+
+        between = top - bottom + bezier_series(curves.connection[:, forward])
+        found = product(between, power(squared(between), -0.5))
+        steps = np.arange(1, 4)[:, None, None]
+        way = np.concatenate([0 * size[None], power(squared(steps * bottom[1:]), 0.5) / steps])
         rate = corners.rates[:, side] * sense
-        o, o_s, o_ss = axis_derivatives(curves, side)
-        expected = corners.axis_at(side, outer[:, side])
-        turn = cross(rate, expected)
-        bend = -dot(rate, rate)[:, None] * expected
-        size = outer[:, side, None]
+        axis = corners.axis_at(side, outer[:, side])
+        turn = cross(rate, axis)
+        pull = -dot(rate, rate)[:, None]
+        way2 = product(way, way)
+        expected = turn * way + 0.5 * pull * axis * way2 + pull / 6 * turn * product(way2, way)
+        expected[0] += axis
         swing = norm(rate)[:, None] * size
-        # Relative to the corner's own swing; unit vectors carry rounding of their own.
-        assert (np.abs(o - expected) < 1e-13).all()
-        assert (np.abs(o_s - turn) * size < 1e-9 * swing + 3e-14).all()
-        assert (np.abs(o_ss - bend) * size**2 < 1e-9 * swing + 3e-13).all()
+        # Relative to the corner's own swing; points carry the rounding of their coordinates.
+        far = norm(bottom[0])[:, None]
+        digit = 1e-15 * (1.0 + far / HEIGHT) + 2e-16 * far * norm(rate)[:, None]
+        for k in range(order + 1):
+            wrong = np.abs(found[k] - expected[k]) - 1e-9 * swing - WEIGHTS[k] * digit
+            assert wrong.max() < 0.0
 
 
 def top_distance(corners, top, outer, point):

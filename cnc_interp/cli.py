@@ -16,7 +16,7 @@ from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
 from cnc_interp.errors import InterpError
 from cnc_interp.nodes.bag_command import add_bag_commands, check_bag, is_bag, report_bag
-from cnc_interp.units import MM, MM_PER_MIN, MS
+from cnc_interp.units import DEG, MM, MM_PER_MIN, MS
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 #: Text is not drawn wider than this [characters].
@@ -219,6 +219,19 @@ def program_options(added: argparse.ArgumentParser) -> None:
         '--septic', action='store_true', help='continue the third derivative of the tool axis too'
     )
     added.add_argument(
+        '--compress', action=argparse.BooleanOptionalAction, default=False,
+        help='make curves of dense blocks instead of rounding every corner',
+    )  # fmt: skip
+    length(added, '--longest-block', 5.0, 'longer blocks stay straight lines')
+    added.add_argument(
+        '--corner-angle', type=positive, default=35.0, metavar='DEG',
+        help='a sharper turn of dense blocks is a corner (35 deg)',
+    )  # fmt: skip
+    added.add_argument(
+        '--tolerance-share', type=share, default=0.98, metavar='SHARE',
+        help='part of the tolerances that curves through dense blocks may use (0.98)',
+    )  # fmt: skip
+    added.add_argument(
         '--period', type=positive, default=1.0, metavar='MS', help='interpolation period (1 ms)'
     )
     added.add_argument('--json', action='store_true', help='print the summary as JSON')
@@ -261,6 +274,14 @@ def ratio(text: str) -> float | None:
         return None if text == 'auto' else positive(text)
     except argparse.ArgumentTypeError as problem:
         raise argparse.ArgumentTypeError(f"{problem}, or 'auto'") from None
+
+
+def share(text: str) -> float:
+    """Read a share, more than 0 and at most 1."""
+    value = positive(text)
+    if value > 1.0:
+        raise argparse.ArgumentTypeError(f'must be at most 1, not {text!r}')
+    return value
 
 
 def plan_command(options: argparse.Namespace) -> int:
@@ -312,6 +333,7 @@ def chain_options(options: argparse.Namespace) -> Any:
         top=options.top,
         septic=options.septic,
         period=options.period * MS,
+        compression=compression_of(options),
     )
 
 
@@ -334,6 +356,18 @@ def convert_command(options: argparse.Namespace) -> int:
         print(f'program        {options.out}')
     tell(made.notes)
     return FINE
+
+
+def compression_of(options: argparse.Namespace) -> Any:
+    """Turn the shop's units into how dense blocks become curves."""
+    from cnc_interp.smoothing.compression import Compression
+
+    return Compression(
+        enabled=options.compress,
+        longest_block=options.longest_block * MM,
+        corner_angle=options.corner_angle * DEG,
+        tolerance_share=options.tolerance_share,
+    )
 
 
 def read_options(options: argparse.Namespace) -> Any:

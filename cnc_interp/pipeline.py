@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.plan_writer import PlanFigures, PlanWriter
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.lookahead import SmoothingOptions
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
@@ -48,6 +49,8 @@ class ChainOptions:
         How corners are made; see SmoothingOptions.
     period : float
         Interpolation period [s].
+    compression : Compression
+        How runs of short blocks become curves.
 
     """
 
@@ -57,6 +60,7 @@ class ChainOptions:
     top: str = 'in_step'
     septic: bool = False
     period: float = 1.0 * MS
+    compression: Compression = field(default_factory=Compression)
 
 
 @dataclass(frozen=True)
@@ -154,6 +158,7 @@ def smoothing_options(transform: Transform, options: ChainOptions) -> SmoothingO
         septic=options.septic,
         pole=pole,  # type: ignore[arg-type]
         pole_cone=machine.singular_cone,
+        compression=options.compression,
     )
 
 

@@ -20,7 +20,7 @@ from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 # Rows searched on either side of the row that a sample says it executes.
 WINDOW = 2
 # Rows searched at most where blocks are shorter than the tolerance.
-WIDE_WINDOW = 200
+WIDE_WINDOW = 500
 # Widest turn between two starting points of the search for the nearest point of T [rad].
 TURN_PER_START = 0.1
 TIE = 1e-9
@@ -122,8 +122,9 @@ class ProgrammedPath:
         high = np.minimum(block + WINDOW, len(self.start) - 1)
         if reach is not None:
             way = np.cumsum(np.linalg.norm(self.chord, axis=1) + self.flank_height * self.turn)
-            low = np.minimum(low, np.searchsorted(way, way[block] - reach))
-            high = np.maximum(high, np.searchsorted(way, way[block] + reach, 'right') - 1)
+            begin = way[np.maximum(block - 1, 0)]
+            low = np.minimum(low, np.searchsorted(way, begin - reach))
+            high = np.maximum(high, np.searchsorted(way[:-1], way[block] + reach))
             low = np.maximum(low, block - WIDE_WINDOW)
             high = np.minimum(high, block + WIDE_WINDOW)
         rows = (self.start, self.chord, self.axis, self.sideways, self.turn, self.by_axes)

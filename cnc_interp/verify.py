@@ -32,8 +32,9 @@ SLACK = 1e-9
 ROUND_TRIP = 1e-8
 # An exact stop passes its vertex within this [m].
 STOP_DISTANCE = 1e-6
-# Way along the program, in tolerances, that a search is widened by where blocks are tiny.
-REACH = 20.0
+# Way along the program, in tolerances, that a search is widened by where blocks are tiny: a path
+# segment, which names the row in the middle of each of its halves, may run over many of them.
+REACH = 50.0
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:

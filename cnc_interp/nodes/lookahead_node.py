@@ -21,6 +21,7 @@ from cnc_interp.nodes.soundness import check_block
 from cnc_interp.nodes.streams import WindowedReceiver
 from cnc_interp.nodes.warming import warm_lookahead
 from cnc_interp.pipeline import ChainOptions, smoothing_options
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -37,6 +38,10 @@ class LookaheadNode(Node):
         self._transform = Transform.of(Machine.load(values['machine']))
         self._corners = {name: values[name] for name in ('parametrization', 'top', 'septic')}
         self._corners['ratio'] = values['corner_ratio'] or None
+        self._corners['compression'] = Compression(
+            values['compress'], values['longest_block'], values['corner_angle'],
+            values['tolerance_share'],
+        )  # fmt: skip
         smoothing_options(self._transform, ChainOptions(**self._corners))
         self._peer_timeout = values['peer_timeout']
         self._heard = 0.0

@@ -69,6 +69,7 @@ def write_received(
         top=request.top,
         septic=request.septic,
         period=request.period,
+        compression=request.compression,
     )
     plan = plan_program(program, machine, chain)
     write_plan(replace(plan, setpoints=executed(chunks)), directory)

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from cnc_interp.errors import InterpError, ProgramError
 from cnc_interp.nodes.children import Children
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.units import DEG, MM, MM_PER_MIN, MS, UM
 
 #: Domains that are safe on Linux whatever the ports of other programs.
@@ -48,6 +49,8 @@ class RunRequest:
         How absolute rotary words are taken.
     skip_blocks : bool
         Leave out the lines that begin with a slash.
+    compression : Compression
+        How runs of short blocks become curves.
     out : Path, optional
         Folder for plan files of what the machine received.
     record : Path, optional
@@ -72,6 +75,7 @@ class RunRequest:
     setup: Path | None = None
     rotary_sense: str = 'programmed'
     skip_blocks: bool = False
+    compression: Compression = field(default_factory=Compression)
     out: Path | None = None
     record: Path | None = None
     quiet: bool = False
@@ -95,6 +99,12 @@ class RunRequest:
             setup=options.setup,
             rotary_sense=options.rotary_sense,
             skip_blocks=options.skip_blocks,
+            compression=Compression(
+                enabled=options.compress,
+                longest_block=options.longest_block * MM,
+                corner_angle=options.corner_angle * DEG,
+                tolerance_share=options.tolerance_share,
+            ),
             out=options.out,
             record=options.record,
             quiet=options.json,
@@ -117,6 +127,10 @@ class RunRequest:
                 'parametrization': self.parametrization,
                 'top': self.top,
                 'septic': self.septic,
+                'compress': self.compression.enabled,
+                'longest_block': self.compression.longest_block,
+                'corner_angle': self.compression.corner_angle,
+                'tolerance_share': self.compression.tolerance_share,
             },
             'feedrate_node': moving,
             'machine_node': moving,

@@ -163,6 +163,8 @@ def render(
         body.insert(4, _comparison(plan, proof, series, other))
     if segments is not None and (views := views_of(plan, segments)):
         body.append(_corners(views))
+    if segments is not None:
+        body += _curves(plan, segments)
     body.append(f'<footer>{escape(_versions(plan))}</footer>')
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -244,6 +246,17 @@ def _corners(views: list[CornerView]) -> str:
         f'<script type="application/json" id="corner-data">{data}</script>'
         f'<script>{CHOOSER}</script>',
     )  # fmt: skip
+
+
+def _curves(plan: PlanFiles, segments: PathSegments) -> list[str]:
+    """Write the section of the curves through dense blocks, if there are any."""
+    from cnc_interp.report.curves import bounds_figure, close_figure, curves_of
+
+    view = curves_of(plan, segments)
+    if view is None:
+        return []
+    pair = f'<div>{_drawing(bounds_figure(view))}</div><div>{_drawing(close_figure(view))}</div>'
+    return [_section('Dense blocks as curves', view.text, f'<div class="pair">{pair}</div>')]
 
 
 def _badge(proof: Proof) -> str:

@@ -1,20 +1,24 @@
 """
 The look-ahead: blocks in, smooth segments out, the same however the blocks arrive.
 
-A vertex between two blocks becomes one of three things: a corner (rounded), a stop (the tool
+Runs of short blocks are made into curves first (``compressor.py``). A vertex between two of the
+blocks that are left becomes one of three things: a corner (rounded), a stop (the tool
 rests there), or nothing (the path goes straight on). A corner is final when the next one is
 sized, because the line between them may be so short that both take what is left of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cnc_interp.errors import BlockError, InterpError
 from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray, IntArray
 from cnc_interp.smoothing import corner
+from cnc_interp.smoothing.chain import STANDSTILL
+from cnc_interp.smoothing.compression import Compression
+from cnc_interp.smoothing.compressor import Compressor
 from cnc_interp.smoothing.corner import Corners, Style
 from cnc_interp.smoothing.orientation import (
     angles_between,
@@ -24,11 +28,10 @@ from cnc_interp.smoothing.orientation import (
     turned_by,
 )
 from cnc_interp.smoothing.ratio import AxisRates, ratios_at
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments, room_for
+from cnc_interp.smoothing.rows import Rows
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments, room_for
 from cnc_interp.units import DEG, MM
 
-#: A tip that moves less than this stands still [m].
-STANDSTILL = 1e-9
 #: Directions (relative to 1) and rates at flank height that differ less go straight on.
 STRAIGHT = 1e-9
 PASS, ROUND, STOP = 0, 1, 2
@@ -67,6 +70,8 @@ class SmoothingOptions:
         Direction at which a rotary axis is undefined; a turning tool stops there.
     pole_cone : float
         Angle around the pole within which that holds [rad].
+    compression : Compression
+        How runs of short blocks become curves.
 
     """
 
@@ -81,6 +86,7 @@ class SmoothingOptions:
     sharpest_swing: float = 176.0 * DEG
     pole: tuple[float, float, float] | None = None
     pole_cone: float = 0.02 * DEG
+    compression: Compression = field(default_factory=Compression)
 
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
@@ -132,15 +138,22 @@ class LookAhead:
         How to smooth.
     row : int
         Row in the program of the first block to come.
+    joined : bool
+        Whether a native spline ends at the first pose, so that the first block stays a line.
 
     """
 
-    def __init__(self, options: SmoothingOptions | None = None, row: int = 0):
+    def __init__(
+        self, options: SmoothingOptions | None = None, row: int = 0, joined: bool = False
+    ):
         self.options = options or SmoothingOptions()
         self._style = self.options.style
         self._none = no_segments(self._style)
-        self._blocks: Blocks | None = None
-        self._row = row  # in the program, of the first block kept
+        options = self.options
+        self._compressor = Compressor(
+            options.compression, options.flank_height, options.pole, options.pole_cone, row, joined
+        )
+        self._rows: Rows | None = None
         self._outer_before = 0.0  # L2 of the corner at the first kept vertex, unstretched
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -163,23 +176,27 @@ class LookAhead:
             If a block's tool axis reverses (no plane of rotation).
 
         """
-        known = [] if self._blocks is None else [self._blocks]
-        self._blocks = Blocks.concatenate([*known, blocks])
-        return self._advance(final=False)
+        return self._take(self._compressor.push(blocks), final=False)
 
-    def finish(self) -> PathSegments:
-        """Return the remaining segments; the tool rests at the end."""
-        return self._advance(final=True)
+    def finish(self, joined: bool = False) -> PathSegments:
+        """
+        Return the remaining segments; the tool rests at the end.
 
-    def _advance(self, final: bool) -> PathSegments:
-        """Emit every block whose both end vertices are final."""
-        blocks = self._blocks
-        if blocks is None or len(blocks) < 2:
+        With ``joined`` the last block stays a line, for a native spline goes on from it.
+        """
+        return self._take(self._compressor.finish(joined), final=True)
+
+    def _take(self, rows: Rows, final: bool) -> PathSegments:
+        """Emit every line and curve whose both end vertices are final."""
+        if self._rows is not None:
+            rows = Rows.concatenate([self._rows, rows])
+        self._rows, blocks = rows, rows.blocks
+        if len(blocks) < 2:
             return self._none
         legs = Legs.of(blocks)
-        self._refuse_reversals(blocks, legs)
-        vertex = self._classify(blocks, legs)
-        inner, outer = self._size(blocks, legs, vertex)
+        self._refuse_reversals(rows, legs)
+        vertex = self._classify(rows, legs)
+        inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
         # A vertex is final when its own corner is sized and its neighbour's too (left-overs).
         last = len(blocks) - 1 if final else len(blocks) - 3
@@ -187,17 +204,17 @@ class LookAhead:
             return self._none
         own_share = float(outer[last, 1])
         self._share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
-        segments = self._emit(blocks, legs, vertex, inner, outer, last)
+        segments = self._emit(rows, legs, vertex, inner, outer, last)
         self._outer_before = own_share
-        self._blocks = blocks[last:]
-        self._row += last
+        self._rows = rows[last:]
         return segments
 
-    def _refuse_reversals(self, blocks: Blocks, legs: Legs) -> None:
+    def _refuse_reversals(self, rows: Rows, legs: Legs) -> None:
         """Refuse blocks whose orientations are antiparallel: their great circle is undefined."""
+        blocks = rows.blocks
         cosine = dot(blocks.axis[:-1], blocks.axis[1:])
         programmed = np.isfinite(blocks.rotary[1:]).all(axis=1) & legs.resting
-        bad = np.flatnonzero((cosine < -1.0 + 1e-12) & ~programmed)
+        bad = np.flatnonzero((cosine < -1.0 + 1e-12) & ~programmed & (rows.count[1:] == 0))
         if len(bad):
             raise BlockError(
                 'the tool axis reverses within one block, so its plane of rotation is undefined; '
@@ -205,8 +222,9 @@ class LookAhead:
                 int(blocks.line_number[bad[0] + 1]),
             )
 
-    def _classify(self, blocks: Blocks, legs: Legs) -> IntArray:
+    def _classify(self, rows: Rows, legs: Legs) -> IntArray:
         """Decide what each vertex becomes, shape (n,); the ends are stops."""
+        blocks, curve = rows.blocks, rows.count > 0
         kind = np.full(len(blocks), STOP)
         before, after = slice(None, -1), slice(1, None)
         resting = legs.resting[before] | legs.resting[after]
@@ -227,6 +245,8 @@ class LookAhead:
             at_pole = close & turning
         stop = resting | sharp | at_pole | blocks.exact_stop[1:-1]
         kind[1:-1][stop] = STOP
+        beside = curve[1:-1] | curve[2:]
+        kind[1:-1][beside] = np.where(rows.smooth[2:], PASS, STOP)[beside]
         return kind
 
     def _corners_at(self, blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
@@ -243,13 +263,16 @@ class LookAhead:
             tolerances=np.stack(tolerances, axis=1),
         )
 
-    def _size(self, blocks: Blocks, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return L1, shape (n,), and both L2, shape (n, 2), of every vertex; 0 without corner."""
-        inner, outer = np.zeros(len(blocks)), np.zeros((len(blocks), 2))
+        inner, outer = np.zeros(len(lines)), np.zeros((len(lines), 2))
         rows = np.flatnonzero(vertex == ROUND)
         if len(rows):
-            corners = self._corners_at(blocks, legs, rows)
-            half = 0.5 * np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
+            corners = self._corners_at(lines.blocks, legs, rows)
+            # a line that a curve joins belongs to its only corner
+            alone = np.stack([lines.smooth[rows], lines.leads[rows + 1]], axis=1)
+            half = np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
+            half = np.where(alone, half, 0.5 * half)
             ratios = self._ratios(corners)
             start = corner.first_lengths(corners, half, ratios)
             inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
@@ -273,29 +296,61 @@ class LookAhead:
 
     def _emit(
         self,
-        blocks: Blocks,
+        rows: Rows,
         legs: Legs,
         vertex: IntArray,
         inner: FloatArray,
         outer: FloatArray,
         last: int,
     ) -> PathSegments:
-        """Build the segments of blocks 0 .. last - 1 and the corners at vertices 1 .. last."""
-        lines = self._lines(blocks, legs, vertex, outer, last)
-        rows = np.flatnonzero(vertex[: last + 1] == ROUND)
-        rows = rows[rows > 0]
-        if not len(rows):
-            return lines
-        corners = self._corners(blocks, legs, rows, inner, outer)
-        order = np.argsort(
-            np.concatenate([2 * (lines.block[:, 1] - self._row) - 1, 2 * rows]), kind='stable'
+        """Build the segments of rows 1 .. last and the corners at vertices 1 .. last."""
+        kept, lines = self._lines(rows, legs, vertex, outer, last)
+        parts, places = [lines], [2 * kept + 1]
+        round_ones = np.flatnonzero(vertex[: last + 1] == ROUND)
+        round_ones = round_ones[round_ones > 0]
+        if len(round_ones):
+            parts.append(self._corners(rows, legs, round_ones, inner, outer))
+            places.append(2 * round_ones)
+        curves = np.repeat(np.arange(last), rows.count[1 : last + 1])
+        if len(curves):
+            parts.append(self._curves(rows, vertex, curves))
+            places.append(2 * curves + 1)
+        order = np.argsort(np.concatenate(places), kind='stable')
+        return PathSegments.concatenate(parts)[order]
+
+    def _curves(self, rows: Rows, vertex: IntArray, row: IntArray) -> PathSegments:
+        """Return the spans of curves; ``row`` says to which row, less one, each belongs."""
+        n, first = len(row), int(rows.count[0])
+        spans = rows.spans[first : first + n]
+        room = self._style.room(n)
+        tool = spans.top[:, 0] - spans.bottom[:, 0]
+        final = np.append(row[1:] != row[:-1], True)
+        return PathSegments(
+            kind=np.full(n, SPLINE),
+            bottom=spans.bottom,
+            top=spans.top,
+            connection=room.connection,
+            parametrization=room.parametrization,
+            axis=tool / norm(tool)[:, None],
+            rotation=np.zeros((n, 3)),
+            rotary=np.full((n, 2, 2), np.nan),
+            length=np.full(n, np.nan),
+            feed=spans.feed,
+            block=spans.block,
+            line_number=spans.line_number,
+            stop=final & (vertex[row + 1] == STOP),
+            deviation=spans.deviation,
         )
-        return PathSegments.concatenate([lines, corners])[order]
 
     def _lines(
-        self, blocks: Blocks, legs: Legs, vertex: IntArray, outer: FloatArray, last: int
-    ) -> PathSegments:
-        """Return what the corners leave of the blocks, and the rotations of the resting tool."""
+        self, rows: Rows, legs: Legs, vertex: IntArray, outer: FloatArray, last: int
+    ) -> tuple[IntArray, PathSegments]:
+        """
+        Return what the corners leave of the blocks, and the rotations of the resting tool.
+
+        The first array tells the rows, less one.
+        """
+        blocks = rows.blocks
         start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]
         resting = legs.resting[:last]
         rotary = np.stack([blocks.rotary[:last], blocks.rotary[1 : last + 1]], axis=1)
@@ -304,9 +359,10 @@ class LookAhead:
             programmed, np.sqrt((np.diff(rotary, axis=1)[:, 0] ** 2).sum(axis=1)), legs.turn[:last]
         )
         length = np.where(resting, self.options.flank_height * swept, end - start)
+        line = rows.count[1 : last + 1] == 0
         kept = np.flatnonzero(
-            np.where(resting, swept > 0.0, end - start > 1e-12 * legs.length[:last])
-            | ((vertex[1 : last + 1] == STOP) & (end - start > 0.0))
+            line & np.where(resting, swept > 0.0, end - start > 1e-12 * legs.length[:last])
+            | (line & (vertex[1 : last + 1] == STOP) & (end - start > 0.0))
         )
         share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
         rotation = legs.rotation[:last]
@@ -321,10 +377,9 @@ class LookAhead:
         )
         bottom[:, 0] = np.where(from_corner[:, None], bottom[:, 0], blocks.tip[:last])
         axis = turned_by(blocks.axis[:last], rotation, share)
-        n = len(kept)
         feed = self._feed(blocks, legs, np.arange(last), swept)
-        row = self._row + kept + 1
-        return PathSegments(
+        row = rows.row[kept + 1]
+        return kept, PathSegments(
             kind=np.where(resting, ROTATION, LINE)[kept],
             bottom=room_for(bottom[kept]),
             top=room_for(curves.top[kept]),
@@ -338,7 +393,7 @@ class LookAhead:
             block=np.repeat(row[:, None], 2, axis=1),
             line_number=blocks.line_number[kept + 1],
             stop=(vertex[1 : last + 1] == STOP)[kept],
-            deviation=np.zeros((n, 2)),
+            deviation=rows.used[kept + 1],
         )
 
     def _feed(self, blocks: Blocks, legs: Legs, rows: IntArray, swept: FloatArray) -> FloatArray:
@@ -356,10 +411,10 @@ class LookAhead:
         return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
 
     def _corners(
-        self, blocks: Blocks, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
+        self, lines: Rows, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
     ) -> PathSegments:
         """Return the corners at the given vertices."""
-        n = len(rows)
+        n, blocks = len(rows), lines.blocks
         corners = self._corners_at(blocks, legs, rows)
         _, _, curves, deviation = corner.fit(corners, inner[rows], outer[rows], self._style)
         beyond = np.flatnonzero((deviation > corners.tolerances * (1.0 + 1e-6)).any(axis=1))
@@ -383,10 +438,10 @@ class LookAhead:
                 [self._feed(blocks, legs, rows - 1, zero), self._feed(blocks, legs, rows, zero)],
                 axis=1,
             ),
-            block=np.stack([self._row + rows, self._row + rows + 1], axis=1),
+            block=np.stack([lines.row[rows], lines.row[rows + 1]], axis=1),
             line_number=blocks.line_number[rows + 1],
             stop=np.zeros(n, dtype=bool),
-            deviation=deviation,
+            deviation=deviation + np.maximum(lines.used[rows], lines.used[rows + 1]),
         )
 
 

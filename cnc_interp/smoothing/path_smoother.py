@@ -87,7 +87,7 @@ class PathSmoother:
             before = None
             if len(recent) > 1 and not recent.exact_stop[-1]:
                 before = _line_at(recent[:1], recent[1:], at_end=True)
-            self._waiting = self._lookahead.finish()
+            self._waiting = self._lookahead.finish(joined=before is not None)
             self._run = SplineRun(self._row, recent[-1:], before, self._style)
         run = self._run
         made = run.push(rows)
@@ -115,7 +115,7 @@ class PathSmoother:
         rest = run.finish(after)
         self._run = None
         pose = replace(run.last_row, top=np.full((1, 3), np.nan), knot_interval=np.full(1, np.nan))
-        self._lookahead = LookAhead(self.options, row=self._row - 1)
+        self._lookahead = LookAhead(self.options, self._row - 1, joined=after is not None)
         self._lookahead.push(pose)
         self._recent = pose
         return [rest]

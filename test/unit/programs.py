@@ -49,6 +49,18 @@ def zigzag(seed, count=12, step=5 * MM, tilt=20 * DEG, **columns):
     return blocks_of(tips, axes, **columns)
 
 
+def dome(count=400, noise=0.0, block=0.5 * MM, **columns):
+    """A spiral over a dome of 80 mm in chords of one length, the tool along the normal."""
+    radius, pitch = 80 * MM, 2 * MM / (2 * np.pi)
+    way = 20 * MM + np.arange(count) * block
+    turn = np.sqrt(2 * way / pitch)
+    r = pitch * turn
+    tip = np.column_stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(radius**2 - r**2) - radius])
+    axis = tip + [0.0, 0.0, radius]
+    tip = tip + np.random.default_rng(0).normal(0.0, noise, tip.shape)
+    return blocks_of(tip, axis, **columns)
+
+
 def spline_segments(seed, spans=6, step=0.5 * MM, height=30 * MM):
     """One C4 5-axis curve as SPLINE segments, and the curve itself (tip and top) to compare."""
     rng = np.random.default_rng(seed)

@@ -17,7 +17,9 @@ from cnc_interp.plan_files import read_plan
 from cnc_interp.report import write_report
 from cnc_interp.report.corner_figures import shift
 from cnc_interp.report.corners import MOST, lengths, read_segments, views_of
+from cnc_interp.report.curves import curves_of
 from cnc_interp.smoothing.curves import Curves, poses
+from cnc_interp.smoothing.segments import SPLINE
 from cnc_interp.units import MM, UM
 
 MACHINE = Machine.load('xyzac')
@@ -124,3 +126,33 @@ def test_segments_of_another_plan_are_refused(plans, tmp_path):
     (directory / 'segments.npz').write_bytes(b'nothing')
     with pytest.raises(InterpError, match=r'segments\.npz: cannot be read'):
         write_report(directory, tmp_path / 'r.html')
+
+
+def test_dense_blocks_are_shown_as_the_curves_they_became(tmp_path):
+    turn = np.linspace(0.0, 1.2, 61)
+    points = np.column_stack([30 * np.cos(turn), 30 * np.sin(turn), np.zeros(61)])
+    text = ''.join(f'G1 X{x:.4f} Y{y:.4f} Z{z:.4f} F2000\n' for x, y, z in points)
+    program = tmp_path / 'arc.ngc'
+    program.write_text(f'G21 G90 G94\nG0 X30 Y0 Z0\n{text}G1 X-20 F2000\nM30\n')
+    plan = tmp_path / 'plan'
+    assert main(['plan', str(program), '--compress', '--out', str(plan)]) == 0
+    segments = read_segments(plan)
+    view = curves_of(read_plan(plan), segments)
+    assert view is not None and view.runs == 1
+    assert view.spans == (segments.kind == SPLINE).sum()
+    assert 58 <= view.blocks <= 61
+    # the arc, and the curve's end two longest spacings (4 mm) inside the line after it
+    assert view.share == pytest.approx(40.0 / (36.0 + 10.87 + 20.0), rel=0.02)
+    assert view.bound.max() * UM <= 0.02 * MM
+    # the drawn curve lies as near to the drawn blocks as the bound says
+    a, b = view.polyline[:-1], view.polyline[1:]
+    moved = (b - a).any(axis=1)
+    a, b = a[moved], b[moved]
+    foot = np.einsum('pki,ki->pk', view.curve[:, None] - a, b - a) / ((b - a) ** 2).sum(axis=1)
+    near = a + np.clip(foot, 0, 1)[..., None] * (b - a)
+    off = np.linalg.norm(view.curve[:, None] - near, axis=2).min(axis=1).max()
+    assert 0.5 * view.bound.max() * UM < off * MM <= view.bound.max() * UM
+    write_report(plan, tmp_path / 'r.html')
+    assert 'Dense blocks as curves' in (tmp_path / 'r.html').read_text()
+    assert main(['plan', str(program), '--no-compress', '--out', str(plan)]) == 0
+    assert curves_of(read_plan(plan), read_segments(plan)) is None

@@ -14,6 +14,7 @@ from cnc_interp.errors import BlockError, InterpError
 from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.curves import Curves, poses
 from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
 from cnc_interp.smoothing.segments import (
@@ -29,11 +30,12 @@ from cnc_interp.units import DEG, MM
 AXIS_RATES = partial(jerk_rates, Transform.of(Machine.load('xyzac')))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]
 HEIGHT = 30 * MM
+NO_CURVES = Compression(enabled=False)
 
 
 def smooth(blocks, **options):
-    """All segments of some blocks."""
-    lookahead = LookAhead(SmoothingOptions(flank_height=HEIGHT, **options))
+    """All segments of some blocks, corner by corner."""
+    lookahead = LookAhead(SmoothingOptions(HEIGHT, compression=NO_CURVES, **options))
     return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
 
 
@@ -251,9 +253,10 @@ def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, t
 def test_same_segments_however_the_blocks_arrive(options):
     blocks = zigzag(8, count=60, step=2 * MM)
     whole = smooth(blocks, **options)
+    smoothing = SmoothingOptions(HEIGHT, compression=NO_CURVES, **options)
     rng = np.random.default_rng(0)
     for _ in range(5):
-        lookahead, parts, row = LookAhead(SmoothingOptions(HEIGHT, **options)), [], 0
+        lookahead, parts, row = LookAhead(smoothing), [], 0
         while row < len(blocks):
             count = int(rng.integers(1, 9))
             parts.append(lookahead.push(blocks[row : row + count]))

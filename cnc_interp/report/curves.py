@@ -1,0 +1,135 @@
+"""What the report tells of runs of dense blocks that became curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from cnc_interp.plan_files import PlanFiles
+from cnc_interp.program.blocks import FloatArray
+from cnc_interp.report.corners import lengths
+from cnc_interp.report.figures import BLUE, ORANGE, base_layout, with_axes
+from cnc_interp.smoothing.curves import bezier
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
+from cnc_interp.units import MM, UM
+
+#: Points of a span in the picture, and how many spans it shows to either side of the worst.
+POINTS, AROUND = 24, 5
+#: Bounds drawn at most along the path.
+MOST = 4000
+
+
+@dataclass(frozen=True)
+class CurvesView:
+    """
+    Curves through dense blocks, as they are drawn.
+
+    Parameters
+    ----------
+    blocks, spans, runs : int
+        Blocks that became curves, the spans they became, and the curves.
+    share : float
+        Share of the path that is curves [-].
+    way : ndarray, shape (n,)
+        Path length where a span ends [mm].
+    bound : ndarray, shape (n, 2)
+        Bound of the contour and orientation deviation of the span [um].
+    curve, polyline : ndarray, shapes (K, 2) and (M, 2)
+        The curve around the largest bound and the programmed tips there, in the plane in which it
+        spreads most, from the middle [mm].
+    line : int
+        Line of the program there.
+
+    """
+
+    blocks: int
+    spans: int
+    runs: int
+    share: float
+    way: FloatArray
+    bound: FloatArray
+    curve: FloatArray
+    polyline: FloatArray
+    line: int
+
+    @property
+    def text(self) -> str:
+        """Say what was made of what."""
+        return (
+            f'{self.blocks:,} blocks became {self.runs:,} curves of {self.spans:,} spans: '
+            f'{self.spans / max(self.blocks, 1):.2f} spans a block, {self.share:.1%} of the path. '
+            'Left: proven bounds of the deviation along the path. Right: around the largest one, '
+            f'line {self.line}.'
+        )
+
+
+def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
+    """Prepare the curves of a plan; None where no linear blocks became curves."""
+    native = np.isfinite(plan.blocks['knot_interval'])
+    spans = np.flatnonzero((segments.kind == SPLINE) & ~native[segments.block[:, 1]])
+    if not len(spans):
+        return None
+    length = lengths(segments)
+    begins = np.r_[True, (np.diff(spans) > 1) | segments.stop[spans[:-1]]]
+    first = segments.block[spans[begins], 0]
+    last = segments.block[spans[np.r_[begins[1:], True]], 1]
+    bound = segments.deviation[spans] / UM
+    worst = int(np.argmax(bound.max(axis=1)))
+    near = spans[max(worst - AROUND, 0) : worst + AROUND + 1]
+    near = near[np.abs(near - spans[worst]) <= AROUND]
+    u = np.linspace(0.0, 1.0, POINTS)
+    points = np.concatenate([bezier(segments.bottom[i].T[None], u[:, None]) for i in near], axis=0)
+    rows = slice(max(int(segments.block[near].min()) - 1, 0), int(segments.block[near].max()) + 2)
+    tips = plan.blocks['tip'][rows]
+    middle = points.mean(axis=0)
+    plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
+    chosen = np.unique(np.linspace(0, len(spans) - 1, min(len(spans), MOST)).astype(int))
+    return CurvesView(
+        blocks=int((last - first + 1).sum()),
+        spans=len(spans),
+        runs=int(begins.sum()),
+        share=float(length[spans].sum() / length.sum()),
+        way=np.cumsum(length)[spans][chosen] / MM,
+        bound=bound[chosen],
+        curve=(points - middle) @ plane.T / MM,
+        polyline=(tips - middle) @ plane.T / MM,
+        line=int(segments.line_number[spans[worst]]),
+    )
+
+
+def bounds_figure(view: CurvesView) -> Any:
+    """Draw the bounds along the path."""
+    figure = go.Figure()
+    for k, (name, colour) in enumerate((('contour', BLUE), ('orientation', ORANGE))):
+        figure.add_scatter(
+            x=view.way, y=view.bound[:, k], name=name, mode='lines',
+            line={'color': colour, 'width': 1.0},
+        )  # fmt: skip
+    figure.update_layout(
+        base_layout(360),
+        xaxis={'title': {'text': 'path (mm)'}},
+        yaxis={'title': {'text': 'bound (µm)'}, 'rangemode': 'tozero'},
+    )
+    return with_axes(figure)
+
+
+def close_figure(view: CurvesView) -> Any:
+    """Draw the curve and the blocks it stands for."""
+    figure = go.Figure()
+    figure.add_scatter(
+        x=view.polyline[:, 0], y=view.polyline[:, 1], name='programmed', mode='lines+markers',
+        line={'color': '#8d99a5', 'width': 1.5}, marker={'size': 4},
+    )  # fmt: skip
+    figure.add_scatter(
+        x=view.curve[:, 0], y=view.curve[:, 1], name='curve', mode='lines',
+        line={'color': BLUE, 'width': 2.0},
+    )  # fmt: skip
+    figure.update_layout(
+        base_layout(360),
+        xaxis={'title': {'text': 'mm'}},
+        yaxis={'title': {'text': 'mm'}, 'scaleanchor': 'x'},
+    )
+    return with_axes(figure)

@@ -1,0 +1,185 @@
+"""
+Proof that a curve stays in the tolerance tube: no samples, the Bezier points of the difference.
+
+On a piece of a span between two vertices the blocks are linear in u and the curve is a quintic, so
+their difference is a quintic and lies in the convex hull of its Bezier points. Curve and blocks
+are compared at the same u, which runs over both from end to end: the bound holds for the distance
+of the curve from the blocks and of the blocks from the curve, and tip and tool axis stay in step.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+#: Pieces are halved this often where the hull is too wide.
+HALVINGS = 3
+#: The tip moves on: each difference of its Bezier points along the chord, as a share of that.
+ADVANCE = 0.01
+
+
+@njit(cache=True, nogil=True)
+def piece(points, a, b, out):  # type: ignore[no-untyped-def]
+    """Write the Bezier points of a quintic on the part from a to b of [0, 1]."""
+    columns = points.shape[1]
+    work = np.empty(6)
+    for c in range(columns):
+        for k in range(6):
+            for i in range(6):
+                work[i] = points[i, c]
+            for r in range(1, 6):
+                t = b if r <= k else a
+                for i in range(6 - r):
+                    work[i] = (1.0 - t) * work[i] + t * work[i + 1]
+            out[k, c] = work[0]
+
+
+@njit(cache=True, nogil=True)
+def hull(points, a, b, first, last, tool, turn, height, turning, work):  # type: ignore[no-untyped-def]
+    """
+    Bound the deviations of a quintic on the part a ... b of its span from a line.
+
+    The top of the curve is where its tool axis points at flank height, p + h D/|D|: what D has
+    along the tool axis acts on nothing. With d = D - D' and o' the direction of D',
+
+        |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + 2.3 |d|^2/h + (h/|D'| - 1) |d|;
+
+    o' turns by ``turn`` along the line and is taken in its middle, which adds |d| turn.
+
+    Parameters
+    ----------
+    first, last : ndarray, shape (6,)
+        Tip and top of the line at a and b.
+    tool : ndarray, shape (3,)
+        Its tool axis in the middle.
+
+    Returns
+    -------
+    tuple of float
+        Contour and orientation deviation [m].
+
+    """
+    piece(points, a, b, work)
+    contour, top, across = 0.0, 0.0, 0.0
+    for k in range(6):
+        share = k / 5.0
+        off = 0.0
+        for i in range(3):
+            off += (work[k, i] - first[i] - share * (last[i] - first[i])) ** 2
+        contour = max(contour, off)
+        if turning:
+            along, size = 0.0, 0.0
+            for i in range(3):
+                tip = work[k, i] - first[i] - share * (last[i] - first[i])
+                d = work[k, 3 + i] - first[3 + i] - share * (last[3 + i] - first[3 + i]) - tip
+                along += d * tool[i]
+                size += d * d
+            across = max(across, size)
+            off = 0.0
+            for i in range(3):
+                off += (
+                    work[k, 3 + i]
+                    - first[3 + i]
+                    - share * (last[3 + i] - first[3 + i])
+                    - along * tool[i]
+                ) ** 2
+            top = max(top, off)
+    if not turning:
+        return sqrt(contour), sqrt(contour)
+    across = sqrt(across)
+    return sqrt(contour), sqrt(top) + across * (turn + 0.2 * turn * turn + 2.3 * across / height)
+
+
+@njit(cache=True, nogil=True)
+def certify(points, knots, tip, axis, u, used, height, turning, allowed):  # type: ignore[no-untyped-def]
+    """
+    Bound the deviation of spans from the blocks.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 6, d)
+        Bezier points of tip and (where the tool turns) top [m].
+    knots : ndarray
+        Parameters of the spans' ends, at least n + 1 [m].
+    tip, axis, u : ndarray, shapes (m, 3), (m, 3) and (m,)
+        Vertices of the blocks.
+    used : ndarray, shape (m - 1, 2)
+        Deviation of each segment from the program, before it came here [m].
+    height : float
+        Flank height [m].
+    turning : bool
+        Whether the tool turns.
+    allowed : ndarray, shape (2,)
+        Contour and orientation tolerance; where the hull is wider it is refined [m].
+
+    Returns
+    -------
+    deviation : ndarray, shape (n, 2)
+        Largest contour and orientation deviation of each span from the program [m].
+    advances : ndarray of bool, shape (n,)
+        Whether the tip surely moves on everywhere in the span.
+
+    """
+    n = len(points)
+    deviation, advances = np.zeros((n, 2)), np.ones(n, dtype=np.bool_)
+    work = np.empty((6, points.shape[2]))
+    first, last, tool = np.empty(6), np.empty(6), np.empty(3)
+    k = 0
+    for s in range(n):
+        start, end = knots[s], knots[s + 1]
+        d = end - start
+        while k < len(u) - 2 and u[k + 1] <= start:
+            k += 1
+        j = k
+        while j < len(u) - 1 and u[j] < end:
+            low, high = max(u[j], start), min(u[j + 1], end)
+            length = u[j + 1] - u[j]
+            cosine = 0.0
+            for i in range(3):
+                cosine += (axis[j + 1, i] - axis[j, i]) ** 2
+            turn = sqrt(cosine)
+            for halving in range(HALVINGS + 1):
+                parts = 2**halving
+                worst, worst_top = 0.0, 0.0
+                for p in range(parts):
+                    a = low + (high - low) * p / parts
+                    b = low + (high - low) * (p + 1) / parts
+                    x, y = (a - u[j]) / length, (b - u[j]) / length
+                    size = 0.0
+                    for i in range(3):
+                        first[i] = tip[j, i] + x * (tip[j + 1, i] - tip[j, i])
+                        last[i] = tip[j, i] + y * (tip[j + 1, i] - tip[j, i])
+                        first[3 + i] = first[i] + height * (
+                            axis[j, i] + x * (axis[j + 1, i] - axis[j, i])
+                        )
+                        last[3 + i] = last[i] + height * (
+                            axis[j, i] + y * (axis[j + 1, i] - axis[j, i])
+                        )
+                        tool[i] = 0.5 * (first[3 + i] - first[i] + last[3 + i] - last[i])
+                        size += tool[i] * tool[i]
+                    for i in range(3):
+                        tool[i] /= sqrt(size)
+                    contour, top = hull(
+                        points[s], (a - start) / d, (b - start) / d, first, last, tool,
+                        turn * (y - x), height, turning, work,
+                    )  # fmt: skip
+                    worst, worst_top = max(worst, contour), max(worst_top, top)
+                if worst + used[j, 0] <= allowed[0] and worst_top + used[j, 1] <= allowed[1]:
+                    break
+            deviation[s, 0] = max(deviation[s, 0], worst + used[j, 0])
+            deviation[s, 1] = max(deviation[s, 1], worst_top + used[j, 1])
+            j += 1
+        square = 0.0
+        for i in range(3):
+            square += (points[s, 5, i] - points[s, 0, i]) ** 2
+        for q in range(5):
+            along = 0.0
+            for i in range(3):
+                along += (points[s, q + 1, i] - points[s, q, i]) * (
+                    points[s, 5, i] - points[s, 0, i]
+                )
+            if along <= ADVANCE * square:
+                advances[s] = False
+    return deviation, advances

@@ -1,0 +1,202 @@
+"""
+Where the knots and the samples of a curve through dense blocks go.
+
+A polyline is a chain of short blocks: tool tips, unit tool axes, and the parameter u of its
+vertices, du = sqrt((|dp|^2 + |dT|^2) / 2) with T = p + h o the point at flank height, so that u
+goes on where the tip is slow and the tool turns.
+"""
+
+from __future__ import annotations
+
+from math import ceil, sqrt
+
+import numpy as np
+from numba import njit
+
+#: Spacings tried, from the longest on, each half of the one before.
+LADDER = 7
+#: The second difference over a spacing may be this many tolerances.
+BEND = 4.0
+#: Growth of the spacing along u.
+GROWTH = 0.5
+#: Samples are at most this share of a spacing apart.
+DENSITY = 0.35
+
+
+@njit(cache=True, nogil=True)
+def pose_at(tip, axis, u, k, x, height, out):  # type: ignore[no-untyped-def]
+    """Write tip and top of a polyline at u = x on its segment k; beyond its ends go straight."""
+    share = (x - u[k]) / (u[k + 1] - u[k])
+    size = 0.0
+    for i in range(3):
+        out[i] = tip[k, i] + share * (tip[k + 1, i] - tip[k, i])
+        out[3 + i] = axis[k, i] + share * (axis[k + 1, i] - axis[k, i])
+        size += out[3 + i] * out[3 + i]
+    size = height / sqrt(size)
+    for i in range(3):
+        out[3 + i] = out[i] + size * out[3 + i]
+
+
+@njit(cache=True, nogil=True)
+def spacings(tip, axis, u, tolerance, height, longest, finest):  # type: ignore[no-untyped-def]
+    """
+    Return the spacing of knots wanted at each vertex of a polyline.
+
+    It is the longest of the ladder over which the polyline bends by less than ``BEND``
+    tolerances, and changes by ``GROWTH`` along u at most.
+
+    Parameters
+    ----------
+    tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
+        The polyline [m, -, m].
+    tolerance : ndarray, shape (n - 1, 2)
+        Contour and orientation tolerance of its segments [m].
+    height : float
+        Flank height [m].
+    longest, finest : float
+        Bounds of the spacing [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+
+    """
+    n = len(u)
+    wanted = np.full(n, longest)
+    before, here, after = np.empty(6), np.empty(6), np.empty(6)
+    d = longest
+    for _ in range(LADDER):
+        if d < finest:
+            break
+        half = max(0.5 * d, finest)
+        back, forth = 0, 0
+        for j in range(n):
+            while back < n - 2 and u[back + 1] < u[j] - d:
+                back += 1
+            while forth < n - 2 and u[forth + 1] < u[j] + d:
+                forth += 1
+            if wanted[j] == d:  # longer ones have been refused
+                k = min(j, n - 2)
+                pose_at(tip, axis, u, back, u[j] - d, height, before)
+                pose_at(tip, axis, u, k, u[j], height, here)
+                pose_at(tip, axis, u, forth, u[j] + d, height, after)
+                bottom, top = 0.0, 0.0
+                for i in range(3):
+                    bottom += (before[i] - 2.0 * here[i] + after[i]) ** 2
+                    top += (before[3 + i] - 2.0 * here[3 + i] + after[3 + i]) ** 2
+                least = tolerance[k]
+                if sqrt(bottom) > BEND * least[0] or sqrt(top) > BEND * least[1]:
+                    wanted[j] = half
+        d *= 0.5
+    for j in range(1, n):
+        wanted[j] = min(wanted[j], wanted[j - 1] + GROWTH * (u[j] - u[j - 1]))
+    for j in range(n - 2, -1, -1):
+        wanted[j] = min(wanted[j], wanted[j + 1] + GROWTH * (u[j + 1] - u[j]))
+    return wanted
+
+
+@njit(cache=True, nogil=True)
+def march(u, wanted, start, end, factor, finest, most):  # type: ignore[no-untyped-def]
+    """
+    Return knots from ``start`` to at most ``end``, as far apart as wanted, ``most`` spans at most.
+
+    Long segments have wanted spacings at their ends only; between, they grow from both.
+    """
+    knots = np.empty(most + 1)
+    knots[0] = start
+    count, k = 0, 0
+    n = len(u)
+    while count < most and knots[count] < end:
+        x = knots[count]
+        while k < n - 2 and u[k + 1] <= x:
+            k += 1
+        d = min(wanted[k] + GROWTH * max(0.0, x - u[k]),
+                wanted[k + 1] + GROWTH * max(0.0, u[k + 1] - x))  # fmt: skip
+        # the spacing must suit the end of the span as well
+        j = k + 1
+        while j < n and u[j] < x + d:
+            d = min(d, wanted[j] + GROWTH * (u[j] - x))
+            j += 1
+        count += 1
+        knots[count] = x + max(factor * d, finest)
+    return knots[: count + 1].copy()
+
+
+@njit(cache=True, nogil=True)
+def samples(tip, axis, u, tolerance, knots, height):  # type: ignore[no-untyped-def]
+    """
+    Return points on a polyline between the first and the last knot.
+
+    Returns
+    -------
+    x : ndarray, shape (m,)
+        Their parameters.
+    span : ndarray of int, shape (m,)
+        The spans between knots in which they lie.
+    point : ndarray, shape (m, 6)
+        Tip and top [m].
+    tool : ndarray, shape (m, 3)
+        Tool axis [-].
+    allowed : ndarray, shape (m, 2)
+        Tolerances there [m].
+    weight : ndarray, shape (m,)
+        Weights of Simpson's rule (trapezoids on short segments) [m].
+
+    """
+    spans = len(knots) - 1
+    first = 0
+    while first < len(u) - 2 and u[first + 1] <= knots[0]:
+        first += 1
+    last = first
+    while last < len(u) - 1 and u[last] < knots[spans]:
+        last += 1
+    room = 5 * (last - first + spans) + 16
+    x, weight = np.empty(room), np.zeros(room)
+    point, tool, allowed = np.empty((room, 6)), np.empty((room, 3)), np.empty((room, 2))
+    span = np.empty(room, dtype=np.int64)
+    count, s, k = 0, 0, first
+    while k < len(u) - 1 and u[k] < knots[spans]:
+        a, b = max(u[k], knots[0]), min(u[k + 1], knots[spans])
+        position = a
+        while position < b:
+            while s < spans - 1 and knots[s + 1] <= position:
+                s += 1
+            # long segments are looked at span by span, short ones as a whole
+            end = b
+            if b - a > knots[s + 1] - knots[s]:
+                end = min(b, knots[s + 1])
+            step = end - position
+            spacing = knots[s + 1] - knots[s]
+            pairs = 0
+            if step >= 0.5 * DENSITY * spacing:
+                pairs = ceil(step / (2.0 * DENSITY * spacing))
+            pieces = max(1, 2 * pairs)
+            for p in range(pieces + 1):
+                if p == 0 and count > 0:
+                    at = count - 1  # the point before is this one
+                    for i in range(2):
+                        allowed[at, i] = min(allowed[at, i], tolerance[k, i])
+                else:
+                    at = count
+                    count += 1
+                    x[at] = position + step * p / pieces if p < pieces else end
+                    pose_at(tip, axis, u, k, x[at], height, point[at])
+                    for i in range(3):
+                        tool[at, i] = (point[at, 3 + i] - point[at, i]) / height
+                    allowed[at, 0], allowed[at, 1] = tolerance[k, 0], tolerance[k, 1]
+                if pairs == 0:
+                    weight[at] += 0.5 * step
+                else:
+                    share = 1.0 if p in (0, pieces) else (4.0 if p % 2 == 1 else 2.0)
+                    weight[at] += share * step / (3.0 * pieces)
+            position = end
+        k += 1
+    s = 0
+    for at in range(count):
+        while s < spans - 1 and knots[s + 1] <= x[at]:
+            s += 1
+        span[at] = s
+    return (
+        x[:count].copy(), span[:count].copy(), point[:count].copy(), tool[:count].copy(),
+        allowed[:count].copy(), weight[:count].copy(),
+    )  # fmt: skip

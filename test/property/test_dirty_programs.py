@@ -1,0 +1,72 @@
+"""
+Dirty programs run as curves: tolerances both ways, continuity, and the same bits in any batches.
+
+``CNC_INTERP_EXAMPLES=10000`` runs so many programs instead of the few that every change pays for.
+"""
+
+import os
+from dataclasses import fields
+from itertools import pairwise
+
+import numpy as np
+from dirty_programs import dirty
+from path_samples import deviation, jumps
+
+from cnc_interp.errors import BlockError
+from cnc_interp.smoothing.compression import Compression
+from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
+from cnc_interp.units import MM
+
+COUNT = int(os.environ.get('CNC_INTERP_EXAMPLES', '60'))
+HEIGHT = 30 * MM
+CURVES = Compression(enabled=True)
+
+
+def smooth(blocks, cuts):
+    """Segments of blocks that arrive in batches."""
+    lookahead = LookAhead(SmoothingOptions(HEIGHT, pole=(0.0, 0.0, 1.0), compression=CURVES))
+    bounds = [0, *cuts, len(blocks)]
+    parts = [lookahead.push(blocks[a:b]) for a, b in pairwise(bounds)]
+    return PathSegments.concatenate([*parts, lookahead.finish()])
+
+
+def faults_of(seed):
+    """What is wrong with the path of one dirty program, and how much of it is curves."""
+    blocks = dirty(seed, most=160 if seed % 10 == 0 else 50)
+    whole = smooth(blocks, [])
+    forth, back = deviation(whole, blocks, HEIGHT)
+    gaps = jumps(whole, HEIGHT)
+    tip = whole.bottom[0, 0], whole.bottom[-1, 5 if whole.kind[-1] == SPLINE else 1]
+    faults = []
+    if max(forth, back) > 1.0 + 1e-6:
+        faults.append(f'deviation {forth:.4f}, {back:.4f} tolerances')
+    if (gaps > [1e-12, 1e-12, 1e-10]).any():
+        faults.append(f'gaps {gaps}')
+    ends = max(np.abs(tip[0] - blocks.tip[0]).max(), np.abs(tip[1] - blocks.tip[-1]).max())
+    if ends > 1e-9:
+        faults.append(f'ends {ends} m off')
+    cuts = np.random.default_rng(seed).integers(1, len(blocks), 4)
+    pieces = smooth(blocks, sorted(cuts) if seed % 4 else range(1, len(blocks)))
+    for field in fields(whole):
+        a, b = getattr(whole, field.name), getattr(pieces, field.name)
+        if a.tobytes() != b.tobytes():
+            faults.append(f'{field.name} depends on how the blocks arrive')
+    return faults, int((whole.kind == SPLINE).sum()), len(whole)
+
+
+def test_dirty_programs_become_sound_paths():
+    found, spans, segments, refused = [], 0, 0, 0
+    for seed in range(COUNT):
+        try:
+            faults, curved, all_of_it = faults_of(seed)
+        except BlockError as refusal:  # corners that no tolerance allows are refused, by line
+            assert refusal.line_number is not None
+            refused += 1
+            continue
+        spans, segments = spans + curved, segments + all_of_it
+        found += [f'seed {seed}: {fault}' for fault in faults]
+    print(f'{COUNT} programs, {segments} segments, {spans} of curves, {refused} refused')
+    assert not found, found
+    assert spans > 0.5 * segments
+    assert refused <= 0.01 * COUNT

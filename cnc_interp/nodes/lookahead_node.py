@@ -38,14 +38,15 @@ class LookaheadNode(Node):
         self._transform = Transform.of(Machine.load(values['machine']))
         self._corners = {name: values[name] for name in ('parametrization', 'top', 'septic')}
         self._corners['ratio'] = values['corner_ratio'] or None
-        self._corners['compression'] = Compression(
+        compression = Compression(
             values['compress'], values['longest_block'], values['corner_angle'],
             values['tolerance_share'],
         )  # fmt: skip
+        self._corners['compression'] = compression
         smoothing_options(self._transform, ChainOptions(**self._corners))
         self._peer_timeout = values['peer_timeout']
         self._heard = 0.0
-        warm_lookahead(self._transform)
+        warm_lookahead(self._transform, compression)
         self._lookahead: PathSmoother | None = None
         self._flank_height = 0.0
         self._blocks: deque[G1Block] = deque()

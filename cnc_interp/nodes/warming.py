@@ -15,6 +15,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.stream.chunk import Wait
@@ -44,10 +45,31 @@ def tiny_program(transform: Transform) -> Blocks:
     )
 
 
-def warm_lookahead(transform: Transform) -> PathSegments:
-    """Load the kernels of the look-ahead."""
-    lookahead = PathSmoother(smoothing_options(transform, ChainOptions()))
-    return PathSegments.concatenate([lookahead.push(tiny_program(transform)), lookahead.finish()])
+def dense_program(transform: Transform) -> Blocks:
+    """Return short blocks that become a curve of several windows."""
+    count = 400
+    u = np.linspace(0.0, 6.0, count)
+    rotary = np.stack([0.3 + 0.01 * np.sin(u), 0.2 + 0.05 * u], axis=1)
+    rotating = transform.machine.has_rotary
+    pose = tiny_program(transform)[:1]
+    return replace(
+        pose[np.zeros(count, dtype=np.int64)],
+        tip=np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM,
+        axis=transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (count, 1)),
+        line_number=np.arange(count),
+    )
+
+
+def warm_lookahead(transform: Transform, compression: Compression | None = None) -> PathSegments:
+    """Load the kernels of the look-ahead; those of curves where there are any."""
+    chain = ChainOptions(compression=compression or Compression())
+    options = smoothing_options(transform, chain)
+    made = []
+    programs = [dense_program, tiny_program] if chain.compression.enabled else [tiny_program]
+    for program in programs:
+        lookahead = PathSmoother(options)
+        made = [lookahead.push(program(transform)), lookahead.finish()]
+    return PathSegments.concatenate(made)
 
 
 def warm_kinematics(transform: Transform) -> AxisPath:

@@ -14,9 +14,10 @@ sys.path.insert(0, {here!r})
 from numba.core.dispatcher import Dispatcher
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.warming import warm_all
+from cnc_interp.nodes.warming import warm_all, warm_lookahead
 from cnc_interp.pipeline import Chain, ChainOptions
-from programs import zigzag
+from cnc_interp.smoothing.compression import Compression
+from programs import dome, zigzag
 
 def compiled():
     return {{
@@ -26,12 +27,14 @@ def compiled():
         for signature in value.overloads
     }}
 
-machine = Machine.load('xyzac')
+machine, compression = Machine.load('xyzac'), Compression(enabled={curves})
 warm_all(Transform.of(machine), 0.001)
+warm_lookahead(Transform.of(machine), compression)
 before = compiled()
-chain = Chain(machine, ChainOptions())
-blocks = zigzag(3, count=300, exact_stop=[i % 40 == 39 for i in range(300)])
-for first in range(0, 300, 64):
+chain = Chain(machine, ChainOptions(compression=compression))
+stops = [i % 40 == 39 for i in range(300)]
+blocks = dome(2000) if compression.enabled else zigzag(3, count=300, exact_stop=stops)
+for first in range(0, len(blocks), 64):
     chain.push(blocks[first : first + 64])
 chain.finish()
 assert len(chain.pieces) > 8
@@ -39,8 +42,9 @@ print(sorted(compiled() - before))
 """
 
 
-def test_a_long_program_needs_no_kernel_that_was_not_warm():
-    code = RUN.format(here=str(Path(__file__).parent))
+@pytest.mark.parametrize('curves', [False, True], ids=['corners', 'curves'])
+def test_a_long_program_needs_no_kernel_that_was_not_warm(curves):
+    code = RUN.format(here=str(Path(__file__).parent), curves=curves)
     done = subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, check=False
     )

@@ -18,7 +18,7 @@ from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 from cnc_interp.units import MM
 
-COUNT = int(os.environ.get('CNC_INTERP_EXAMPLES', '60'))
+COUNT = int(os.environ.get('CNC_INTERP_EXAMPLES', '12'))
 HEIGHT = 30 * MM
 CURVES = Compression(enabled=True)
 

@@ -53,7 +53,7 @@ def dense_program(transform: Transform) -> Blocks:
     rotating = transform.machine.has_rotary
     pose = tiny_program(transform)[:1]
     return replace(
-        pose[np.zeros(count, dtype=np.int64)],
+        Blocks.concatenate([pose] * count),
         tip=np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM,
         axis=transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (count, 1)),
         line_number=np.arange(count),

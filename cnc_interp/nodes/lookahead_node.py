@@ -20,8 +20,7 @@ from cnc_interp.nodes.running import run_node
 from cnc_interp.nodes.soundness import check_block
 from cnc_interp.nodes.streams import WindowedReceiver
 from cnc_interp.nodes.warming import warm_lookahead
-from cnc_interp.pipeline import ChainOptions, smoothing_options
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.pipeline import smoothing_options
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -34,19 +33,13 @@ class LookaheadNode(Node):
 
     def __init__(self) -> None:
         super().__init__('lookahead_node')
-        values = parameters.declare(self, parameters.LOOKAHEAD)
+        self._values = values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
-        self._corners = {name: values[name] for name in ('parametrization', 'top', 'septic')}
-        self._corners['ratio'] = values['corner_ratio'] or None
-        compression = Compression(
-            values['compress'], values['longest_block'], values['corner_angle'],
-            values['tolerance_share'],
-        )  # fmt: skip
-        self._corners['compression'] = compression
-        smoothing_options(self._transform, ChainOptions(**self._corners))
         self._peer_timeout = values['peer_timeout']
         self._heard = 0.0
-        warm_lookahead(self._transform, compression)
+        chain = parameters.chain_options(values)
+        smoothing_options(self._transform, chain)  # refuses wrong values
+        warm_lookahead(self._transform, chain.compression)
         self._lookahead: PathSmoother | None = None
         self._flank_height = 0.0
         self._blocks: deque[G1Block] = deque()
@@ -74,7 +67,7 @@ class LookaheadNode(Node):
 
     def _begin(self, block: G1Block) -> None:
         """Forget the program before."""
-        options = ChainOptions(flank_height=block.flank_height, **self._corners)
+        options = parameters.chain_options(self._values, block.flank_height)
         self._lookahead = PathSmoother(smoothing_options(self._transform, options))
         self._flank_height = block.flank_height
         self._blocks.clear()

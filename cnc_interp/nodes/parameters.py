@@ -15,6 +15,9 @@ from rcl_interfaces.msg import (
 
 from cnc_interp.errors import InterpError
 from cnc_interp.nodes.qos import DEPTH
+from cnc_interp.pipeline import ChainOptions
+from cnc_interp.smoothing.compression import Compression
+from cnc_interp.units import MM
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,8 @@ PEER_TIMEOUT = Declared(
     'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
 
-LOOKAHEAD = (
-    MACHINE,
+#: How paths are smoothed: by the look-ahead, and by the program node's check before.
+SMOOTHING = (
     Declared(
         'corner_ratio', 0.0, 'L2/L1 of rounded corners, 1.2 to 4; 0: chosen for each [-]', 0.0, 4.0
     ),
@@ -48,6 +51,10 @@ LOOKAHEAD = (
     Declared('longest_block', 0.005, 'Longer blocks stay straight lines [m]', 1e-6, 10.0),
     Declared('corner_angle', 0.6109, 'Sharper turns of dense blocks are corners [rad]', 0.01, 3.1),
     Declared('tolerance_share', 0.98, 'Part of the tolerances that curves may use', 0.1, 1.0),
+)
+LOOKAHEAD = (
+    MACHINE,
+    *SMOOTHING,
     Declared('block_window', 512, 'Blocks taken ahead of the look-ahead', 4, DEPTH - 1),
     RESEND,
     PEER_TIMEOUT,
@@ -85,6 +92,7 @@ PROGRAM = (
     Declared('setup', '', 'YAML file with work offsets, tools and reference points'),
     Declared('rotary_sense', 'programmed', 'Rotary words: programmed, or the shortest way'),
     Declared('skip_blocks', False, 'Leave out the lines that begin with a slash'),
+    *SMOOTHING,
     PEER_TIMEOUT,
     RESEND,
 )
@@ -119,6 +127,31 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
     if values.get('start_time', 0.0) > values.get('buffer_time', math.inf):
         raise InterpError('parameter start_time must not be greater than buffer_time')
     return values
+
+
+def chain_options(values: dict[str, Any], flank_height: float = 30.0 * MM) -> ChainOptions:
+    """
+    Return how the look-ahead makes the path.
+
+    Parameters
+    ----------
+    values : dict
+        Parameters of a node that declares SMOOTHING.
+    flank_height : float
+        Height at which the orientation tolerance is measured [m].
+
+    """
+    return ChainOptions(
+        flank_height=flank_height,
+        ratio=values['corner_ratio'] or None,
+        parametrization=values['parametrization'],
+        top=values['top'],
+        septic=values['septic'],
+        compression=Compression(
+            values['compress'], values['longest_block'], values['corner_angle'],
+            values['tolerance_share'],
+        ),
+    )  # fmt: skip
 
 
 def descriptor_of(parameter: Declared) -> ParameterDescriptor:

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.errors import BlockError, InterpError, ProgramError
+from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, smoothing_options
-from cnc_interp.program import JobSetup, Program, ReadOptions, read_program, read_text
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.nodes.parameters import chain_options
+from cnc_interp.pipeline import ChainOptions, at_fault, no_motion, smoothing_options
+from cnc_interp.program import JobSetup, ProgramStream, ReadOptions, open_program
+from cnc_interp.program.source import Source
+from cnc_interp.program.spool import BlockSpool
 from cnc_interp.smoothing.path_smoother import PathSmoother
 
 #: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
@@ -27,7 +29,7 @@ class Prepared:
 
     Parameters
     ----------
-    blocks : Blocks
+    blocks : BlockSpool
         Start pose, then the program.
     notices : tuple of str
         What was passed on or simplified.
@@ -40,7 +42,7 @@ class Prepared:
 
     """
 
-    blocks: Blocks
+    blocks: BlockSpool
     notices: tuple[str, ...]
     text: str
     options: ReadOptions
@@ -63,10 +65,10 @@ def read_options(goal: Any, defaults: dict[str, Any]) -> ReadOptions:
 
 
 def prepare(
-    goal: Any, transform: Transform, defaults: dict[str, Any], abandoned: Callable[[], bool]
+    goal: Any, transform: Transform, values: dict[str, Any], told: Callable[[float], None]
 ) -> Prepared:
     """
-    Read and check the program of a goal, before anything moves.
+    Read and check the program of a goal, before anything moves; memory does not grow with it.
 
     Parameters
     ----------
@@ -74,10 +76,10 @@ def prepare(
         Program and choices.
     transform : Transform
         The machine's transformation.
-    defaults : dict
+    values : dict
         Parameters of the node.
-    abandoned : callable
-        Tells when the user has cancelled.
+    told : callable
+        Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
 
     Raises
     ------
@@ -92,18 +94,27 @@ def prepare(
         raise InterpError(
             f"the nodes run machine '{machine.name}', not '{goal.machine}'; start them with it"
         )
-    options = read_options(goal, defaults)
-    program: Program
-    text = goal.text
+    options = read_options(goal, values)
     if goal.program:
-        program = read_program(Path(goal.program), transform, options)
+        stream = open_program(Path(goal.program), transform, options)
         text = text_of(Path(goal.program))
     else:
-        program = read_text(goal.text, '<text>', transform, options)
-    length = checked_length(program.blocks, transform, options.flank_height, abandoned)
-    if not length > 0.0:
-        raise ProgramError('holds no motion; add blocks after the start pose', program.source)
-    return Prepared(program.blocks, program.notices, text, options, length)
+        text = goal.text
+        stream = ProgramStream(Source.of_text(text, '<text>'), transform, options)
+    chain = chain_options(values, options.flank_height)
+    blocks = BlockSpool()
+    try:
+        length = checked_length(stream, blocks, transform, chain, told)
+    except OSError as problem:
+        blocks.close()
+        raise InterpError(
+            f'the checked blocks cannot be stored: {problem.strerror}; set TMPDIR to a folder '
+            'with room for 150 bytes per block'
+        ) from None
+    except BaseException:
+        blocks.close()
+        raise
+    return Prepared(blocks, stream.notices, text, options, length)
 
 
 def text_of(path: Path) -> str:
@@ -114,17 +125,29 @@ def text_of(path: Path) -> str:
 
 
 def checked_length(
-    blocks: Blocks, transform: Transform, flank_height: float, abandoned: Callable[[], bool]
+    stream: ProgramStream,
+    spool: BlockSpool,
+    transform: Transform,
+    options: ChainOptions,
+    told: Callable[[float], None],
 ) -> float:
-    """Run a program through look-ahead and kinematics and return the length of its path [m]."""
-    chain_options = ChainOptions(flank_height=flank_height)
-    lookahead = PathSmoother(smoothing_options(transform, chain_options))
-    builder = AxisPathBuilder(transform, flank_height)
+    """
+    Run a program through look-ahead and kinematics and return the length of its path [m].
+
+    Its blocks go into the spool on their way.
+    """
+    lookahead = PathSmoother(smoothing_options(transform, options))
+    builder = AxisPathBuilder(transform, options.flank_height)
     length = 0.0
-    for first in range(0, len(blocks) + BATCH, BATCH):
-        batch = blocks[first : first + BATCH]
-        path = builder.push(lookahead.push(batch) if len(batch) else lookahead.finish())
-        length = length if path is None else float(path.s[-1])
-        if abandoned():
-            raise BlockError('cancelled before anything moved')
+    with at_fault(stream.source):
+        for part in stream:
+            spool.append(part)
+            for first in range(0, len(part), BATCH):
+                path = builder.push(lookahead.push(part[first : first + BATCH]))
+                length = length if path is None else float(path.s[-1])
+                told(stream.share)
+        path = builder.push(lookahead.finish())
+    length = length if path is None else float(path.s[-1])
+    if not length > 0.0:
+        raise no_motion(stream.source)
     return length

@@ -43,7 +43,7 @@ class ProgramNode(Node):
         super().__init__('program_node')
         self._values = parameters.declare(self, parameters.PROGRAM)
         self._transform = Transform.of(Machine.load(self._values['machine']))
-        warm_kinematics(self._transform)
+        warm_kinematics(self._transform, parameters.chain_options(self._values).compression)
         self._run: ProgramRun | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
@@ -77,7 +77,7 @@ class ProgramNode(Node):
             return
         run = ProgramRun(handle.request)
         run.preparing = self._worker.submit(
-            prepare, handle.request, self._transform, self._values, lambda: run.cancelled
+            prepare, handle.request, self._transform, self._values, run.has_checked
         )
         self._run, self._goal = run, handle
 
@@ -110,6 +110,7 @@ class ProgramNode(Node):
             self._press('feed_hold')
         if run.prepared is None:
             outcome = run.see_prepared()
+            self._diagnostics.say('program', OK, f'checking {run.name}: {run.checked:.0%}')
         elif not run.started:
             outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
             if run.started:
@@ -187,6 +188,7 @@ class ProgramNode(Node):
         level = OK if code == Result.SUCCEEDED else WARN
         self._diagnostics.say('program', level, message)
         self._outlet.sender.begin('')
+        run.close()
         self._run = None
         self._answer(self._goal, result)
 

@@ -11,7 +11,7 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram, MachineState
 
-from cnc_interp.errors import InterpError, ProgramError
+from cnc_interp.errors import BlockError, InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.preparing import Prepared
 from cnc_interp.nodes.streams import GOES_ON, WindowedSender, same_run
@@ -38,6 +38,7 @@ class ProgramRun:
         self.name = Path(goal.program).name if goal.program else '<text>'
         self.preparing: Future[Prepared] | None = None
         self.prepared: Prepared | None = None
+        self.checked = 0.0  # share of the text, while it is read and checked
         self.started = self.cancelled = False
         self.last_sequence = -1
         self.missing = self.lost = ''  # nodes that are silent, and that forgot the run
@@ -46,6 +47,12 @@ class ProgramRun:
         self._state: MachineState | None = None  # the last one of this run
         self._known_by: set[str] = set()
         self._asked_at = time.monotonic()
+
+    def has_checked(self, share: float) -> None:
+        """Take note of how far the check is; it ends when the user has cancelled."""
+        self.checked = share
+        if self.cancelled:
+            raise BlockError('cancelled before anything moved')
 
     def see_prepared(self) -> Outcome | None:
         """Take the read and checked program over; a refusal is the result."""
@@ -176,6 +183,12 @@ class ProgramRun:
         self.lost, self._queued = '', 0
         self._known_by.clear()
         sender.begin(self.program_id)
+
+    def close(self) -> None:
+        """Forget the program; a check that still runs ends."""
+        self.cancelled = True
+        if self.prepared is not None:
+            self.prepared.blocks.close()
 
     def result(self, code: int, message: str, peers: Peers, sent: int) -> RunProgram.Result:
         """Collect what the run came to."""

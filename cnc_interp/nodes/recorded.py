@@ -11,6 +11,7 @@ from cnc_interp_msgs.msg import G1Block, SetpointChunk
 from cnc_interp.errors import InterpError
 from cnc_interp.interpolator import Setpoints
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.nodes import parameters
 from cnc_interp.nodes.bag import Bag
 from cnc_interp.nodes.messages import blocks_from
 from cnc_interp.nodes.recording import executed
@@ -77,14 +78,13 @@ def recorded_run(bag: Bag) -> RecordedRun:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
     last = told[-1].program_id
     blocks = blocks_of(bag, last)
-    parameters = bag.parameters
     names = {m.program_id: m.name for m in bag.read('loaded_program')}
     overrides = [m.data for m in bag.read('feed_override') if np.isfinite(m.data)]
     return RecordedRun(
         program_id=last,
         name=next((n for run, n in names.items() if same_run(run, last)), str(bag.path)),
-        machine=str(parameters.get('machine_node.machine', '')),
-        options=chain_options(parameters, blocks[0].flank_height, told[-1].period),
+        machine=str(bag.parameters.get('machine_node.machine', '')),
+        options=chain_options(bag.parameters, blocks[0].flank_height, told[-1].period),
         blocks=blocks,
         chunks=[m for m in told if same_run(m.program_id, last)],
         largest_override=max([1.0, *overrides]),
@@ -111,21 +111,13 @@ def blocks_of(bag: Bag, program_id: str) -> list[G1Block]:
     return [found[k] for k in range(len(found))]
 
 
-def chain_options(parameters: dict[str, Any], flank_height: float, period: float) -> ChainOptions:
+def chain_options(told: dict[str, Any], flank_height: float, period: float) -> ChainOptions:
     """Return how the nodes were told to smooth and interpolate."""
-    default = ChainOptions()
-
-    def value(name: str, otherwise: Any) -> Any:
-        return parameters.get(f'lookahead_node.{name}', otherwise)
-
-    return ChainOptions(
-        flank_height=flank_height,
-        ratio=value('corner_ratio', 0.0) or None,
-        parametrization=value('parametrization', default.parametrization),
-        top=value('top', default.top),
-        septic=value('septic', default.septic),
-        period=period,
-    )
+    values = {
+        p.name: told.get(f'lookahead_node.{p.name}', p.default) for p in parameters.SMOOTHING
+    }
+    values['compress'] = told.get('lookahead_node.compress', False)  # untold: before curves
+    return replace(parameters.chain_options(values, flank_height), period=period)
 
 
 def plan_files_of(run: RecordedRun) -> PlanFiles:

@@ -114,24 +114,24 @@ class RunRequest:
         """Return what the nodes must know from the start."""
         machine: dict[str, object] = {'machine': f"'{self.machine}'"}
         moving = machine | {'interpolation_period': self.period}
+        smoothing = machine | {
+            'corner_ratio': self.ratio or 0.0,
+            'parametrization': self.parametrization,
+            'top': self.top,
+            'septic': self.septic,
+            'compress': self.compression.enabled,
+            'longest_block': self.compression.longest_block,
+            'corner_angle': self.compression.corner_angle,
+            'tolerance_share': self.compression.tolerance_share,
+        }
         return {
-            'program_node': machine
+            'program_node': smoothing
             | {
                 'setup': f"'{self.setup.resolve() if self.setup else ''}'",
                 'rotary_sense': self.rotary_sense,
                 'skip_blocks': self.skip_blocks,
             },
-            'lookahead_node': machine
-            | {
-                'corner_ratio': self.ratio or 0.0,
-                'parametrization': self.parametrization,
-                'top': self.top,
-                'septic': self.septic,
-                'compress': self.compression.enabled,
-                'longest_block': self.compression.longest_block,
-                'corner_angle': self.compression.corner_angle,
-                'tolerance_share': self.compression.tolerance_share,
-            },
+            'lookahead_node': smoothing,
             'feedrate_node': moving,
             'machine_node': moving,
         }

@@ -72,12 +72,12 @@ def warm_lookahead(transform: Transform, compression: Compression | None = None)
     return PathSegments.concatenate(made)
 
 
-def warm_kinematics(transform: Transform) -> AxisPath:
+def warm_kinematics(transform: Transform, compression: Compression | None = None) -> AxisPath:
     """Load the kernels from look-ahead to machine axes."""
     machine = transform.machine
     endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
     free = Transform.of(replace(machine, travel=endless))
-    path = AxisPathBuilder(free).push(warm_lookahead(transform))
+    path = AxisPathBuilder(free).push(warm_lookahead(transform, compression))
     assert path is not None
     return path
 

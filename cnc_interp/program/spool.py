@@ -1,0 +1,74 @@
+"""Blocks of a program of any length, kept in a file; memory holds those that are asked for."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import fields
+from types import TracebackType
+
+import numpy as np
+
+from cnc_interp.program.blocks import Blocks
+
+_COLUMNS = [column.name for column in fields(Blocks)]
+
+
+class BlockSpool:
+    """
+    A growing program; like ``Blocks`` it has a length and slices, which are ``Blocks``.
+
+    The file lies in the system's folder for temporary files (``TMPDIR``), has no name, and is gone
+    with the process.
+    """
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115 (closed by close)
+        self._rows = 0
+        self._record = np.dtype([])
+
+    def append(self, blocks: Blocks) -> None:
+        """
+        Write further rows.
+
+        Raises
+        ------
+        OSError
+            If there is no room for them.
+
+        """
+        columns = {name: getattr(blocks, name) for name in _COLUMNS}
+        if not self._rows:
+            self._record = np.dtype([(n, c.dtype, c.shape[1:]) for n, c in columns.items()])
+        records = np.empty(len(blocks), self._record)
+        for name, column in columns.items():
+            records[name] = column
+        self._file.seek(self._rows * self._record.itemsize)
+        self._file.write(records.tobytes())
+        self._rows += len(blocks)
+
+    def __len__(self) -> int:
+        """Count the rows, start pose included."""
+        return self._rows
+
+    def __getitem__(self, rows: slice) -> Blocks:
+        """Read consecutive rows."""
+        first, last, _ = rows.indices(self._rows)
+        size = self._record.itemsize
+        self._file.seek(first * size)
+        records = np.frombuffer(self._file.read(max(0, last - first) * size), self._record)
+        return Blocks(*(np.ascontiguousarray(records[name]) for name in _COLUMNS))
+
+    def close(self) -> None:
+        """Forget the program."""
+        self._file.close()
+
+    def __enter__(self) -> BlockSpool:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

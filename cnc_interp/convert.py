@@ -109,7 +109,9 @@ def with_chords(blocks: Blocks, height: float) -> Blocks:
             chord = CHORD_SHARE * float(blocks.contour_tolerance[first:last].min())
             rows, _ = chords(columns, first, last, height, chord)
             rows.pop('line')
-            parts.append(Blocks(**rows))
+            waits = np.zeros(len(rows['tip']), dtype=np.int64)
+            waits[-1] = blocks.program_stop[last - 1]
+            parts.append(Blocks(**rows | {'program_stop': waits}))
         else:
             parts.append(blocks[first:last])
     return Blocks.concatenate(parts)
@@ -130,6 +132,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
             duration=float(blocks.duration[i]),
             rapid=bool(blocks.rapid[i]) or i == 0,
             exact_stop=bool(blocks.exact_stop[i]) and i < len(blocks) - 1,
+            program_stop=int(blocks.program_stop[i]),
             on_great_circle=bool(np.isnan(blocks.rotary[i]).any()),
             tolerance=float(blocks.contour_tolerance[i]),
         )
@@ -192,6 +195,7 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
             feedrate=float(feed[i]),
             rapid=bool(blocks.rapid[i]) and i > 0,
             exact_stop=bool(blocks.exact_stop[i]) and i < len(blocks) - 1,
+            program_stop=int(blocks.program_stop[i]),
         )
         for i in range(len(blocks))
     )
@@ -217,6 +221,8 @@ def _siemens(
     ]
     if (segments.kind == ROTATION).any() and np.isfinite(segments.rotary).any():
         notes.append('turns about the resting tip are written as tool axes, without whole turns')
+    if blocks.program_stop.any():
+        notes.append('M0 and M1 are written as exact stops')
     return Converted(siemens(moves, notes), notes)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import select
 import signal
 import sys
+import termios
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -11,7 +13,7 @@ from typing import Any
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import SetpointChunk
+from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -21,6 +23,7 @@ from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.playback import PROGRAM_STOP
 from cnc_interp.nodes.qos import STREAM
 from cnc_interp.nodes.recorder import Recorder
 from cnc_interp.nodes.running import stay_on_this_host
@@ -64,7 +67,7 @@ class Client:
         self._action = ActionClient(self._node, RunProgram, 'run_program')
         self._peers = Peers(self._node)
         self._cycle_start = self._node.create_client(Trigger, 'cycle_start')
-        self._restarted = False
+        self._restarted = self._attended = self._stop_told = False
         self.received: list[SetpointChunk] = []
         self._feedback: RunProgram.Feedback | None = None
         self._first_motion = float('nan')
@@ -80,9 +83,23 @@ class Client:
             raise KeyboardInterrupt
         self._interrupted = True
 
-    def run(self, request: RunRequest, machine: Machine, started: float) -> RunResult:
+    def run(
+        self, request: RunRequest, machine: Machine, started: float, attended: bool
+    ) -> RunResult:
         """
         Run a program to its end.
+
+        Parameters
+        ----------
+        request : RunRequest
+            What shall be run.
+        machine : Machine
+            Its axes.
+        started : float
+            When the command began, in monotonic time [s].
+        attended : bool
+            Whether an operator has buttons; else program stops wait for Enter on a terminal, and
+            for nobody where there is none.
 
         Raises
         ------
@@ -94,6 +111,7 @@ class Client:
             self._node.create_subscription(
                 SetpointChunk, 'executed_setpoints', self.received.append, STREAM
             )
+        self._attended = attended
         recorder = Recorder(self._node, request.record) if request.record is not None else None
         try:
             return self._run(request, machine, started, recorder)
@@ -196,6 +214,7 @@ class Client:
                 )
             self._see_motion()
             self._bring_back_lost_nodes()
+            self._pass_program_stop()
             if self._feedback is not None:
                 progress.show(self._feedback)
             return bool(wanted.done())
@@ -219,6 +238,30 @@ class Client:
         if self._restarted and stands and not self._peers.missing(time.monotonic(), 1.0):
             self._restarted = False
             self._cycle_start.call_async(Trigger.Request())
+
+    def _pass_program_stop(self) -> None:
+        """Where the program waits for its operator (M0), go on after Enter."""
+        state = self._peers.state
+        waits = (
+            state is not None
+            and state.state == MachineState.HELD
+            and state.message == PROGRAM_STOP
+            and not state.start_wanted
+        )
+        if not waits or state is None:
+            self._stop_told = False
+            return
+        if sys.stdin.isatty():
+            if not self._stop_told:
+                self._stop_told = True
+                print(f'\nline {state.line_number}: program stop; Enter to go on', file=sys.stderr)
+                termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            if not select.select([sys.stdin], [], [], 0.0)[0]:
+                return
+            sys.stdin.readline()
+        elif self._attended:
+            return
+        self._cycle_start.call_async(Trigger.Request())
 
     def _take_feedback(self, message: Any) -> None:
         self._feedback = message.feedback

@@ -149,9 +149,14 @@ class LookaheadNode(Node):
             if message.sequence == 0:
                 message.continue_at = self._continue_at
             if message.stop:
-                message.program_stop = self._program_stops.pop(message.last_block, 0)
+                message.program_stop = self._stop_behind(message.last_block)
             sender.put(message)
         self._outlet.pump()
+
+    def _stop_behind(self, block: int) -> int:
+        """Return what the operator wants at a stop; M0 where several meet there."""
+        passed = [k for k in self._program_stops if k <= block]
+        return min((self._program_stops.pop(k) for k in passed), default=G1Block.GO_ON)
 
     def close(self) -> None:
         """End: nothing moves here."""

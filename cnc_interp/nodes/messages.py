@@ -61,6 +61,7 @@ def block_messages(
             orientation_tolerance=float(blocks.orientation_tolerance[i]),
             flank_height=flank_height,
             exact_stop=bool(blocks.exact_stop[i]),
+            program_stop=int(blocks.program_stop[i]),
             end_of_program=end and i == len(blocks) - 1,
         )
         for i in range(len(blocks))
@@ -89,6 +90,7 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
         line_number=column('line_number', np.int64),
         top=top,
         knot_interval=knot_interval,
+        program_stop=column('program_stop', np.int64),
     )
 
 

@@ -23,6 +23,7 @@ from cnc_interp.stream.chunk import Chunk, Wait
 
 #: States from which the machine starts by itself when setpoints are there.
 SELF_STARTING = (State.IDLE, State.STARVED)
+PROGRAM_STOP = 'program stop; cycle_start to go on'
 STOPPED_BY_HAND = 'emergency stop; reset to go on'
 
 
@@ -283,7 +284,7 @@ class Playback:
             self.machine.handle(Event.FINISH)
             self.completed = True
         elif wait is Wait.CYCLE_START:
-            self.machine.handle(Event.HOLD, 'program stop; cycle_start to go on')
+            self.machine.handle(Event.HOLD, PROGRAM_STOP)
 
     def _follow_tail(self, current: Held) -> None:
         """Leave the plan by the stop behind the chunk."""

@@ -258,7 +258,7 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> RunR
         if companion is not None:
             companion.start(namespace, domain)
         with Client(namespace, domain, children) as client:
-            result = client.run(request, machine, started)
+            result = client.run(request, machine, started, attended=companion is not None)
             received = client.received
         if companion is not None:
             companion.finish(result)

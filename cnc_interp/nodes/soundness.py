@@ -32,6 +32,8 @@ def check_block(message: G1Block) -> None:
         value = getattr(message, field)
         if not 0.0 < value < np.inf:
             raise StreamError(f'{name}: {field} is {value:g} m; it must be greater than 0')
+    if message.program_stop > G1Block.OPTIONAL_STOP:
+        raise StreamError(f'{name}: program_stop is {message.program_stop}; it must be 0, 1 or 2')
     if message.sequence == 0:
         return
     timed = not np.isnan(message.duration)

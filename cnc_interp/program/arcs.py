@@ -107,7 +107,7 @@ def arcs_of(
         side = np.where(counter_clockwise, 1.0, -1.0) * np.sign(radius) * height / half
         centre_a = 0.5 * chord[:, a] - side * 0.5 * chord[:, b]
         centre_b = 0.5 * chord[:, b] + side * 0.5 * chord[:, a]
-    fault = np.where(by_radius & (short > _allowed(np.abs(radius))), 4, fault)
+    fault = np.where(by_radius & (short > allowed_mismatch(np.abs(radius))), 4, fault)
     relative[:, a] = np.where(by_radius, np.nan_to_num(centre_a), relative[:, a])
     relative[:, b] = np.where(by_radius, np.nan_to_num(centre_b), relative[:, b])
     relative[:, normal] = 0.0
@@ -116,7 +116,7 @@ def arcs_of(
     second = np.hypot(chord[:, a] - relative[:, a], chord[:, b] - relative[:, b])
     gap = np.abs(second - first)
     fault = np.where((fault == 0) & (first <= _SAME_POINT), 6, fault)
-    off = ~by_radius & (gap > _allowed(np.maximum(first, second)))
+    off = ~by_radius & (gap > allowed_mismatch(np.maximum(first, second)))
     fault = np.where((fault == 0) & off, 3, fault)
     begin = np.arctan2(-relative[:, b], -relative[:, a])
     finish = np.arctan2(chord[:, b] - relative[:, b], chord[:, a] - relative[:, a])
@@ -130,7 +130,7 @@ def arcs_of(
     return Arcs(start + relative, sweep, fault.astype(np.int64), mismatch)
 
 
-def _allowed(radius: FloatArray) -> FloatArray:
+def allowed_mismatch(radius: FloatArray) -> FloatArray:
     """Return by how much the rounding of a program may spoil a radius [m]."""
     return np.asarray(np.clip(RADIUS_SHARE * radius, RADIUS_ERROR, RADIUS_MOST))
 

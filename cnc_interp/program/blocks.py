@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
+#: Values of ``Blocks.program_stop``: go on, M0, M1.
+GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -50,6 +53,9 @@ class Blocks:
         Spline rows: ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots of its curve, so
         0 in the first row, in the last two and for a repeated knot [-]. NaN on linear rows.
         Without ``top`` and ``knot_interval`` all rows are linear.
+    program_stop : ndarray of int, shape (n,)
+        STOP (M0) or OPTIONAL_STOP (M1) where the operator is waited for at the end of the block,
+        which has an exact stop then, else GO_ON; without it all are GO_ON.
 
     """
 
@@ -65,11 +71,14 @@ class Blocks:
     line_number: IntArray
     top: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     knot_interval: FloatArray = field(default_factory=lambda: np.zeros(0))
+    program_stop: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         if len(self.knot_interval) != len(self.tip):
             object.__setattr__(self, 'top', np.full(np.shape(self.tip), np.nan))
             object.__setattr__(self, 'knot_interval', np.full(len(self.tip), np.nan))
+        if len(self.program_stop) != len(self.tip):
+            object.__setattr__(self, 'program_stop', np.full(len(self.tip), GO_ON))
         for column in fields(self):
             getattr(self, column.name).flags.writeable = False
 

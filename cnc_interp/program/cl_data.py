@@ -2,21 +2,26 @@
 CL data (APT cutter location files) -> targets: GOTO points with tool axis vectors.
 
 A statement is a major word, a slash and minor words; ``$`` at the end of a line continues it,
-``$$`` begins a comment. The tool axis turns on the great circle between two points.
+``$$`` begins a comment. The tool axis turns on the great circle between two points. After CIRCLE
+the points that lie on the circle are reached along it, up to a full turn.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from math import inf, nan, sqrt
+from dataclasses import dataclass
+from math import inf, nan, pi, sqrt
+
+import numpy as np
 
 from cnc_interp.errors import ProgramError
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program import arcs, cl_words
+from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
 from cnc_interp.program.source import Place, Source
-from cnc_interp.units import INCH, MINUTE, MM
+from cnc_interp.units import MINUTE, MM
 
 _FARTHEST = 1e5 * MM
 _UNIT_VECTOR = 5e-3  # published points carry four decimals
@@ -24,34 +29,30 @@ _UNIT_VECTOR = 5e-3  # published points carry four decimals
 _NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:E[-+]?\d++)?'
 _NEXT = rf'(?:\s*,\s*|\s+)({_NUMBER})'
 _GOTO = re.compile(rf'GOTO\s*/?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
+_NUMBERS = re.compile(rf'{_NUMBER}(?:\s*,\s*{_NUMBER})*+')
 _STATEMENT = re.compile(r'([A-Z][A-Z0-9]*)\s*(?:/\s*(.*)|(.*))')
 
-_SILENT = {'REMARK', 'PPRINT', 'PARTNO', 'MACHIN', 'MULTAX'}
-_STOPS = {'STOP', 'OPSTOP', 'DELAY', 'DWELL'}
-_LINEAR = 'output the tool path as GOTO points'
-_FRAME = 'changing the coordinate system is not supported yet; output one workpiece frame'
-_REFUSED = {
-    'CIRCLE': f'circles are not supported yet; {_LINEAR}',
-    'MOVARC': f'circles are not supported yet; {_LINEAR}',
-    'ARCMOV': f'circles are not supported yet; {_LINEAR}',
-    'CYCLE': f'drilling cycles are not supported yet; {_LINEAR}',
-    'GODLTA': f'incremental moves are not supported yet; {_LINEAR}',
-    'GOHOME': f'machine-coordinate moves are not supported yet; {_LINEAR}',
-    'RETRCT': f'retract moves are not supported yet; {_LINEAR}',
-    'ROTATE': f'rotary table moves are not supported yet; {_LINEAR}',
-    'ROTABL': f'rotary table moves are not supported yet; {_LINEAR}',
-    'ORIGIN': _FRAME,
-    'TRANS': _FRAME,
-    'TRACUT': _FRAME,
-    'COPY': f'copied motion is not supported yet; {_LINEAR}',
-    'INDEX': f'copied motion is not supported yet; {_LINEAR}',
-    'MACRO': f'macros are not supported yet; {_LINEAR}',
-    'CALL': f'macros are not supported yet; {_LINEAR}',
-}
-_OFF_ONLY = {'CUTCOM': 'cutter compensation is not supported yet; output the tool centre'}
-_LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
-_FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}
 _NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_PER_MIN'
+
+
+#: Directions that differ less are the same [rad].
+_SAME_ANGLE = 1e-9
+
+
+@dataclass
+class _Circle:
+    """A circle that the tool is on: angle turned so far, and rise per angle on its first arc."""
+
+    centre: FloatArray
+    normal: FloatArray
+    radius: float
+    turned: float = 0.0
+    pitch: float = 0.0
+
+    def across(self, point: FloatArray) -> FloatArray:
+        """Return how a point lies from the axis, shape (3,) [m]."""
+        arm = point - self.centre
+        return np.asarray(arm - (arm @ self.normal) * self.normal)
 
 
 class ClReader:
@@ -82,6 +83,9 @@ class ClReader:
         self.feedrate = options.feedrate
         self.rapid = False
         self.axis = (0.0, 0.0, 1.0)
+        self._point = (nan, nan, nan)
+        self._circle: _Circle | None = None
+        self._msys = ''
 
     @property
     def share(self) -> float:
@@ -143,10 +147,16 @@ class ClReader:
     def _goto(self, words: tuple[str | None, ...]) -> None:
         unit = self.unit
         x, y, z = (float(word or nan) * unit for word in words[:3])
-        if max(abs(x), abs(y), abs(z)) > _FARTHEST:
-            raise self._fault('a coordinate beyond 100,000 mm; correct it or UNITS', 'GOTO')
         if words[3] is not None:
-            self.axis = self._unit_vector(*(float(word or nan) for word in words[3:]))
+            self.axis = self._unit_vector([float(word or nan) for word in words[3:]], 'GOTO')
+        self._go(x, y, z)
+
+    def _go(self, x: float, y: float, z: float) -> None:
+        """Move to a point [m]."""
+        if not max(abs(x), abs(y), abs(z)) <= _FARTHEST:
+            raise self._fault('a coordinate beyond 100,000 mm; correct it or UNITS', 'GOTO')
+        arc = NO_ARC if self._circle is None else self._arc_to(self._circle, np.array([x, y, z]))
+        self._point = x, y, z
         rapid, self.rapid = self.rapid, False
         if rapid or self.targets.empty:
             feedrate = inf
@@ -159,16 +169,17 @@ class ClReader:
         self.targets.add(
             (
                 x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *tolerances, self.line_number,
-                0.0, nan, *NO_ARC,
+                0.0, nan, *arc,
             )
         )  # fmt: skip
 
-    def _unit_vector(self, i: float, j: float, k: float) -> tuple[float, float, float]:
+    def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
+        i, j, k = numbers
         length = sqrt(i * i + j * j + k * k)
         if not abs(length - 1.0) <= _UNIT_VECTOR:
             raise self._fault(
-                f'the tool axis is not a unit vector, its length is {length:g}; correct i, j, k',
-                'GOTO',
+                f'the direction is not a unit vector, its length is {length:g}; correct i, j, k',
+                word,
             )
         return i / length, j / length, k / length
 
@@ -182,25 +193,106 @@ class ClReader:
                 'expected three numbers, or six with the tool axis, between commas or spaces',
                 statement,
             )
-        if major in _REFUSED:
-            raise self._fault(_REFUSED[major], major)
-        if major in _OFF_ONLY and minor not in ('OFF', ''):
-            raise self._fault(_OFF_ONLY[major], statement)
+        if major in cl_words.REFUSED:
+            raise self._fault(cl_words.REFUSED[major], major)
+        if major in cl_words.OFF_ONLY and minor not in cl_words.OFF and self._moves(minor):
+            raise self._fault(cl_words.OFF_ONLY[major], statement)
+        if statement.startswith(cl_words.TEXT):
+            return
         if major == 'FROM':
             self._from(minor)
         elif major == 'RAPID':
             self.rapid = True
+            self._leave_circle()
         elif major == 'FEDRAT':
+            self._leave_circle()
             self._feed(minor, statement)
         elif major == 'UNITS':
-            if minor not in _LENGTH_UNITS:
+            if minor not in cl_words.LENGTH_UNITS:
                 raise self._fault('unknown unit; write UNITS/MM or UNITS/INCHES', statement)
-            self.unit = _LENGTH_UNITS[minor]
-        elif major in _STOPS:
-            self._notice(major, 'exact stop; the program goes on by itself')
-            self.targets.stop_here()
-        elif major not in _SILENT:
+            self.unit = cl_words.LENGTH_UNITS[minor]
+        elif major == 'TLAXIS':
+            self.axis = self._unit_vector(self._numbers(minor, 3, 'write TLAXIS/i,j,k'), major)
+        elif major == 'GODLTA':
+            delta = self._numbers(minor, 3, 'write GODLTA/dx,dy,dz')
+            if self.targets.empty:
+                raise self._fault('an incremental move before the first point', 'GODLTA')
+            self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
+        elif major == 'CIRCLE':
+            self._begin_circle(minor)
+        elif major in cl_words.STOPS:
+            kind, text = cl_words.STOPS[major]
+            self._notice(major, text)
+            self.targets.stop_here(kind)
+        elif major == 'MSYS':
+            if self._msys not in ('', minor):
+                raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
+            self._msys = minor
+        elif major in cl_words.HARMLESS or major in cl_words.OFF_ONLY:
             self._notice(major, 'passed on, it does not move the tool')
+        elif major not in cl_words.SILENT:
+            raise self._fault(cl_words.UNKNOWN, major)
+
+    def _moves(self, minor: str) -> bool:
+        """Tell whether the numbers of a shift are more than zeros."""
+        if not _NUMBERS.fullmatch(minor):
+            return True
+        return any(float(word) for word in minor.split(','))
+
+    def _numbers(self, minor: str, count: int, remedy: str) -> list[float]:
+        """Return the numbers of a statement."""
+        words = minor.split(',') if _NUMBERS.fullmatch(minor) else []
+        if len(words) != count:
+            raise self._fault(remedy, minor)
+        return [float(word) for word in words]
+
+    # --- circles -------------------------------------------------------------------------------
+
+    def _begin_circle(self, minor: str) -> None:
+        """CIRCLE/x,y,z,i,j,k,r: counter-clockwise about i,j,k to the points that follow."""
+        remedy = f'only CIRCLE/x,y,z,i,j,k,r is supported; {cl_words.LINEAR}'
+        numbers = self._numbers(minor, 7, remedy)
+        if self.targets.empty:
+            raise self._fault('a circle before the first point', 'CIRCLE')
+        if not max(map(abs, numbers)) * self.unit <= _FARTHEST or not numbers[6] > 0.0:
+            raise self._fault('a circle beyond 100,000 mm, or of no radius', 'CIRCLE')
+        centre, radius = np.array(numbers[:3]) * self.unit, numbers[6] * self.unit
+        circle = _Circle(centre, np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), radius)
+        away = circle.across(np.array(self._point))
+        off = abs(float(np.linalg.norm(away)) - radius)
+        if not off <= arcs.allowed_mismatch(np.array(radius)):
+            raise self._fault(f'the tool is {off / self.unit:.4g} off this circle', 'CIRCLE')
+        self._circle = circle
+
+    def _leave_circle(self) -> None:
+        """Go straight to the points to come, if one was reached along the circle."""
+        if self._circle is not None and self._circle.turned > 0.0:
+            self._circle = None
+
+    def _arc_to(self, circle: _Circle, end: FloatArray) -> tuple[float, ...]:
+        """Return the arc to a point; none, and the circle is left, where it is not on it."""
+        first, start = circle.turned == 0.0, np.array(self._point)
+        before, after = circle.across(start), circle.across(end)
+        off = abs(float(np.linalg.norm(after)) - circle.radius)
+        allowed = float(arcs.allowed_mismatch(np.array(circle.radius)))
+        about = float(circle.normal @ np.cross(before, after))
+        angle = float(np.arctan2(about, before @ after)) % (2.0 * pi)
+        if first and min(angle, 2.0 * pi - angle) < _SAME_ANGLE:
+            angle = 2.0 * pi
+        rise = float((end - start) @ circle.normal)
+        if first:
+            if not off <= allowed:
+                raise self._fault(f'this point is {off / self.unit:.4g} off its circle', 'GOTO')
+            circle.pitch = rise / angle
+        elif (
+            off > allowed
+            or abs(rise - circle.pitch * angle) > allowed
+            or circle.turned + angle > 2.0 * pi + _SAME_ANGLE
+        ):
+            self._circle = None
+            return NO_ARC
+        circle.turned += angle
+        return (*circle.centre, *circle.normal, angle)
 
     def _from(self, minor: str) -> None:
         """Take FROM as the start pose; later ones only repeat where the tool is."""
@@ -217,10 +309,10 @@ class ClReader:
         units = [word for word in words if word not in numbers]
         if any(word in ('MMPR', 'IPR', 'PERREV') for word in units):
             raise self._fault('feed per revolution is not supported yet; use MMPM', statement)
-        if len(numbers) != 1 or any(word not in _FEED_UNITS for word in units):
+        if len(numbers) != 1 or any(word not in cl_words.FEED_UNITS for word in units):
             raise self._fault('write FEDRAT/value,MMPM or FEDRAT/value,IPM', statement)
         value = float(numbers[0])
         if not 0.0 < value < inf:
             raise self._fault('the feedrate must be greater than zero', statement)
-        unit = (_FEED_UNITS[units[0]] if units else 0.0) or self.unit
+        unit = (cl_words.FEED_UNITS[units[0]] if units else 0.0) or self.unit
         self.feedrate = value * unit / MINUTE

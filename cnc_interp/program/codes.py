@@ -90,7 +90,9 @@ REFUSED_G: dict[str, str] = {
     'G111': f'polar coordinates are not supported; {_LINEAR}',
 }
 
-STOP_M = {'M0', 'M1', 'M60'}
+DWELL = 'exact stop; the dwell time is not kept'
+_WAITS = 'waits for cycle_start; a plan rests there and goes on'
+STOP_M = {'M0': _WAITS, 'M1': f'with optional_stop on {_WAITS}', 'M60': _WAITS}
 END_M = {'M2', 'M30'}
 REFUSED_M: dict[str, str] = {
     **dict.fromkeys(('M96', 'M97'), 'these subprogram calls are not supported; call with M98'),

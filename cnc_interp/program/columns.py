@@ -18,7 +18,15 @@ import numpy as np
 
 from cnc_interp.errors import ProgramError
 from cnc_interp.program import arcs
-from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray, IntArray
+from cnc_interp.program.blocks import (
+    GO_ON,
+    OPTIONAL_STOP,
+    STOP,
+    Blocks,
+    BoolArray,
+    FloatArray,
+    IntArray,
+)
 from cnc_interp.program.options import ReadOptions, RotaryGeometry
 from cnc_interp.program.subdivide import (
     MOST_PIECES,
@@ -34,6 +42,9 @@ POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
 NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
 CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
 CENTRE, NORMAL, SWEEP, WIDTH = slice(19, 22), slice(22, 25), 25, 26
+#: Values of EXACT_STOP beyond 0 and 1; where several meet in one place the largest rules.
+AT_M1, AT_M0 = 2.0, 3.0
+_WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
 #: The columns of a line that is no arc.
 NO_ARC = (nan,) * 7
 
@@ -79,9 +90,9 @@ class TargetColumns:
             Point: tool tip, or axis positions less those of the workpiece zero [m]; tool axis,
             NaN where the rotary words give it; rotary positions [rad]; 1 if the program has named
             rotary words so far; 1 for orientation on the great circle, 0 for linear rotary axes;
-            feedrate [m/s]; duration [s]; rapid; exact stop; contour and orientation tolerance
-            [m]; line number; 1 if the point is axis positions; feedrate of rotary axes [rad/s];
-            centre [m], normal and sweep [rad] of an arc, else NaN.
+            feedrate [m/s]; duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and
+            orientation tolerance [m]; line number; 1 if the point is axis positions; feedrate of
+            rotary axes [rad/s]; centre [m], normal and sweep [rad] of an arc, else NaN.
 
         """
         if len(self._rows) >= self._full:
@@ -94,10 +105,11 @@ class TargetColumns:
             self._convert(last=False)
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
-    def stop_here(self) -> None:
-        """Make the tool come to rest at the end of the last target, if there is one."""
+    def stop_here(self, kind: float = 1.0) -> None:
+        """Make the tool come to rest at the end of the last target; AT_M0 and AT_M1 wait there."""
         if self._rows:
-            self._rows[EXACT_STOP - WIDTH] = 1.0
+            at = EXACT_STOP - WIDTH
+            self._rows[at] = max(self._rows[at], kind)
 
     def stand_at(self, rotary: FloatArray) -> None:
         """Say where the rotary axes stand at the last target, which a tool direction gave."""
@@ -164,9 +176,10 @@ class TargetColumns:
         if self._curve is None:
             return self._start_pose(row)
         curve, self._curve = self._curve, None
-        stop = curve.exact_stop.copy()
+        stop, waits = curve.exact_stop.copy(), curve.program_stop.copy()
         stop[-1] |= row[0, EXACT_STOP] != 0.0
-        return replace(curve, exact_stop=stop)
+        waits[-1] = _waits(row)[0]
+        return replace(curve, exact_stop=stop, program_stop=waits)
 
     def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
         moves = Moves(self._geometry, self._zero, before, rows)
@@ -194,6 +207,7 @@ class TargetColumns:
             contour_tolerance=share * end[:, CONTOUR],
             orientation_tolerance=end[:, ORIENTATION].copy(),
             line_number=end[:, LINE].astype(np.int64),
+            program_stop=np.where(final, _waits(end), GO_ON),
         )
 
     def _piece_counts(self, moves: Moves) -> IntArray:
@@ -257,7 +271,13 @@ class TargetColumns:
             contour_tolerance=row[:, CONTOUR].copy(),
             orientation_tolerance=row[:, ORIENTATION].copy(),
             line_number=row[:, LINE].astype(np.int64),
+            program_stop=_waits(row),
         )
+
+
+def _waits(rows: FloatArray) -> IntArray:
+    """Return whether the operator is waited for behind targets, shape (n,)."""
+    return np.asarray(_WAITS[rows[:, EXACT_STOP].astype(np.int64)])
 
 
 class Moves:

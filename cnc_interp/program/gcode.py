@@ -15,6 +15,7 @@ import numpy as np
 
 from cnc_interp.program import codes, scan
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.columns import AT_M0, AT_M1
 from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import G65_ARGUMENTS, Flow
@@ -158,8 +159,9 @@ class GcodeReader:
             self.splines.begin()
         self._move(words, f is not None)
         mover.stop_once = False
-        if codes.STOP_M & set(words.m):
-            self.splines.stop_here()
+        for code in words.m:
+            if code in codes.STOP_M:
+                self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)
         if codes.END_M & set(words.m):
             self.flow.ended = True
         elif calling:
@@ -283,7 +285,7 @@ class GcodeReader:
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
         elif code in codes.STOP_M:
-            self.notice(code, 'exact stop; the program goes on by itself')
+            self.notice(code, codes.STOP_M[code])
         elif code not in codes.END_M and code not in ('M98', 'M99'):
             self.notice(code, 'passed on, it does not move the tool')
 
@@ -500,7 +502,7 @@ class GcodeReader:
             words.values.pop(letter, None)
         if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):
             raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
-        self.notice('G4', 'exact stop; the dwell time is not kept')
+        self.notice('G4', codes.DWELL)
         self.splines.stop_here()
 
     # --- subprograms ---------------------------------------------------------------------------

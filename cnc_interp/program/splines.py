@@ -116,11 +116,11 @@ class Splines:
             ),
         )  # fmt: skip
 
-    def stop_here(self) -> None:
+    def stop_here(self, kind: float = 1.0) -> None:
         """Make the tool rest; in a spline that ends the curve, and the next one begins there."""
         was_open = self.open
         self.end(stop=True)
-        self._mover.targets.stop_here()
+        self._mover.targets.stop_here(kind)
         if was_open:
             self.begin()
 

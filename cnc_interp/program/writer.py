@@ -10,13 +10,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite, isnan
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP, FloatArray
 from cnc_interp.units import DEG, MM, MM_PER_MIN
 
 #: Decimals of coordinates [mm], angles [deg] and tool axes [-]: 1 pm, below what doubles need.
 _LENGTH, _ANGLE, _AXIS = 9, 10, 12
 #: A spline needs a feedrate; this stands for rapid [mm/min].
 RAPID_FEED = 100_000.0
+#: How a stop is written, in G-code and in CL data.
+_STOPS = {GO_ON: ('G9', 'DELAY/0'), STOP: ('M0', 'STOP'), OPTIONAL_STOP: ('M1', 'OPSTOP')}
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -58,6 +60,7 @@ class GcodeMove:
     duration: float
     rapid: bool
     exact_stop: bool
+    program_stop: int
     on_great_circle: bool
     tolerance: float
 
@@ -84,7 +87,7 @@ def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: li
         if (text := fixed(move.tolerance / MM, _LENGTH)) != tolerance:
             tolerance = text
             lines.append(f'G64 P{text}')
-        words = ['G9'] if move.exact_stop else []
+        words = [_STOPS[move.program_stop][0]] if move.exact_stop else []
         if not move.rapid and isfinite(move.duration) != timed:
             timed = not timed
             words.append('G93' if timed else 'G94')
@@ -158,6 +161,7 @@ class ClMove:
     feedrate: float
     rapid: bool
     exact_stop: bool
+    program_stop: int = GO_ON
 
 
 def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:
@@ -174,5 +178,5 @@ def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:
         words += [fixed(v, _AXIS) for v in move.axis]
         lines.append(('GOTO/' if number else 'FROM/') + ','.join(words))
         if move.exact_stop:
-            lines.append('DELAY/0')
+            lines.append(_STOPS[move.program_stop][1])
     return '\n'.join([*lines, 'FINI', ''])

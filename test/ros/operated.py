@@ -62,12 +62,21 @@ class Bench(NodesUnderTest):
         self.node.create_subscription(
             SetpointChunk, 'executed_setpoints', self.executed.append, qos.STREAM
         )
-        self.switch = self.node.create_client(SetBool, 'single_block')
+        self.switches = {
+            name: self.node.create_client(SetBool, name)
+            for name in ('single_block', 'optional_stop')
+        }
         self.override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
-        self.spin_until(self.switch.service_is_ready)
+        self.spin_until(lambda: all(s.service_is_ready() for s in self.switches.values()))
 
     def single_block(self, on):
-        answer = self.switch.call_async(SetBool.Request(data=on))
+        self.turn('single_block', on)
+
+    def optional_stop(self, on):
+        self.turn('optional_stop', on)
+
+    def turn(self, name, on):
+        answer = self.switches[name].call_async(SetBool.Request(data=on))
         self.spin_until(answer.done)
 
     @property

@@ -3,6 +3,7 @@
 import os
 import signal
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
@@ -77,6 +78,27 @@ def test_single_block_rests_behind_every_block(bench):
         if bench.next_state().state == MachineState.HELD:
             bench.press('cycle_start')
     bench.finish(handle)
+
+
+@pytest.mark.parametrize(('optional', 'expected'), [(False, [6]), (True, [6, 10])])
+def test_program_stops_wait_for_cycle_start(bench, optional, expected):
+    lines = PROGRAM.splitlines()
+    text = '\n'.join([*lines[:6], 'M0', *lines[6:9], 'M1', *lines[9:], ''])
+    path = path_of(text)
+    bench.optional_stop(optional)
+    handle = bench.begin(text)
+    held = []
+    for _ in expected:
+        bench.until_state(MachineState.HELD)
+        state = bench.next_state()
+        held.append(state.line_number)
+        assert 'program stop' in state.message
+        assert np.abs(path.s[path.stop] - state.path_position).min() < 1e-9
+        assert bench.press('cycle_start').success
+        bench.spin_until(lambda: bench.state.state != MachineState.HELD)
+    bench.optional_stop(False)
+    bench.finish(handle)
+    assert held == expected
 
 
 def test_emergency_stop_ends_on_the_path_and_reset_allows_the_next_run(bench):

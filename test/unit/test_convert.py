@@ -187,3 +187,13 @@ def test_command_writes_a_file_or_the_terminal(tmp_path, capsys):
     assert main(['convert', str(source), '--to', 'cl']) == 0
     assert capsys.readouterr().out == written and written.startswith('PARTNO')
     assert main(['convert', str(tmp_path / 'none.mpf'), '--to', 'cl']) == 2
+
+
+@pytest.mark.parametrize(('to', 'words'), [('gcode', ('M0', 'M1')), ('cl', ('STOP', 'OPSTOP'))])
+def test_program_stops_survive(to, words):
+    text = 'TRAORI\nG0 X0 Y0 Z0 A10 C20\nG1 X10 F600\nM0\nX20\nM1\nX30 Y5\nM30'
+    program = read_text(text, 'stops.ngc', TRANSFORM, ReadOptions())
+    made = convert(program, MACHINE, ChainOptions(), to, UM)
+    again = read_text(made.text, 'again.ngc', TRANSFORM, ReadOptions()).blocks
+    assert all(word in made.text for word in words)
+    assert again.program_stop.tolist() == program.blocks.program_stop.tolist() == [0, 1, 2, 0]

@@ -77,6 +77,45 @@ def test_stops_from_and_notices():
     assert words == ['PPWORD', 'SPINDL', 'STOP', 'COOLNT', 'CUTCOM']
 
 
+def test_incremental_moves_and_a_tool_axis_that_stays():
+    blocks = read('FEDRAT/60\nGOTO/1,2,3\nTLAXIS/0,.6,.8\nGODLTA/1,0,-1\nGOTO/0,0,0\n').blocks
+    np.testing.assert_allclose(blocks.tip * 1e3, [[1, 2, 3], [2, 2, 2], [0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(blocks.axis[1:], [[0, 0.6, 0.8]] * 2)
+
+
+@pytest.mark.parametrize(
+    ('circle', 'ends', 'sense', 'turned', 'rise'),
+    [
+        ('CIRCLE/0,0,0,0,0,1,10', ['0,10,0'], 1, 90, 0),
+        ('CIRCLE/0,0,0, $\n 0,0,-1,10', ['0,10,0'], -1, 270, 0),
+        ('CIRCLE/0,0,0,0,0,1,10', ['10,0,0'], 1, 360, 0),
+        ('CIRCLE/0,0,0,0,0,1,10', ['0,10,0', '-10,0,0', '0,-10,0'], 1, 270, 0),
+        ('CIRCLE/0,0,0,0,0,1,10\nREMARK x', ['0,10,1', '-10,0,2'], 1, 180, 2),
+        ('CIRCLE/0,0,0,0,0,-1,10', ['10,0,-2'], -1, 360, -2),
+    ],
+)
+def test_points_on_a_circle_are_reached_along_it(circle, ends, sense, turned, rise):
+    points = '\n'.join(f'GOTO/{end}' for end in ends)
+    text = f'FEDRAT/60\nGOTO/10,0,0\n{circle}\n{points}\nFEDRAT/90\nGOTO/10,0,50\nFINI'
+    blocks = read(text, contour_tolerance=1e-5).blocks
+    tip = blocks.tip[:-1] * 1e3
+    np.testing.assert_allclose(np.hypot(tip[:, 0], tip[:, 1]), 10, atol=1e-9)
+    angle = np.unwrap(np.arctan2(tip[:, 1], tip[:, 0]))
+    assert (np.sign(np.diff(angle)) == sense).all()
+    assert angle[-1] == pytest.approx(sense * np.radians(turned))
+    np.testing.assert_allclose(tip[:, 2], rise * angle / angle[-1], atol=1e-9)
+    sagitta = 10e-3 * (1 - np.cos(np.diff(angle) / 2))
+    assert sagitta.max() <= 0.1 * 1e-5
+    assert (blocks.line_number[-1], blocks.feedrate[-1]) == (text.count('\n'), 1.5e-3)
+
+
+@pytest.mark.parametrize('point', ['0,-9,0', '10,0.1,0', '-10,0,5'])
+def test_a_point_off_the_circle_or_beyond_its_turn_is_reached_straight(point):
+    text = f'FEDRAT/60\nGOTO/10,0,0\nCIRCLE/0,0,0,0,0,1,10\nGOTO/10,-0.1,0\nGOTO/{point}'
+    blocks = read(text, contour_tolerance=1e-5).blocks
+    assert blocks.line_number.tolist().count(5) == 1
+
+
 def test_feed_of_files_without_fedrat():
     assert read('GOTO/0,0,0\nGOTO/1,0,0', feedrate=0.02).blocks.feedrate[1] == 0.02
 
@@ -99,9 +138,25 @@ def test_feed_of_files_without_fedrat():
         ('FEDRAT/IPM', 2, 'FEDRAT/value'),
         ('UNITS/MILES', 2, 'UNITS/MM'),
         ('CUTCOM/LEFT', 2, 'cutter compensation'),
-        ('CIRCLE/1,2,3', 2, 'circles'),
+        ('CIRCLE/1,2,3', 2, 'CIRCLE/x,y,z,i,j,k,r'),
+        ('CIRCLE/1,0,0,0,0,1,1,0.002,0.5,1,0', 2, 'CIRCLE/x,y,z,i,j,k,r'),
+        ('CIRCLE/1,0,0,0,0,1,2', 2, '1 off this circle'),
+        ('CIRCLE/1,0,0,0,0,1,0', 2, 'no radius'),
+        ('CIRCLE/1,0,0,0,0,2,1', 2, 'unit vector'),
+        ('FEDRAT/60\nCIRCLE/1,0,0,0,0,1,1\nFEDRAT/70\nGOTO/3,0,0', 5, '1 off its circle'),
         ('CYCLE/DRILL,5', 2, 'cycles'),
-        ('GODLTA/1,2,3', 2, 'incremental'),
+        ('GODLTA/5', 2, 'GODLTA/dx,dy,dz'),
+        ('GODLTA/1,2,3', 2, '--feed MM_PER_MIN'),
+        ('GODLTA/1,2,1E999', 2, '100,000 mm'),
+        ('TLAXIS/NORMPS', 2, 'TLAXIS/i,j,k'),
+        ('TLAXIS/1,1,1', 2, 'unit vector'),
+        ('COPY/1,SAME,3', 2, 'copied'),
+        ('INDEX/1', 2, 'copied'),
+        ('TLON,GOFWD/(CIRCLE/0,0,0,1)', 2, 'part surfaces'),
+        ('TRANS/0,0,1', 2, 'coordinate system'),
+        ('MSYS/0,0,0\nMSYS/0,0,1', 3, 'coordinate system'),
+        ('MODE/INCR', 2, 'unknown word'),
+        ('GOFAR/1', 2, 'unknown word'),
         ('12 monkeys', 2, 'MAJOR/minor'),
         ('GOTO/1,2,$', 2, 'continued'),
     ],

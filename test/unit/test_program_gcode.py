@@ -8,6 +8,7 @@ from test_program_subdivision import TableAC
 
 from cnc_interp.errors import ProgramError
 from cnc_interp.program import ReadOptions, columns, read_program, read_text
+from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 
 
 class ThreeAxes:
@@ -99,6 +100,24 @@ def test_exact_stop_modes_and_program_stops():
     blocks = read(text).blocks
     stops = (blocks.tip[blocks.exact_stop, 0] * 1e3).round(9)
     np.testing.assert_allclose(stops, [1, 3, 5, 6, 7])
+
+
+def test_program_stops_say_whom_they_wait_for():
+    text = (
+        'G0 X0\nG1 X1 F600 M0\nX2\nM1\nX3\nM1\nM0\nX4\nM0\nG4 P1\nX4\nM1\nX5 G9\n'
+        'G2 X7 R1 M1\nM60\nX8 Y1 R4\nM30'
+    )
+    blocks = read(text).blocks
+    ends = {1: STOP, 2: OPTIONAL_STOP, 3: STOP, 4: STOP, 7: STOP}
+    waits = {
+        round(x * 1e3, 6): int(kind)
+        for x, kind in zip(blocks.tip[:, 0], blocks.program_stop, strict=True)
+        if kind
+    }
+    assert waits == ends
+    assert (blocks.program_stop != GO_ON).sum() == len(ends)  # only the last chord of an arc
+    assert blocks.exact_stop[blocks.program_stop != GO_ON].all()
+    assert any('M1: with optional_stop on waits' in notice for notice in read(text).notices)
 
 
 def test_g9_is_for_its_own_block_only():

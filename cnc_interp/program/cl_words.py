@@ -1,0 +1,58 @@
+"""The words of CL data: which are supported, which are harmless, and why others are refused."""
+
+from __future__ import annotations
+
+from cnc_interp.program import codes
+from cnc_interp.program.columns import AT_M0, AT_M1
+from cnc_interp.units import INCH, MM
+
+#: Words that are text to the end of their line.
+TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')
+#: Words that say nothing about motion, not worth telling.
+SILENT = {'MACHIN', 'MULTAX', 'INTOL', 'OUTTOL', 'TOLER', 'CUTTER', 'NOPOST', 'CLPRNT', 'END'}
+#: Words that do not move the tool, told of once.
+HARMLESS = {
+    'AUTOPS', 'AUXFUN', 'CLAMP', 'CLEARP', 'COOLNT', 'DISPLY', 'LEADER', 'LINTOL', 'LOAD',
+    'LOADTL', 'MAXDP', 'MCHTOL', 'MFG', 'NUMPTS', 'OPSKIP', 'OPTOOL', 'PAINT', 'PLABEL', 'PLOT',
+    'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
+    'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TURRET',
+}  # fmt: skip
+#: Words that rest, how (see ``TargetColumns.stop_here``), and what is told of them.
+STOPS = {
+    'STOP': (AT_M0, codes.STOP_M['M0']),
+    'OPSTOP': (AT_M1, codes.STOP_M['M1']),
+    'DELAY': (1.0, codes.DWELL),
+    'DWELL': (1.0, codes.DWELL),
+}
+LINEAR = 'output the tool path as GOTO points'
+_FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
+_DRIVEN = f'motion along part surfaces is not supported; {LINEAR}'
+REFUSED = {
+    'MOVARC': f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}',
+    'ARCMOV': f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}',
+    'GOHOME': f'machine-coordinate moves are not supported; {LINEAR}',
+    'RETRCT': f'retract moves are not supported; {LINEAR}',
+    'ROTATE': f'rotary table moves are not supported; {LINEAR}',
+    'ROTABL': f'rotary table moves are not supported; {LINEAR}',
+    'ROTHED': f'rotary head moves are not supported; {LINEAR}',
+    'COPY': f'copied motion is not supported; {LINEAR}',
+    'INDEX': f'copied motion is not supported; {LINEAR}',
+    'MACRO': f'macros are not supported; {LINEAR}',
+    'CALL': f'macros are not supported; {LINEAR}',
+    'PROBE': f'probing is not supported; {LINEAR}',
+    **dict.fromkeys(
+        ('GO', 'GOFWD', 'GOBACK', 'GOLFT', 'GORGT', 'GOUP', 'GODOWN', 'INDIRV', 'INDIRP', 'TLON',
+         'TLLFT', 'TLRGT', 'PSIS', 'DNTCUT'), _DRIVEN),
+}  # fmt: skip
+#: Words that are refused unless they switch off or are all zero.
+OFF_ONLY = {
+    'CUTCOM': 'cutter compensation is not supported; output the tool centre',
+    'CYCLE': f'drilling cycles are not supported; {LINEAR}',
+    'ORIGIN': _FRAME,
+    'TRANS': _FRAME,
+    'TRACUT': _FRAME,
+}
+OFF = {'', 'OFF', 'NOMORE'}
+UNKNOWN = 'unknown word; put it behind $$ if it does not move the tool'
+LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
+FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}

@@ -16,7 +16,7 @@ from math import inf, nan, pi, sqrt
 import numpy as np
 
 from cnc_interp.errors import ProgramError
-from cnc_interp.program import arcs, cl_words
+from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
@@ -222,8 +222,10 @@ class ClReader:
             self._begin_circle(minor)
         elif major in cl_words.STOPS:
             kind, text = cl_words.STOPS[major]
-            self._notice(major, text)
-            self.targets.stop_here(kind)
+            stands = self.targets.stands
+            self._notice(major, codes.NOT_YET if stands else text)
+            if not stands:
+                self.targets.stop_here(kind)
         elif major == 'MSYS':
             if self._msys not in ('', minor):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)

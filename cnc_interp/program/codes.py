@@ -90,6 +90,7 @@ REFUSED_G: dict[str, str] = {
     'G111': f'polar coordinates are not supported; {_LINEAR}',
 }
 
+NOT_YET = 'nobody is waited for before the first motion'
 DWELL = 'exact stop; the dwell time is not kept'
 _WAITS = 'waits for cycle_start; a plan rests there and goes on'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional_stop on {_WAITS}', 'M60': _WAITS}

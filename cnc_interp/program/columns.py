@@ -134,6 +134,11 @@ class TargetColumns:
         self._rows.extend(end)
 
     @property
+    def stands(self) -> bool:
+        """True before the first motion: no target is known but the start pose."""
+        return self._before is None and self._curve is None and len(self._rows) <= WIDTH
+
+    @property
     def empty(self) -> bool:
         """True before the first target."""
         return not self._rows
@@ -271,7 +276,6 @@ class TargetColumns:
             contour_tolerance=row[:, CONTOUR].copy(),
             orientation_tolerance=row[:, ORIENTATION].copy(),
             line_number=row[:, LINE].astype(np.int64),
-            program_stop=_waits(row),
         )
 
 

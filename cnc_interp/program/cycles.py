@@ -14,6 +14,7 @@ import numpy as np
 
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.blocks import FloatArray
+from cnc_interp.program.codes import DWELL
 from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.words import BlockWords
 from cnc_interp.units import MM
@@ -110,6 +111,8 @@ class CannedCycle:
             go(bottom, False, hole)
         if self.code in _RESTING:
             mover.targets.stop_here()
+            if self._sticky.get('P'):
+                mover.notice(self.code, DWELL)
         if self.code in _FEED_OUT:
             mover.targets.stop_here()
             go(retract, False, hole)

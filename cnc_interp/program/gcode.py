@@ -19,7 +19,7 @@ from cnc_interp.program.columns import AT_M0, AT_M1
 from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import G65_ARGUMENTS, Flow
-from cnc_interp.program.motion import FARTHEST, Mover
+from cnc_interp.program.motion import FARTHEST, LENGTH_WITH_TCP, Mover
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens import CURVE_WORDS
@@ -161,7 +161,7 @@ class GcodeReader:
         mover.stop_once = False
         for code in words.m:
             if code in codes.STOP_M:
-                self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)
+                self._program_stop(code)
         if codes.END_M & set(words.m):
             self.flow.ended = True
         elif calling:
@@ -210,12 +210,17 @@ class GcodeReader:
         if was != mover.feed_mode:
             # A number that meant mm/min must not be taken for 1/min, nor the reverse.
             mover.feedrate, mover.blocks_per_minute = self.options.feedrate, None
+            mover.feed_changed = True
 
     def _tool_length(self, code: str, words: BlockWords) -> None:
         """G43, G44, G43.1, G49 and the tool-tip modes that are a kind of tool length."""
         mover, frames = self.mover, self.mover.frames
-        tool = words.values.get('H')
+        tool = words.values.pop('H', None)
+        number = self._tool if tool is None else round(min(abs(tool), 1e6))
+        lengths = self.options.setup.tool_lengths
         if code in codes.TCP_ON:
+            if tool is not None and lengths.get(number):
+                raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
             self._switch_tcp(code)
             return
         if mover.tcp in codes.TCP_BY_LENGTH or (mover.tcp and code == 'G49'):
@@ -224,8 +229,6 @@ class GcodeReader:
         if code == 'G43.1':
             length = words.values.pop('Z', 0.0) * mover.unit
         elif code in ('G43', 'G44'):
-            number = self._tool if tool is None else round(tool)
-            lengths = self.options.setup.tool_lengths
             if not lengths:
                 self.notice(code, 'no tool lengths are set (--setup); taken as zero')
             elif number and number not in lengths:
@@ -259,8 +262,9 @@ class GcodeReader:
     def _path_tolerance(self, words: BlockWords) -> None:
         """G64 P: both tolerances from here on; without P, the user's."""
         tolerance = words.values.pop('P', None)
-        if words.values.pop('Q', None) is not None:
-            self.notice('Q', 'the tolerance of G64 is taken from P alone')
+        q = words.values.pop('Q', None)  # points are left out within P, whatever Q allows besides
+        if q is not None and (tolerance is None or not q >= 0.0):
+            raise self.fault('write G64 P Q: P is the tolerance, Q not below 0', words.texts['Q'])
         if tolerance is not None and not 0.0 < tolerance * self.mover.unit < FARTHEST:
             raise self.fault('the tolerance must be greater than zero', words.texts['P'])
         self._tolerances('G64 P', tolerance, tolerance)
@@ -284,10 +288,16 @@ class GcodeReader:
             self._switch_tcp(code)
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
-        elif code in codes.STOP_M:
-            self.notice(code, codes.STOP_M[code])
-        elif code not in codes.END_M and code not in ('M98', 'M99'):
+        elif code not in (codes.END_M | codes.STOP_M.keys() | {'M98', 'M99'}):
             self.notice(code, 'passed on, it does not move the tool')
+
+    def _program_stop(self, code: str) -> None:
+        """M0, M1, M60: rest behind the motion so far and wait for the operator."""
+        if self.mover.targets.stands and not self.splines.open:
+            self.notice(f'{code} at the start', codes.NOT_YET)
+        else:
+            self.notice(code, codes.STOP_M[code])
+            self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)
 
     # --- key words and assignments -------------------------------------------------------------
 

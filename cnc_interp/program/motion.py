@@ -25,7 +25,12 @@ FARTHEST = 1e5 * MM
 MOST_TURN = 1e3 * 360.0 * DEG
 #: A rotary axis that turns further in one cutting block is told of [rad].
 LONG_WAY = 180.0 * DEG + 1e-9
+LENGTH_WITH_TCP = (
+    'with tool-tip programming the length of the tool belongs into the machine file '
+    '(tip_to_secondary_pivot_mm); give it length 0 in the setup'
+)
 _NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
+_NO_NEW_F = 'no feedrate (F) since the way it is given has changed (G93, G94, G95); write F'
 
 
 class Mover:
@@ -61,6 +66,7 @@ class Mover:
         self.feedrate = options.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
         self.blocks_per_minute: float | None = None
+        self.feed_changed = False  # from G93, G94, G95 to another of them
         self.spindle_speed = 0.0
         self.contour = options.contour_tolerance
         self.orientation = options.orientation_tolerance
@@ -100,11 +106,7 @@ class Mover:
             return
         if word:
             if self.frames.length:
-                raise self.fault(
-                    'with tool-tip programming the length of the tool belongs into the machine '
-                    'file (tip_to_secondary_pivot_mm); give it length 0 in the setup',
-                    word,
-                )
+                raise self.fault(LENGTH_WITH_TCP, word)
             if self.rotary.any():
                 q = np.concatenate([self.point + self.zero, self.rotary])[None]
                 self.point = self.geometry.forward(q)[0][0]
@@ -297,7 +299,7 @@ class Mover:
             return inf, nan, inf
         if self.feed_mode != 'G93':
             if self.feedrate is None:
-                raise self.fault(_NO_F)
+                raise self.fault(_NO_NEW_F if self.feed_changed else _NO_F)
             if self.feed_mode == 'G94':
                 return self.feedrate, nan, self.turn_rate
             if not self.spindle_speed > 0.0:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
 from cnc_interp.errors import ProgramError
-from cnc_interp.program import ReadOptions, columns, read_program, read_text
+from cnc_interp.program import JobSetup, ReadOptions, columns, read_program, read_text
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 
 
@@ -118,6 +118,33 @@ def test_program_stops_say_whom_they_wait_for():
     assert (blocks.program_stop != GO_ON).sum() == len(ends)  # only the last chord of an arc
     assert blocks.exact_stop[blocks.program_stop != GO_ON].all()
     assert any('M1: with optional_stop on waits' in notice for notice in read(text).notices)
+
+
+def test_nobody_is_waited_for_before_the_first_motion():
+    program = read('M1\nG0 X0\nM0\nG1 X1 F600\nX2')
+    assert not program.blocks.program_stop.any()
+    notices = ' '.join(program.notices)
+    assert 'M1 at the start' in notices and 'M0 at the start' in notices
+
+
+def test_g64_keeps_the_path_within_p_whatever_q_allows():
+    tolerances = read('G0 X0\nG64 P0.05 Q0.01\nG1 X1 F600\nG64 P0.03 Q0\nX2').blocks
+    np.testing.assert_allclose(tolerances.contour_tolerance[1:] * 1e3, [0.05, 0.03])
+
+
+@pytest.mark.parametrize(
+    ('text', 'part'),
+    [
+        ('G64 Q0.01', 'Q0.01: write G64 P Q'),
+        ('G64 P0.1 Q-1', 'Q-1: write G64 P Q'),
+        ('G93 G1 X1 F60\nG94 X2', 'since the way it is given has changed'),
+        ('G43.4 H1', 'H1: with tool-tip programming the length'),
+    ],
+)
+def test_words_that_would_be_lost_are_refused(text, part):
+    setup = JobSetup(tool_lengths={1: 0.075, 2: 0.0})
+    with pytest.raises(ProgramError, match=part):
+        read(f'G0 X0\nG43.4 H2\nG49\n{text}\nG1 X9', setup=setup)
 
 
 def test_g9_is_for_its_own_block_only():

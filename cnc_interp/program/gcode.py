@@ -14,6 +14,7 @@ from math import inf
 import numpy as np
 
 from cnc_interp.program import codes, scan
+from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import AT_M0, AT_M1
 from cnc_interp.program.cycles import CannedCycle
@@ -63,9 +64,7 @@ class GcodeReader:
         self._cycle: CannedCycle | None = None
         self._tool = self._chosen_tool = 0
         self._percent_seen = False
-        self._references = {
-            code: dict(options.setup.reference_points.get(code, {})) for code in ('G28', 'G30')
-        }
+        self._axis_codes = AxisCodes(self.mover)
 
     @property
     def share(self) -> float:
@@ -152,8 +151,10 @@ class GcodeReader:
         if len(taking) > 1:
             raise self.fault(f'{taking[0]} stands in the same block; keep one of them', taking[1])
         calling = self._calling(words)
-        if taking:
-            self._take_axes(taking[0], words)
+        if 'G4' in taking:
+            self._dwell(words)
+        elif taking and 'G65' not in taking:
+            self._axis_codes.execute(taking[0], words)
         if any(key == 'BSPLINE' for key, _ in words.keys):
             self._cycle = None
             self.splines.begin()
@@ -424,87 +425,6 @@ class GcodeReader:
                 )
             elif self._cycle is None or letter not in 'QRPKL':
                 raise self.fault('this word has no meaning here', words.texts[letter])
-
-    def _take_axes(self, code: str, words: BlockWords) -> None:
-        """Carry out a code that takes the axis words for itself."""
-        mover, values = self.mover, words.values
-        frames = mover.frames
-        if code == 'G4':
-            self._dwell(words)
-        elif code == 'G10':
-            self._write_offset(words)
-        elif code in ('G28', 'G30'):
-            self._reference(code, words)
-        elif code in ('G28.1', 'G30.1'):
-            machine = np.concatenate([mover.point + mover.zero, mover.rotary])
-            letters = ('X', 'Y', 'Z', *mover.rotary_letters)
-            self._references[code[:3]] = dict(zip(letters, machine.tolist(), strict=False))
-        elif code == 'G52':
-            # The frame moves, the tool does not.
-            for i, value in self._offset_words(values).items():
-                frames.local[i] = value
-        elif code == 'G92':
-            frames.g92_on = True
-            frames.update()
-            here = mover.here()
-            for i, value in self._offset_words(values).items():
-                turned = frames.turn[:, i] if i < 3 else None
-                if turned is None:
-                    frames.g92[i] += here[i] - value
-                else:
-                    frames.g92[:3] += turned * (here[i] - value)
-        elif code != 'G65':
-            frames.g92_on = code == 'G92.3'
-            if code == 'G92.1':
-                frames.g92 = np.zeros(5)
-        frames.update()
-
-    def _offset_words(self, values: dict[str, float]) -> dict[int, float]:
-        """Take axis words out as offsets by axis number [m, rad]."""
-        found = {}
-        for i, letter in enumerate(('X', 'Y', 'Z', *self.mover.rotary_letters)):
-            if letter in values:
-                found[i] = values.pop(letter) * (self.mover.unit if i < 3 else DEG)
-                if not abs(found[i]) <= FARTHEST:
-                    raise self.fault('an offset beyond 100,000 mm', letter)
-        return found
-
-    def _write_offset(self, words: BlockWords) -> None:
-        """G10 L2 and L20: set a work offset."""
-        kind, index = words.values.pop('L', 0.0), words.values.pop('P', 0.0)
-        if kind not in (2.0, 20.0) or index not in range(10) or 'R' in words.values:
-            raise self.fault('only G10 L2 and L20 with P0 to P9 are supported', 'G10')
-        mover = self.mover
-        position = None
-        if kind == 20.0:
-            work = mover.frames
-            base = np.concatenate([mover.point, mover.rotary])
-            position = base - (work.local + (work.g92 if work.g92_on else 0.0))
-            position[2] -= work.length
-        mover.frames.set_work(int(index), self._offset_words(words.values), position)
-
-    def _reference(self, code: str, words: BlockWords) -> None:
-        """G28 and G30: by rapid through the point of the block to the reference point."""
-        mover = self.mover
-        mover._refuse_machine_words()
-        letters = ('X', 'Y', 'Z', *mover.rotary_letters)
-        named = [letter for letter in letters if letter in words.values]
-        if named:
-            target = mover.target(words)
-            rotary = (
-                target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
-            )
-            mover.go(mover.frames.point(target[:3]), rotary, rapid=True)
-        point, rotary = mover.point.copy(), mover.rotary.copy()
-        for letter in named or letters:
-            home = self._references[code].get(letter, 0.0)
-            if letter in 'XYZ':
-                i = 'XYZ'.index(letter)
-                point[i] = mover.frames.machine_point(i, home)
-            else:
-                rotary[mover.rotary_letters.index(letter)] = home
-                mover.named = 1.0
-        mover.go(point, rotary, rapid=True)
 
     def _dwell(self, words: BlockWords) -> None:
         """G4: its P, X, F, S or U is a time, no motion."""

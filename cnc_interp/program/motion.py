@@ -155,7 +155,7 @@ class Mover:
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
         vector = self._vector_of(words, arc_words)
         if machine:
-            self._refuse_machine_words()
+            self.refuse_machine_words()
             target, point = self.here(), self.machine_target(words)
         else:
             target = self.target(words)
@@ -207,7 +207,8 @@ class Mover:
             return here - (here - angle) % (2.0 * pi)
         return angle
 
-    def _refuse_machine_words(self) -> None:
+    def refuse_machine_words(self) -> None:
+        """Refuse machine coordinates where X Y Z are tool tips."""
         if self.tcp:
             raise self.fault('machine coordinates need tool-tip programming off (TRAFOOF, G49)')
         if not self.rotary_letters and not self.zero.any():

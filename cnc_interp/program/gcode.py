@@ -20,7 +20,8 @@ from cnc_interp.program.columns import AT_M0, AT_M1
 from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import G65_ARGUMENTS, Flow
-from cnc_interp.program.motion import FARTHEST, LENGTH_WITH_TCP, Mover
+from cnc_interp.program.modes import Modes
+from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens import CURVE_WORDS
@@ -64,7 +65,7 @@ class GcodeReader:
         self._cycle: CannedCycle | None = None
         self._tool = self._chosen_tool = 0
         self._percent_seen = False
-        self._axis_codes = AxisCodes(self.mover)
+        self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
 
     @property
     def share(self) -> float:
@@ -190,9 +191,9 @@ class GcodeReader:
                     self._cycle = None
                     self.splines.end()
             elif code in codes.WORK_OFFSETS:
-                self._choose_work_offset(code)
+                self._modes.choose_work_offset(code)
             elif code in codes.LENGTH or code in codes.TCP_ON or code in codes.TCP_OFF:
-                self._tool_length(code, words)
+                self._modes.tool_length(code, words, self._tool)
             elif code in codes.CYCLES:
                 if self._cycle is None:
                     along = 'XYZ'.index({'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane])
@@ -207,86 +208,17 @@ class GcodeReader:
             elif code not in codes.TAKE_AXES and code != 'G53':
                 raise self.fault('this G code is not supported; remove it or post without', code)
         if 'G64' in words.g:
-            self._path_tolerance(words)
+            self._modes.path_tolerance(words)
         if was != mover.feed_mode:
             # A number that meant mm/min must not be taken for 1/min, nor the reverse.
             mover.feedrate, mover.blocks_per_minute = self.options.feedrate, None
             mover.feed_changed = True
 
-    def _tool_length(self, code: str, words: BlockWords) -> None:
-        """G43, G44, G43.1, G49 and the tool-tip modes that are a kind of tool length."""
-        mover, frames = self.mover, self.mover.frames
-        tool = words.values.pop('H', None)
-        number = self._tool if tool is None else round(min(abs(tool), 1e6))
-        lengths = self.options.setup.tool_lengths
-        if code in codes.TCP_ON:
-            if tool is not None and lengths.get(number):
-                raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
-            self._switch_tcp(code)
-            return
-        if mover.tcp in codes.TCP_BY_LENGTH or (mover.tcp and code == 'G49'):
-            mover.switch_tcp('')
-        length = 0.0
-        if code == 'G43.1':
-            length = words.values.pop('Z', 0.0) * mover.unit
-        elif code in ('G43', 'G44'):
-            if not lengths:
-                self.notice(code, 'no tool lengths are set (--setup); taken as zero')
-            elif number and number not in lengths:
-                raise self.fault('the setup has no length of this tool; add it', f'H{number}')
-            length = lengths.get(number, 0.0) * (1.0 if code == 'G43' else -1.0)
-        if mover.tcp and length:
-            raise self.fault(
-                'a tool length while tool-tip programming is on; switch it off before', code
-            )
-        # The axes stand still; from here on the same position has other program coordinates.
-        frames.length = length
-        frames.update()
-
-    def _switch_tcp(self, word: str) -> None:
-        if not self.mover.rotary_letters:
-            raise self.fault('tool-tip programming needs a machine with rotary axes', word)
-        self.mover.switch_tcp(word)
-
-    def _choose_work_offset(self, code: str) -> None:
-        frames = self.mover.frames
-        if not frames.known(code) and frames.work_offset not in ('', code):
-            raise self.fault(
-                f'the program began with {frames.work_offset}; set where {code} lies in a setup '
-                'file (--setup)',
-                code,
-            )
-        if not frames.known(code):
-            self.notice(code, 'taken as the workpiece zero')
-        frames.choose(code)
-
-    def _path_tolerance(self, words: BlockWords) -> None:
-        """G64 P: both tolerances from here on; without P, the user's."""
-        tolerance = words.values.pop('P', None)
-        q = words.values.pop('Q', None)  # points are left out within P, whatever Q allows besides
-        if q is not None and (tolerance is None or not q >= 0.0):
-            raise self.fault('write G64 P Q: P is the tolerance, Q not below 0', words.texts['Q'])
-        if tolerance is not None and not 0.0 < tolerance * self.mover.unit < FARTHEST:
-            raise self.fault('the tolerance must be greater than zero', words.texts['P'])
-        self._tolerances('G64 P', tolerance, tolerance)
-
-    def _tolerances(self, word: str, contour: float | None, orientation: float | None) -> None:
-        """Set tolerances in program units; None restores the user's."""
-        mover, options = self.mover, self.options
-        if options.force_tolerances:
-            if contour is not None or orientation is not None:
-                self.notice(word, "ignored, the command's tolerances are forced")
-            return
-        mover.contour = options.contour_tolerance if contour is None else contour * mover.unit
-        mover.orientation = (
-            options.orientation_tolerance if orientation is None else orientation * mover.unit
-        )
-
     def _machine_function(self, code: str) -> None:
         if code in codes.REFUSED_M:
             raise self.fault(codes.REFUSED_M[code], code)
         if code in codes.TCP_ON:
-            self._switch_tcp(code)
+            self._modes.switch_tcp(code)
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
         elif code not in (codes.END_M | codes.STOP_M.keys() | {'M98', 'M99'}):
@@ -310,11 +242,11 @@ class GcodeReader:
             else:
                 self.notice(key, 'ignored, the interpolation is fixed')
         elif key in codes.TCP_ON:
-            self._switch_tcp(key)
+            self._modes.switch_tcp(key)
         elif key in codes.TCP_OFF:
             mover.switch_tcp('')
         elif key in _SIEMENS_FRAMES:
-            self._frame(key, words)
+            self._modes.turn_frame(key, words)
         elif key in _MACHINE_KEYS:
             words.g.append('G53')
         elif key == 'CYCLE832':
@@ -322,7 +254,7 @@ class GcodeReader:
             tolerance = given[0] if given and given[0] else None
             if tolerance is not None and not 0.0 < tolerance * mover.unit < FARTHEST:
                 raise self.fault('the tolerance must be greater than zero', key)
-            self._tolerances(key, tolerance, tolerance)
+            self._modes.tolerances(key, tolerance, tolerance)
             mover.stop_always = mover.stop_always and tolerance is None
         elif key == 'CYCLE800' and not any(given):
             mover.frames.reset_frame()
@@ -336,22 +268,6 @@ class GcodeReader:
             cycle = 'swivelling frames are not supported; post with TRAORI'
             why = cycle if key == 'CYCLE800' else codes.refused_key(key)
             raise self.fault(why or unknown, key)
-
-    def _frame(self, key: str, words: BlockWords) -> None:
-        """TRANS, ATRANS, ROT, AROT: shift or turn the program's coordinates."""
-        mover = self.mover
-        frames = mover.frames
-        if not key.startswith('A'):
-            frames.reset_frame()
-        taken = {letter: words.values.pop(letter, 0.0) for letter in 'XYZ'}
-        if key.endswith('TRANS'):
-            frames.move(np.array([taken[letter] * mover.unit for letter in 'XYZ']))
-        else:
-            if 'RPL' in dict(words.sets):
-                normal = {'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane]
-                taken[normal] = dict(words.sets)['RPL']
-            frames.rotate({letter: angle * DEG for letter, angle in taken.items() if angle})
-        frames.update()
 
     def _assign(self, words: BlockWords) -> None:
         """Carry out the assignments of a block; some names are words with a meaning."""

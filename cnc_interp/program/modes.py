@@ -1,0 +1,112 @@
+"""What codes and key words set: tool length, tool-tip programming, zeros, frames, tolerances."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.program import codes
+from cnc_interp.program.motion import FARTHEST, LENGTH_WITH_TCP, Mover
+from cnc_interp.program.words import BlockWords
+from cnc_interp.units import DEG
+
+
+class Modes:
+    """
+    The settings of a program that are more than an attribute.
+
+    Parameters
+    ----------
+    mover : Mover
+        Position and modal settings of the program.
+
+    """
+
+    def __init__(self, mover: Mover):
+        self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
+
+    def tool_length(self, code: str, words: BlockWords, tool: int) -> None:
+        """G43, G44, G43.1, G49 and the tool-tip modes that are a kind of tool length."""
+        mover, frames = self._mover, self._mover.frames
+        named = words.values.pop('H', None)
+        number = tool if named is None else round(min(abs(named), 1e6))
+        lengths = mover.options.setup.tool_lengths
+        if code in codes.TCP_ON:
+            if named is not None and lengths.get(number):
+                raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
+            self.switch_tcp(code)
+            return
+        if mover.tcp in codes.TCP_BY_LENGTH or (mover.tcp and code == 'G49'):
+            mover.switch_tcp('')
+        length = 0.0
+        if code == 'G43.1':
+            length = words.values.pop('Z', 0.0) * mover.unit
+        elif code in ('G43', 'G44'):
+            if not lengths:
+                self.notice(code, 'no tool lengths are set (--setup); taken as zero')
+            elif number and number not in lengths:
+                raise self.fault('the setup has no length of this tool; add it', f'H{number}')
+            length = lengths.get(number, 0.0) * (1.0 if code == 'G43' else -1.0)
+        if mover.tcp and length:
+            raise self.fault(
+                'a tool length while tool-tip programming is on; switch it off before', code
+            )
+        # The axes stand still; from here on the same position has other program coordinates.
+        frames.length = length
+        frames.update()
+
+    def switch_tcp(self, word: str) -> None:
+        """Turn tool-tip programming on by a word of some dialect."""
+        if not self._mover.rotary_letters:
+            raise self.fault('tool-tip programming needs a machine with rotary axes', word)
+        self._mover.switch_tcp(word)
+
+    def choose_work_offset(self, code: str) -> None:
+        """G54 to G59.3: the first one may be the workpiece zero, others must be known."""
+        frames = self._mover.frames
+        if not frames.known(code) and frames.work_offset not in ('', code):
+            raise self.fault(
+                f'the program began with {frames.work_offset}; set where {code} lies in a setup '
+                'file (--setup)',
+                code,
+            )
+        if not frames.known(code):
+            self.notice(code, 'taken as the workpiece zero')
+        frames.choose(code)
+
+    def path_tolerance(self, words: BlockWords) -> None:
+        """G64 P: both tolerances from here on; without P, the user's."""
+        tolerance = words.values.pop('P', None)
+        q = words.values.pop('Q', None)  # points are left out within P, whatever Q allows besides
+        if q is not None and (tolerance is None or not q >= 0.0):
+            raise self.fault('write G64 P Q: P is the tolerance, Q not below 0', words.texts['Q'])
+        if tolerance is not None and not 0.0 < tolerance * self._mover.unit < FARTHEST:
+            raise self.fault('the tolerance must be greater than zero', words.texts['P'])
+        self.tolerances('G64 P', tolerance, tolerance)
+
+    def tolerances(self, word: str, contour: float | None, orientation: float | None) -> None:
+        """Set tolerances in program units; None restores the user's."""
+        mover, options = self._mover, self._mover.options
+        if options.force_tolerances:
+            if contour is not None or orientation is not None:
+                self.notice(word, "ignored, the command's tolerances are forced")
+            return
+        mover.contour = options.contour_tolerance if contour is None else contour * mover.unit
+        mover.orientation = (
+            options.orientation_tolerance if orientation is None else orientation * mover.unit
+        )
+
+    def turn_frame(self, key: str, words: BlockWords) -> None:
+        """TRANS, ATRANS, ROT, AROT: shift or turn the program's coordinates."""
+        mover = self._mover
+        frames = mover.frames
+        if not key.startswith('A'):
+            frames.reset_frame()
+        taken = {letter: words.values.pop(letter, 0.0) for letter in 'XYZ'}
+        if key.endswith('TRANS'):
+            frames.move(np.array([taken[letter] * mover.unit for letter in 'XYZ']))
+        else:
+            if 'RPL' in dict(words.sets):
+                normal = {'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane]
+                taken[normal] = dict(words.sets)['RPL']
+            frames.rotate({letter: angle * DEG for letter, angle in taken.items() if angle})
+        frames.update()

@@ -1,5 +1,5 @@
 """
-The order in which the lines of a program are read: jumps, loops, subprograms.
+The statements that decide in which order lines are read: jumps, loops, subprograms.
 
 The common dialect: O words of LinuxCNC (``o100 sub``, ``call``, ``while``, ``if``, ``do``,
 ``repeat``), M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN of Fanuc macro B,
@@ -9,15 +9,11 @@ GOTOF, GOTOB and IF of Siemens.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from pathlib import Path
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.program.cursor import Cursor, Loop
 from cnc_interp.program.expressions import ExpressionError, evaluate, parse
-from cnc_interp.program.source import Place, Source
-from cnc_interp.program.variables import ProgramVariables
+from cnc_interp.program.source import Place
 
-_DEEPEST_CALL = 20
 _O_WORD = re.compile(
     r'O\s*(\d+|<[^<>]+>)\s*'
     r'(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|'
@@ -29,113 +25,14 @@ _END = re.compile(r'END\s*(\d+)')
 _GOTO = re.compile(r'GOTO([FB]?)(?![A-Z_])\s*(.*)')
 _LABEL = re.compile(r'([A-Z_][A-Z_]\w*)\s*:(?!=)\s*')
 _DEFINITION = re.compile(r'DEF\s+(REAL|INT|BOOL)\s+(.*)')
-_SUBPROGRAM_SUFFIXES = ('.ngc', '.nc', '.tap', '.NC', '.TAP', '')
 #: Letters of G65 arguments -> local variables.
 G65_ARGUMENTS = dict(
     zip('ABCIJKDEFHMQRSTUVWXYZ', (*range(1, 10), 11, 13, *range(17, 27)), strict=True)
 )
 
 
-@dataclass
-class _Loop:
-    """A loop that is running: its label, where it begins, the rounds it still has."""
-
-    label: str
-    begin: Place
-    rounds: int = 0
-
-
-@dataclass
-class _Call:
-    """A subprogram that is running: where its caller goes on, and how often it is repeated."""
-
-    source: Source
-    back: Place
-    line: int
-    begin: Place
-    rounds: int
-    own_variables: bool
-    loops: list[_Loop]
-
-
-class Flow:
-    """
-    Where the reader is, and the statements that move it elsewhere.
-
-    Parameters
-    ----------
-    source : Source
-        The program.
-    variables : ProgramVariables
-        For conditions and arguments.
-    most_jumps : int
-        Backward jumps after which the program counts as endless.
-
-    """
-
-    def __init__(self, source: Source, variables: ProgramVariables, most_jumps: int):
-        self.main = self.source = source
-        self.variables = variables
-        self.ended = self.jumped = False
-        self._jumps_left = self._most_jumps = most_jumps
-        self._calls: list[_Call] = []
-        self._loops: list[_Loop] = []
-        self.row, self.window, self._window_of = 0, source.window(source.start), source
-
-    # --- reading -------------------------------------------------------------------------------
-
-    def _go(self, place: Place) -> None:
-        """Go on at a place of the present source."""
-        row = self.window.row_of(place) if self._window_of is self.source else None
-        if row is None:
-            self.window, self._window_of, row = self.source.window(place), self.source, 0
-        self.row, self.jumped = row, True
-
-    def here(self) -> bool:
-        """Load the next lines; False at the end of the program."""
-        while not self.ended:
-            if self.row < len(self.window):
-                return True
-            place = self.window.place(self.row)
-            if len(self.window):
-                self._go(place)
-            elif self._calls:
-                self.leave()
-            else:
-                self.ended = True
-        return False
-
-    @property
-    def line_number(self) -> int:
-        """Number of the present line in its file."""
-        return self.window.start.line + self.row
-
-    @property
-    def main_line(self) -> int:
-        """Number of the present line of the main program: the line of a call to another file."""
-        for call in reversed(self._calls):
-            if call.source is self.main and self.source is not self.main:
-                return call.line
-        return self.line_number
-
-    @property
-    def share(self) -> float:
-        """Share of the main program's text that lies behind, 0 to 1."""
-        for call in self._calls:
-            if call.source is self.main:
-                return self.main.share(call.back)
-        return self.main.share(self.window.place(self.row))
-
-    def fault(self, message: str, word: str = '') -> ProgramError:
-        """Make an error that names file and line."""
-        return ProgramError(message, self.source.name, self.line_number, word[:40])
-
-    def close(self) -> None:
-        """Close all files."""
-        for call in self._calls:
-            call.source.close()
-        self.source.close()
-        self.main.close()
+class Flow(Cursor):
+    """The statements that move the reader elsewhere."""
 
     # --- statements ----------------------------------------------------------------------------
 
@@ -228,22 +125,8 @@ class Flow:
             place = self.source.find(search, self.source.start)
         if place is None or (way == 'B' and place.offset >= after.offset):
             raise self.fault('the line to jump to is not there', target or 'GOTO')
-        self._loops.clear()
-        self._back_or_on(place)
-
-    def _back_or_on(self, place: Place) -> None:
-        """Go to a place; jumps backwards are counted."""
-        if place.offset <= self.window.place(self.row).offset:
-            self._count_jump()
-        self._go(place)
-
-    def _count_jump(self) -> None:
-        self._jumps_left -= 1
-        if self._jumps_left < 0:
-            raise self.fault(
-                f'more than {self._most_jumps:,} loops or calls: this program does not end; '
-                'correct its conditions'
-            )
+        self.loops.clear()
+        self.back_or_on(place)
 
     def _skip(self, pattern: bytes, what: str) -> Place:
         """Return the line after the next one that matches."""
@@ -259,38 +142,38 @@ class Flow:
     def _while(self, label: str, condition: str, end: bytes) -> None:
         """Enter a loop or leave it at its head."""
         place = self.window.place(self.row)
-        if self._loops and self._loops[-1].label == label and self._loops[-1].begin != place:
+        if self.loops and self.loops[-1].label == label and self.loops[-1].begin != place:
             # The tail of O- DO.
             if self._condition(condition):
-                self._back_or_on(self._loops[-1].begin)
+                self.back_or_on(self.loops[-1].begin)
             else:
-                self._loops.pop()
-                self._go(self.window.place(self.row + 1))
+                self.loops.pop()
+                self.go(self.window.place(self.row + 1))
             return
-        running = bool(self._loops) and self._loops[-1].begin == place
+        running = bool(self.loops) and self.loops[-1].begin == place
         if self._condition(condition):
             if not running:
-                self._loops.append(_Loop(label, place))
-            self._go(self.window.place(self.row + 1))
+                self.loops.append(Loop(label, place))
+            self.go(self.window.place(self.row + 1))
             return
         if running:
-            self._loops.pop()
-        self._go(self.source.after(self._skip(end, f'the end of {label}')))
+            self.loops.pop()
+        self.go(self.source.after(self._skip(end, f'the end of {label}')))
 
     def _again(self, label: str, word: str) -> None:
         """At the end of a loop go back to its head."""
-        while self._loops and self._loops[-1].label != label:
-            self._loops.pop()
-        if not self._loops:
+        while self.loops and self.loops[-1].label != label:
+            self.loops.pop()
+        if not self.loops:
             raise self.fault('this loop was not begun', word)
-        self._back_or_on(self._loops[-1].begin)
+        self.back_or_on(self.loops[-1].begin)
 
     def _o_word(self, label: str, word: str, rest: str) -> None:
         """Carry out an O word of LinuxCNC."""
         name = rb'O\s*' + re.escape(label.encode()) + rb'\s*'
         following = self.window.place(self.row + 1)
         if word == 'SUB':
-            self._go(self.source.after(self._skip(name + b'ENDSUB', f'O{label} ENDSUB')))
+            self.go(self.source.after(self._skip(name + b'ENDSUB', f'O{label} ENDSUB')))
         elif word == 'CALL':
             self._call_o_word(label, rest)
         elif word in ('ENDSUB', 'RETURN'):
@@ -304,60 +187,60 @@ class Flow:
                 raise self.fault('write O- ENDWHILE alone', rest)
             self._again(label, f'O{label} {word}')
         elif word == 'DO':
-            self._loops.append(_Loop(label, following))
-            self._go(following)
+            self.loops.append(Loop(label, following))
+            self.go(following)
         elif word == 'REPEAT':
             self._repeat(label, rest, name)
         elif word == 'ENDREPEAT':
             self._end_repeat(label)
         elif word == 'BREAK':
-            while self._loops and self._loops.pop().label != label:
+            while self.loops and self.loops.pop().label != label:
                 pass
             end = self._skip(name + rb'(?:ENDWHILE|ENDREPEAT|WHILE)', f'the end of O{label}')
-            self._go(self.source.after(end))
+            self.go(self.source.after(end))
         else:
             self._o_if(label, word, rest, name)
 
     def _repeat(self, label: str, rest: str, name: bytes) -> None:
         (count, *_) = self._values(rest) or [0.0]
         if count >= 1.0:
-            self._loops.append(_Loop(label, self.window.place(self.row + 1), round(count) - 1))
-            self._go(self.window.place(self.row + 1))
+            self.loops.append(Loop(label, self.window.place(self.row + 1), round(count) - 1))
+            self.go(self.window.place(self.row + 1))
         else:
-            self._go(self.source.after(self._skip(name + b'ENDREPEAT', f'O{label} ENDREPEAT')))
+            self.go(self.source.after(self._skip(name + b'ENDREPEAT', f'O{label} ENDREPEAT')))
 
     def _end_repeat(self, label: str) -> None:
-        while self._loops and self._loops[-1].label != label:
-            self._loops.pop()
-        if not self._loops:
+        while self.loops and self.loops[-1].label != label:
+            self.loops.pop()
+        if not self.loops:
             raise self.fault('this loop was not begun', f'O{label} ENDREPEAT')
-        loop = self._loops[-1]
+        loop = self.loops[-1]
         if loop.rounds > 0:
             loop.rounds -= 1
-            self._back_or_on(loop.begin)
+            self.back_or_on(loop.begin)
         else:
-            self._loops.pop()
-            self._go(self.window.place(self.row + 1))
+            self.loops.pop()
+            self.go(self.window.place(self.row + 1))
 
     def _o_if(self, label: str, word: str, rest: str, name: bytes) -> None:
         """Enter the branch of an IF whose condition holds, or leave at the end of a branch."""
         if word == 'ENDIF':
-            self._go(self.window.place(self.row + 1))
+            self.go(self.window.place(self.row + 1))
             return
         if word in ('ELSE', 'ELSEIF'):  # the branch before has been executed
             end = self._skip(name + b'ENDIF', f'O{label} ENDIF')
-            self._go(self.source.after(end))
+            self.go(self.source.after(end))
             return
         holds = bool(self._condition(rest))
         place = self.window.place(self.row)
         while not holds:
-            self._go(place)
+            self.go(place)
             place = self._skip(name + rb'(?:ELSEIF|ELSE|ENDIF)', f'O{label} ENDIF')
-            self._go(place)
+            self.go(place)
             line = self.window.line(self.row).upper()
             match = re.search(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)', line)
             holds = match is None or match[1] != 'ELSEIF' or bool(self._condition(match[2]))
-        self._go(self.window.place(self.row + 1))
+        self.go(self.window.place(self.row + 1))
 
     # --- subprograms ---------------------------------------------------------------------------
 
@@ -376,67 +259,3 @@ class Flow:
         """M98 and G65: run the subprogram that begins with an O number."""
         pattern = rb'[O:]\s*0*%d(?!\d)' % number
         self.call(f'O{number:04d}', pattern, rounds, arguments or {}, arguments is not None)
-
-    def call(
-        self,
-        stem: str,
-        pattern: bytes,
-        rounds: int,
-        arguments: dict[int, float],
-        own_variables: bool,
-    ) -> None:
-        """Run a subprogram of this file, or of a file of its own beside it."""
-        if rounds < 1:
-            self._go(self.window.place(self.row + 1))
-            return
-        if len(self._calls) >= _DEEPEST_CALL:
-            raise self.fault(f'calls are nested more than {_DEEPEST_CALL} deep', stem)
-        self._count_jump()
-        back, line = self.window.place(self.row + 1), self.line_number
-        search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)
-        source, begin = self.source, self.source.find(search, self.source.start)
-        if begin is None:
-            source = self._file_beside(stem)
-            begin = source.find(search, source.start) or Place(0, 0)
-        begin = source.after(begin) if begin.line else source.start
-        self._calls.append(
-            _Call(self.source, back, line, begin, rounds - 1, own_variables, self._loops)
-        )
-        self._loops = []
-        if own_variables:
-            self.variables.enter(arguments)
-        self.source = source
-        self._go(begin)
-
-    def _file_beside(self, stem: str) -> Source:
-        """Open a subprogram's own file."""
-        folder = Path(self.main.name).parent
-        for suffix in _SUBPROGRAM_SUFFIXES:
-            path = folder / (stem + suffix)
-            if re.fullmatch(r'[\w-]+', stem) and path.is_file():
-                return Source.of_file(path)
-        raise self.fault(
-            f'the subprogram {stem} is neither in this file nor beside it; add it', stem
-        )
-
-    def leave(self) -> None:
-        """Return from a subprogram, or run it once more."""
-        call = self._calls[-1]
-        if call.rounds > 0:
-            call.rounds -= 1
-            self._count_jump()
-            self._loops = []
-            self._go(call.begin)
-            return
-        self._calls.pop()
-        if call.own_variables:
-            self.variables.leave()
-        if self.source is not call.source:
-            self.source.close()
-        self.source, self._loops = call.source, call.loops
-        self._go(call.back)
-
-    @property
-    def in_subprogram(self) -> bool:
-        """True inside a subprogram."""
-        return bool(self._calls)

@@ -175,10 +175,11 @@ class ClReader:
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
         i, j, k = numbers
+        what = 'normal' if word == 'CIRCLE' else 'tool axis'
         length = sqrt(i * i + j * j + k * k)
         if not abs(length - 1.0) <= _UNIT_VECTOR:
             raise self._fault(
-                f'the direction is not a unit vector, its length is {length:g}; correct i, j, k',
+                f'the {what} is not a unit vector, its length is {length:g}; correct i, j, k',
                 word,
             )
         return i / length, j / length, k / length

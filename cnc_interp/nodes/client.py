@@ -14,6 +14,7 @@ from typing import Any
 import rclpy
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -24,7 +25,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.playback import PROGRAM_STOP
-from cnc_interp.nodes.qos import STREAM
+from cnc_interp.nodes.program_run import CHECKING
+from cnc_interp.nodes.qos import DIAGNOSTICS, STREAM
 from cnc_interp.nodes.recorder import Recorder
 from cnc_interp.nodes.running import stay_on_this_host
 from cnc_interp.nodes.session import RunRequest, RunResult
@@ -72,6 +74,8 @@ class Client:
         self._feedback: RunProgram.Feedback | None = None
         self._first_motion = float('nan')
         self._interrupted = False
+        self._checking = ''
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, DIAGNOSTICS)
         self._previous = {
             number: signal.signal(number, self._interrupt)
             for number in (signal.SIGINT, signal.SIGTERM)
@@ -215,6 +219,8 @@ class Client:
             self._see_motion()
             self._bring_back_lost_nodes()
             self._pass_program_stop()
+            if self._checking:
+                progress.checking(self._checking)
             if self._feedback is not None:
                 progress.show(self._feedback)
             return bool(wanted.done())
@@ -262,6 +268,12 @@ class Client:
         elif self._attended:
             return
         self._cycle_start.call_async(Trigger.Request())
+
+    def _hear(self, array: DiagnosticArray) -> None:
+        """Note how far the check of the program is."""
+        for status in array.status:
+            if status.hardware_id == self._node.get_namespace() and CHECKING in status.message:
+                self._checking = status.message
 
     def _take_feedback(self, message: Any) -> None:
         self._feedback = message.feedback

@@ -23,7 +23,7 @@ from cnc_interp.nodes.endpoints import Outlet
 from cnc_interp.nodes.messages import block_messages
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.preparing import prepare
-from cnc_interp.nodes.program_run import ProgramRun
+from cnc_interp.nodes.program_run import CHECKING, ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.running import run_node
 from cnc_interp.nodes.streams import same_run
@@ -110,7 +110,8 @@ class ProgramNode(Node):
             self._press('feed_hold')
         if run.prepared is None:
             outcome = run.see_prepared()
-            self._diagnostics.say('program', OK, f'checking {run.name}: {run.checked:.0%}')
+            if outcome is None and run.prepared is None:
+                self._diagnostics.say('program', OK, f'{CHECKING}: {run.checked:.0%}')
         elif not run.started:
             outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
             if run.started:

@@ -20,6 +20,7 @@ Result = RunProgram.Result
 Outcome = tuple[int, str]
 #: How long the first motion may take to reach the machine when all nodes answer [s].
 PATIENCE = 10.0
+CHECKING = 'checking the program'
 
 
 class ProgramRun:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, TextIO
 
 BAR = 30
+#: A check that takes no longer is not told; how often it is told in a log [s].
+CHECK_SHOWN, CHECK_LOGGED = 1.0, 10.0
 
 
 class Progress:
@@ -23,6 +26,18 @@ class Progress:
         self._stream = stream
         self._terminal = stream is not None and stream.isatty()
         self._shown = -1
+        self._began = self._said_at = time.monotonic()
+
+    def checking(self, text: str) -> None:
+        """Show how far a check is that takes long; in a log seldom."""
+        now = time.monotonic()
+        pause = CHECK_SHOWN if self._terminal else CHECK_LOGGED
+        if self._stream is None or self._shown >= 0 or now - self._began < CHECK_SHOWN:
+            return
+        if now - self._said_at >= pause:
+            self._said_at = now
+            self._stream.write(f'\r{text}   ' if self._terminal else f'{text}\n')
+            self._stream.flush()
 
     def show(self, feedback: Any) -> None:
         """Show feedback: the bar moves with every per cent, a line comes with every ten."""

@@ -1,10 +1,13 @@
 """What a program may not say: one line that names file, line, word and what to do."""
 
+import re
+from pathlib import Path
+
 import pytest
 from test_program_subdivision import TableAC
 
 from cnc_interp.errors import ProgramError
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import ReadOptions, cl_words, codes, read_text
 
 SYNTAX = [
     ('G0 X1 X2', 'X2', 'twice'),
@@ -163,3 +166,13 @@ def test_options_must_be_greater_than_zero(bad):
 def test_a_line_of_a_million_characters_fails_at_once():
     for text in ('X' + '1' * 1000000 + 'Q', '(' * 1000000, 'Y' * 1000000, '1' * 1000000):
         assert len(str(refused(text))) < 200
+
+
+def test_the_documentation_names_every_word_that_is_refused_by_name():
+    page = Path(__file__).parents[2] / 'docs' / 'programs.md'
+    named = set(re.findall(r'[A-Z]+[\d.]*\d|[A-Z]+', page.read_text(encoding='utf-8')))
+    words = {
+        *codes.REFUSED_G, *codes.REFUSED_M, *codes.REFUSED_KEYS, *cl_words.REFUSED,
+        *cl_words.OFF_ONLY,
+    }  # fmt: skip
+    assert not words - named

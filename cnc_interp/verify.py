@@ -246,8 +246,10 @@ def _approach_widely(
         high = np.searchsorted(label, last, 'right')
         return np.clip(low, 0, len(points) - 2), np.clip(high, 1, len(points) - 1)
 
-    # A vertex lies between its own block and the next; rounding may shift labels by one more.
-    nearest, where = approach(points, vertices, *samples(rows - 1, rows + 2))
+    # A vertex lies between its own block and the next; rounding may shift labels by one more, but
+    # not at a stop: there a tool that comes back has passed the vertex in the block before.
+    spread = np.where(plan.blocks['exact_stop'], 0, 1)
+    nearest, where = approach(points, vertices, *samples(rows - spread, rows + 1 + spread))
     far = nearest > tolerance + SLACK
     if far.any():
         way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])

@@ -11,7 +11,10 @@ from ruckig import InputParameter, Ruckig, Trajectory
 
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.pipeline import plan_program, write_plan
 from cnc_interp.plan_files import read_plan
+from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.verify import verify, verify_plan
 
@@ -191,6 +194,21 @@ def test_order_time_and_exact_stops(tmp_path):
     content = line_x(MACHINE)
     content['setpoints']['time'][500:] += 0.2 * PERIOD
     only_failure(proof_of(tmp_path, content), 'time is not uniform')
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'G0 X0\nG1 X10 F3000\nX5',
+        'G0 X0\nG1 X10 F3000\nM0\nX5\nM0\nX8\nM0\nX2\nX9',
+        'TRAORI\nG0 X0 A10 C0\nG1 C20 F3000\nC10\nG9\nC15\nX10',
+    ],
+)
+def test_a_stop_that_the_tool_has_passed_before_is_kept(tmp_path, text):
+    program = read_text(text, 'a.ngc', Transform.of(MACHINE), ReadOptions())
+    write_plan(plan_program(program, MACHINE), tmp_path)
+    proof = verify_plan(tmp_path, MACHINE)
+    assert proof.ok, proof.failures
 
 
 def test_travel_is_checked(tmp_path):

@@ -168,6 +168,16 @@ def near(angle, reference):  # type: ignore[no-untyped-def]
     return angle + 2.0 * pi * floor((reference - angle) / (2.0 * pi) + 0.5)
 
 
+@njit(cache=True, nogil=True, inline='always')
+def crossed(a, u):  # type: ignore[no-untyped-def]
+    """Return a x u of a vector jet and a constant vector."""
+    return (
+        jet.subtract(jet.scale(a[1], u[2]), jet.scale(a[2], u[1])),
+        jet.subtract(jet.scale(a[2], u[0]), jet.scale(a[0], u[2])),
+        jet.subtract(jet.scale(a[0], u[1]), jet.scale(a[1], u[0])),
+    )
+
+
 @njit(cache=True, nogil=True, error_model='numpy')  # at the pole the jets are not finite
 def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-untyped-def]
     """
@@ -212,14 +222,15 @@ def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-unt
     s, c = jet.sine_cosine(inner)
     one, zero = jet.constant(1.0), jet.constant(0.0)
     a = jet.rotated(w, s, c, (zero, zero, one))
-    au = jet.add(jet.add(jet.scale(a[0], u[0]), jet.scale(a[1], u[1])), jet.scale(a[2], u[2]))
+    # from a x u to o x u: near the pole, what a and o have along u would hide the rest
+    a, o = crossed(a, u), crossed(o, u)
     axo = (
         jet.subtract(jet.multiply(a[1], o[2]), jet.multiply(a[2], o[1])),
         jet.subtract(jet.multiply(a[2], o[0]), jet.multiply(a[0], o[2])),
         jet.subtract(jet.multiply(a[0], o[1]), jet.multiply(a[1], o[0])),
     )
     y = jet.add(jet.add(jet.scale(axo[0], u[0]), jet.scale(axo[1], u[1])), jet.scale(axo[2], u[2]))
-    z = jet.subtract(jet.dot(a, o), jet.multiply(au, x))
+    z = jet.dot(a, o)
     turn = jet.scale(jet.arctangent(y, z), packed[OUTER_SIGN])
     tilt = jet.scale(inner, packed[INNER_SIGN])
     tilt = (near(tilt[0], tilt_near), tilt[1], tilt[2], tilt[3])

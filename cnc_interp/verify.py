@@ -118,9 +118,16 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
         f'block order runs backwards at sample {back[:1] + 1}: '
         f'row {block[back[:1]]}, then {block[back[:1] + 1]}',
     )
-    # The first control point of a spline is where the tool is already.
-    begin = 2 if np.isfinite(plan.blocks['knot_interval'][1]) else 1
-    ledger.demand(block[0] <= begin, f'the motion starts in row {block[0]}, not in row {begin}')
+    # Rows that end where the tool is already (repeated points, first control points) may be left
+    # out; that their vertices are met is proven with all others.
+    tip, axis, contour, orientation = (
+        plan.blocks[name][: max(block[0], 1)]
+        for name in ('tip', 'axis', 'contour_tolerance', 'orientation_tolerance')
+    )
+    top = tip + plan.flank_height * axis
+    off, off_top = (np.linalg.norm(points - points[0], axis=1) for points in (tip, top))
+    away = np.flatnonzero((off > contour + SLACK) | (off_top > orientation + SLACK))
+    ledger.demand(not len(away), f'the motion starts in row {block[0]}, not in row {away[:1]}')
     stated = plan.summary.get('cycle_time')
     spanned = float(time[-1] - time[0])
     if isinstance(stated, int | float):

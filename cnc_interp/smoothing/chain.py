@@ -17,6 +17,8 @@ STANDSTILL = 1e-9
 REPEATED = 1e-10
 #: Kinds of segments: short enough for a curve, too long, or never part of a curve.
 SHORT, LONG, FIXED = 0, 1, 2
+#: A block of so many tolerances is too long, whatever else: curves hold their form within them.
+LONGEST = 500.0
 #: Least way of the tip on a curve, as share of the way of the top.
 LEAST_TIP = 0.02
 
@@ -187,7 +189,8 @@ class ChainBuilder:
             near = angle < self._pole_cone + 1.5 * raw.orientation_tolerance / height
             at_pole = angle < self._pole_cone
         kind = np.full(n, SHORT)
-        kind[1:][length > self._compression.longest_block] = LONG
+        narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
+        kind[1:][length > np.minimum(self._compression.longest_block, LONGEST * narrow)] = LONG
         fixed = resting | raw.rapid[1:] | reversed_axis | ((near[1:] | near[:-1]) & (turn > 0.0))
         kind[1:][fixed] = FIXED
         if self._joined and self.chain is not None and len(self.chain) == 1:
@@ -229,6 +232,7 @@ class ChainBuilder:
         step = np.abs(raw.tip[kept] - raw.tip[before]).max(axis=1)
         step = np.maximum(step, np.abs(top[kept] - top[before]).max(axis=1))
         repeated = (step < REPEATED) & (kind[kept] != FIXED)
+        feed = self._feeds(raw, before, kept)
         if repeated.any():
             for k in np.flatnonzero(repeated):
                 if k == 0:
@@ -237,13 +241,11 @@ class ChainBuilder:
                 else:
                     stop[kept[k - 1]] |= stop[kept[k]]
                     closed[kept[k - 1]] |= closed[kept[k]]
-            kept, used = kept[~repeated], used[~repeated]
+            kept, before, used, feed = (x[~repeated] for x in (kept, before, used, feed))
             if not len(kept):
                 return
-            before = np.concatenate([[0], kept[:-1]])
         tip_step, top_step = raw.tip[kept] - raw.tip[before], top[kept] - top[before]
         length, top_length = norm(tip_step), norm(top_step)
-        feed = self._feeds(raw, before, kept)
         kind, stop, closed = kind[kept], stop[kept], closed[kept]
         # Steps at rest, each too small to count, may add up to a rotation.
         slow = (kind == SHORT) & (length < LEAST_TIP * top_length)
@@ -279,7 +281,11 @@ class ChainBuilder:
         self.chain = chain.join(more)
 
     def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
-        """Return way / time of the rows between vertices, exactly F where all are equal."""
+        """
+        Return way / time of the rows between vertices, exactly F where all are equal.
+
+        It is never more than F of the last row: only that one may be longer than the tolerance.
+        """
         length = np.concatenate([[0.0], norm(np.diff(raw.tip, axis=0))])
         timed = np.isfinite(raw.duration)
         feed = np.where(timed, length / np.where(timed, raw.duration, 1.0), raw.feedrate)
@@ -290,4 +296,5 @@ class ChainBuilder:
         low = np.minimum.reduceat(feed[:last], before + 1)
         high = np.maximum.reduceat(feed[:last], before + 1)
         mean = way / np.where(spent > 0.0, spent, 1.0)
+        mean = np.minimum(mean, np.where(length[kept] > 0.0, feed[kept], np.inf))
         return np.asarray(np.where((low == high) | (spent <= 0.0), feed[kept], mean))

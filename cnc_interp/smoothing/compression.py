@@ -26,7 +26,7 @@ class Compression:
 
     """
 
-    enabled: bool = False
+    enabled: bool = True
     longest_block: float = 5.0 * MM
     corner_angle: float = 35.0 * DEG
     tolerance_share: float = 0.98

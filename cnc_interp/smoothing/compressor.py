@@ -313,7 +313,7 @@ class Compressor:
         run.begun = True
         self._after_curve = True
         if not found.last:
-            self._start = max(self._start, run.behind)
+            self._start = max(self._start, run.passed)
             return
         tail, last = self._tail, self._last
         self._run = None

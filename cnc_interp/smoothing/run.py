@@ -83,10 +83,10 @@ class Run:
         self._height, self._longest, self._share = height, longest, share
 
     @property
-    def behind(self) -> int:
-        """The first vertex of the chain that the run still knows; -1 if none."""
-        known = self.line.vertex[self.line.vertex >= 0]
-        return int(known[0]) if len(known) else -1
+    def passed(self) -> int:
+        """The last vertex of the chain that is committed; -1 if none."""
+        known = self.line.vertex[: int(np.searchsorted(self.line.u, self.t, 'right'))]
+        return int(known.max(initial=-1))
 
     def end(self, line: Polyline, jet: FloatArray) -> None:
         """Say how the run ends: what it follows and the derivatives at its end."""

@@ -329,8 +329,14 @@ def describe(summary: dict[str, Any]) -> str:
         summary[key] / MM
         for key in ('largest_contour_error', 'largest_orientation_error', 'flank_height')
     )
+    used, curves = summary['tolerance_used'], summary['curves']
     lines.append(
         f'deviation      contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
-        f'{height:g} mm'
+        f'{height:g} mm; {used["contour"]:.0%} and {used["orientation"]:.0%} of the tolerances'
     )
+    if curves['blocks']:
+        lines.append(
+            f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '
+            f'{curves["spans"] / curves["blocks"]:.2f} a block'
+        )
     return '\n'.join(lines)

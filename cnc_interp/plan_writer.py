@@ -30,8 +30,8 @@ from cnc_interp.interpolator import Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program.blocks import Blocks, FloatArray
-from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.program.blocks import Blocks, BoolArray, FloatArray
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 Columns = Mapping[str, NDArray[Any]]
 #: Columns of shape (4, cells, axes): they grow along their second axis.
@@ -56,19 +56,47 @@ class PlanFigures:
         self._limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
         self._use = np.zeros((3, len(machine.axis_names)))
         self._last: FloatArray | None = None  # the last three positions
-        self._deviation = np.zeros(2)
+        self._deviation, self._share = np.zeros(2), np.zeros(2)
+        self._curved = self._spans = 0  # blocks that became curves, and spans of these
+        self._on_curve, self._last_row = False, 0  # where the last segment ended
+        # Where tolerances change, or native splines begin or end: the row, and what holds from it.
+        self._marks = np.zeros((0, 4))
         self._samples = self._segments = self._blocks = 0
         self._cycle_time = self._path_length = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
-        """Count further rows of the program."""
+        """Count further rows of the program, and note where their tolerances change."""
+        rows = self._blocks + np.arange(len(blocks))
+        told = np.column_stack(
+            [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
+        )
+        known = self._marks[-1:, 1:] if len(self._marks) else np.full((1, 3), np.nan)
+        changed = np.diff(told[:, 1:], axis=0, prepend=known).astype(bool).any(axis=1)
+        self._marks = np.concatenate([self._marks, told[changed]])
         self._blocks += len(blocks)
 
     def segments(self, segments: PathSegments) -> None:
-        """Count further segments."""
+        """Count further segments; their blocks have been told."""
+        if not len(segments):
+            return
         self._segments += len(segments)
-        if len(segments):
-            self._deviation = np.maximum(self._deviation, segments.deviation.max(axis=0))
+        self._deviation = np.maximum(self._deviation, segments.deviation.max(axis=0))
+        place = np.searchsorted(self._marks[:, 0], segments.block, 'right') - 1
+        tolerance = self._marks[place, 1:3].min(axis=1)
+        self._share = np.maximum(self._share, (segments.deviation / tolerance).max(axis=0))
+        self._count_curves(segments, native=self._marks[place[:, 1], 3] > 0.0)
+        self._marks = self._marks[place.min() :]
+
+    def _count_curves(self, segments: PathSegments, native: BoolArray) -> None:
+        """Count the spans of curves, and the blocks from the first to the last one of each."""
+        spans = (segments.kind == SPLINE) & ~native
+        before = np.append(self._last_row, segments.block[:-1, 1])
+        goes_on = np.append(self._on_curve, (spans & ~segments.stop)[:-1])
+        first = np.where(goes_on, before + 1, np.maximum(before + 1, segments.block[:, 0]))
+        self._curved += int((segments.block[:, 1] - first + 1)[spans].sum())
+        self._spans += int(spans.sum())
+        self._on_curve = bool(spans[-1] and not segments.stop[-1])
+        self._last_row = int(segments.block[-1, 1])
 
     def piece(self, piece: PlannedPiece) -> None:
         """Take note of how long the motion is by now."""
@@ -124,6 +152,11 @@ class PlanFigures:
             },
             'largest_contour_error': float(self._deviation[0]),
             'largest_orientation_error': float(self._deviation[1]),
+            'tolerance_used': {
+                'contour': float(self._share[0]),
+                'orientation': float(self._share[1]),
+            },
+            'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
         }
 

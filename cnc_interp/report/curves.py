@@ -37,6 +37,8 @@ class CurvesView:
         Path length where a span ends [mm].
     bound : ndarray, shape (n, 2)
         Bound of the contour and orientation deviation of the span [um].
+    used : ndarray, shape (2,)
+        Largest bounds of all spans over the tolerances there [-].
     curve, polyline : ndarray, shapes (K, 2) and (M, 2)
         The curve around the largest bound and the programmed tips there, in the plane in which it
         spreads most, from the middle [mm].
@@ -51,6 +53,7 @@ class CurvesView:
     share: float
     way: FloatArray
     bound: FloatArray
+    used: FloatArray
     curve: FloatArray
     polyline: FloatArray
     line: int
@@ -61,8 +64,9 @@ class CurvesView:
         return (
             f'{self.blocks:,} blocks became {self.runs:,} curves of {self.spans:,} spans: '
             f'{self.spans / max(self.blocks, 1):.2f} spans a block, {self.share:.1%} of the path. '
-            'Left: proven bounds of the deviation along the path. Right: around the largest one, '
-            f'line {self.line}.'
+            'Left: proven bounds of the deviation along the path, curve from blocks and blocks '
+            f'from curve; at most {self.used[0]:.1%} of the contour and {self.used[1]:.1%} of the '
+            f'orientation tolerance. Right: around the largest one, line {self.line}.'
         )
 
 
@@ -77,6 +81,12 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
     first = segments.block[spans[begins], 0]
     last = segments.block[spans[np.r_[begins[1:], True]], 1]
     bound = segments.deviation[spans] / UM
+    tolerance = np.column_stack(
+        [
+            plan.blocks[name][segments.block[spans, 1]]
+            for name in ('contour_tolerance', 'orientation_tolerance')
+        ]
+    )
     worst = int(np.argmax(bound.max(axis=1)))
     near = spans[max(worst - AROUND, 0) : worst + AROUND + 1]
     near = near[np.abs(near - spans[worst]) <= AROUND]
@@ -94,6 +104,7 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
         share=float(length[spans].sum() / length.sum()),
         way=np.cumsum(length)[spans][chosen] / MM,
         bound=bound[chosen],
+        used=(segments.deviation[spans] / tolerance).max(axis=0),
         curve=(points - middle) @ plane.T / MM,
         polyline=(tips - middle) @ plane.T / MM,
         line=int(segments.line_number[spans[worst]]),

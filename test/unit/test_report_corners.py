@@ -144,6 +144,10 @@ def test_dense_blocks_are_shown_as_the_curves_they_became(tmp_path):
     # the arc, and the curve's end two longest spacings (4 mm) inside the line after it
     assert view.share == pytest.approx(40.0 / (36.0 + 10.87 + 20.0), rel=0.02)
     assert view.bound.max() * UM <= 0.02 * MM
+    summary = read_plan(plan).summary
+    assert summary['curves'] == {'blocks': view.blocks, 'spans': view.spans}
+    assert list(summary['tolerance_used'].values()) == pytest.approx(view.used.tolist())
+    assert view.used == pytest.approx(view.bound.max(axis=0) * UM / (0.02 * MM))
     # the drawn curve lies as near to the drawn blocks as the bound says
     a, b = view.polyline[:-1], view.polyline[1:]
     moved = (b - a).any(axis=1)

@@ -1,78 +1,93 @@
 """
-Dense programs as curves and corner by corner, as the table of docs/compressor.md.
+Dense programs as curves and corner by corner: the tables of docs/compressor.md.
 
-    PYTHONPATH=. python benchmarks/dense.py [NAME ...]
+    PYTHONPATH=. python benchmarks/dense.py [--most N] [--only NAME ...]
+    PYTHONPATH=. python benchmarks/dense.py --growth 1000 10000 100000
 
-Made ones: a dome spiral of 2,000 blocks of 0.5 mm, with and without round-off noise, 600 blocks
-of 0.2 mm, the tool along the normal, F 3000, both tolerances 0.01 mm. Public ones, where a folder
-``shared`` stands beside the repository: their first 2,000 blocks, at their own feed and 0.02 mm.
-The whole chain in one process; deviations are the certified ones, over the tolerance.
+Made ones: a dome spiral of 2,000 blocks of 0.5 mm, with and without round-off noise, and 600
+blocks of 0.2 mm, the tool along the normal, both tolerances 0.01 mm. Public ones, where a folder
+``shared`` stands beside the repository: their first N blocks (5,000), on the machines and at the
+feeds of ``programs.py``, both tolerances as programmed or 0.02 mm.
+
+Each runs in a process of its own: read, planned into plan files both ways, and proven. Deviations
+are bounds of curve from blocks and blocks from curve, over the tolerance at the place. Rates are
+blocks per CPU second of the one thread.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import resource
+import subprocess
 import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from paths import SHARED, blocks_of
+from growth import CpuChain
+from paths import dome
+from programs import CASES, PROGRAMS, program_file
 
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import BATCH, Chain, ChainOptions
-from cnc_interp.program import Blocks, ReadOptions, read_program
+from cnc_interp.pipeline import BATCH, ChainOptions
+from cnc_interp.plan_writer import PlanWriter
+from cnc_interp.program import Blocks, ReadOptions, open_program
 from cnc_interp.smoothing.compression import Compression
-from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, MM_PER_MIN, UM
+from cnc_interp.verify import verify_plan
 
-PROGRAMS = {
-    'impeller': 'linuxcnc-impeller-xyzac/impeller-7bl-xyzac.ngc',
-    'creo-finition': 'creo-finition-ncl/finition.ncl',
-    'pycam-sample': 'pycam-sample/test_pycam.ngc',
-    'stellabee': 'linuxcnc-stellabee/stellabee1.ngc',
-    'bezel': 'qtpyvcp-bezel/bezel_fast.ngc',
-    'cnclite-blend': 'cnclite-blend-mpf/gCodeTransitionTs10.MPF',
+PUBLIC = (
+    'linuxcnc-impeller-xyzac', 'creo-finition-ncl', 'pycam-sample', 'linuxcnc-stellabee',
+    'qtpyvcp-bezel', 'cnclite-blend-mpf',
+)  # fmt: skip
+HEAD = (
+    '| program | blocks | segments a block | contour / orientation bound over tolerance '
+    '| corner by corner s | as curves s | at programmed feed s '
+    '| blocks/s: reader / look-ahead / kinematics / feedrate / interpolator | whole chain '
+    '| peak memory MB | check |'
+)
+
+
+def noisy(blocks: Blocks, size: float) -> Blocks:
+    """Add round-off noise to the tool tips."""
+    noise = np.random.default_rng(0).normal(0.0, size, blocks.tip.shape)
+    return replace(blocks, tip=blocks.tip + noise)
+
+
+def six_hundred() -> Blocks:
+    """Make 600 blocks of 0.2 mm that last 4.8 s at the programmed feed."""
+    blocks = dome(600, 0.2 * MM)
+    return replace(blocks, feedrate=np.full(len(blocks), 1500.0 * MM_PER_MIN))
+
+
+MADE: dict[str, Callable[[], Blocks]] = {
+    'dome spiral': dome,
+    'dome spiral, 1 um noise': lambda: noisy(dome(), 1.0 * UM),
+    '600 blocks of 0.2 mm': six_hundred,
 }
-#: Blocks of a public program that are run.
-MOST = 2000
 
 
-def spiral(count: int, block: float, noise: float = 0.0) -> Blocks:
-    """Make a spiral of pitch 2 mm over a dome of radius 80 mm, the tool along its normal."""
-    radius, pitch = 80.0 * MM, 2.0 * MM / (2.0 * np.pi)
-    # chords are a little longer than the arc in the plane
-    way = 225.0 * MM + np.arange(count) * block
-    turn = np.sqrt(2.0 * way / pitch)
-    r = pitch * turn
-    tip = np.column_stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(radius**2 - r**2)])
-    axis = tip / radius
-    tip = tip - [0.0, 0.0, radius]
-    tip += np.random.default_rng(0).normal(0.0, 1.0, tip.shape) * noise
-    return blocks_of(tip, axis, 3000.0 * MM_PER_MIN, 10.0 * UM)
-
-
-def cases(names: list[str]) -> list[tuple[str, Machine, Blocks]]:
-    """Collect the programs."""
-    xyzac = Machine.load('xyzac')
-    made = {
-        'dome spiral': spiral(2001, 0.5 * MM),
-        'dome spiral, 1 um noise': spiral(2001, 0.5 * MM, 1.0 * UM),
-        '600 blocks of 0.2 mm': spiral(601, 0.2 * MM),
-    }
-    found = [(name, xyzac, blocks) for name, blocks in made.items()]
-    for name, file in PROGRAMS.items():
-        path = SHARED / 'programs' / file
-        if not path.exists():
-            continue
-        options = ReadOptions(feedrate=1000.0 * MM_PER_MIN)
-        blocks = read_program(path, Transform.of(xyzac), options).blocks[: MOST + 1]
-        # in the middle of the table, whatever the zero was
-        middle = 0.5 * (blocks.tip.min(axis=0) + blocks.tip.max(axis=0))
-        moved = replace(blocks, tip=blocks.tip - middle, rotary=np.full((len(blocks), 2), np.nan))
-        found.append((name, xyzac, moved))
-    return [case for case in found if not names or case[0] in names]
+def read(name: str, most: int) -> tuple[Machine, Blocks, int, float]:
+    """Return machine, blocks, how many the program has, and reading time a block [CPU s]."""
+    if name in MADE:
+        blocks = MADE[name]()
+        return Machine.load('xyzac'), blocks, len(blocks) - 1, np.nan
+    case = CASES[name]
+    machine = Machine.load(case.machine)
+    feed = None if case.feed is None else case.feed * MM_PER_MIN
+    options = ReadOptions(feedrate=feed, setup=case.setup)
+    for _ in range(2):  # kernels and file cache warm
+        begin = time.process_time()
+        blocks = open_program(program_file(name), Transform.of(machine), options).read().blocks
+        spent = time.process_time() - begin
+    return machine, blocks[: most + 1], len(blocks) - 1, spent / (len(blocks) - 1)
 
 
 def programmed_time(blocks: Blocks) -> float:
@@ -84,47 +99,98 @@ def programmed_time(blocks: Blocks) -> float:
     return float(np.nansum(time))
 
 
-def run(machine: Machine, blocks: Blocks, curves: bool) -> tuple[Chain, PathSegments]:
-    """Send blocks through the whole chain."""
-    chain = Chain(machine, ChainOptions(compression=Compression(enabled=curves)))
-    for first in range(0, len(blocks), BATCH):
-        chain.push(blocks[first : first + BATCH])
-    chain.finish()
-    return chain, PathSegments.concatenate(chain.segments)
+def run(machine: Machine, blocks: Blocks, curves: bool, directory: Path) -> dict[str, Any]:
+    """Plan blocks into plan files; return the summary."""
+    options = ChainOptions(compression=Compression(enabled=curves))
+    chain = CpuChain(machine, options)
+    with PlanWriter(directory, machine, options.period, options.flank_height) as writer:
+        writer.blocks(blocks)
+        for first in range(0, len(blocks), BATCH):
+            chain.push(blocks[first : first + BATCH])
+            chain.drain(writer)
+        chain.finish()
+        chain.drain(writer)
+        return writer.finish('dense', chain.seconds)
 
 
-def row_of(name: str, machine: Machine, blocks: Blocks) -> str:
+def row_of(name: str, most: int) -> str:
     """Run a program both ways; return its row of the table."""
-    corners, _ = run(machine, blocks, curves=False)
-    chain, segments = run(machine, blocks, curves=True)
-    tolerance = blocks.contour_tolerance[1:].min(), blocks.orientation_tolerance[1:].min()
-    off = segments.deviation.max(axis=0) / tolerance
-    n, seconds = len(blocks) - 1, chain.seconds
-    speeds = ' / '.join(f'{n / max(seconds[room], 1e-9):,.0f}' for room in seconds)
-    times = [each.pieces[-1].law.end_time for each in (corners, chain)]
+    machine, blocks, whole, reading = read(name, most)
+    with tempfile.TemporaryDirectory() as folder:
+        run(machine, blocks[:400], True, Path(folder))  # kernels warm
+        made = run(machine, blocks, True, Path(folder))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        proof = verify_plan(Path(folder), machine)
+        corners = run(machine, blocks, False, Path(folder))
+    n, rooms = len(blocks) - 1, made['planning_time_by_room']
+    per_block = [reading, *(spent / n for spent in rooms.values())]
+    rates = ' / '.join('-' if np.isnan(x) else f'{1.0 / max(x, 1e-9):,.0f}' for x in per_block)
+    used = made['tolerance_used']
+    count = f'{n:,}' if n == whole else f'first {n:,} of {whole:,}'
     return (
-        f'| {name} | {n} | {len(segments)} | {off[0]:.3f} / {off[1]:.3f} | {times[0]:.2f} '
-        f'| {times[1]:.2f} | {programmed_time(blocks):.2f} | {speeds} '
-        f'| {n / sum(seconds.values()):,.0f} |'
+        f'| {name} | {count} | {made["segments"] / n:.2f} '
+        f'| {used["contour"]:.3f} / {used["orientation"]:.3f} '
+        f'| {corners["cycle_time"]:.2f} | {made["cycle_time"]:.2f} '
+        f'| {programmed_time(blocks):.2f} | {rates} | {1.0 / np.nansum(per_block):,.0f} '
+        f'| {peak:.0f} | {"proven" if proof.ok else "NOT PROVEN"} |'
     )
+
+
+def growth(counts: list[int]) -> Iterator[str]:
+    """Run longer and longer dome spirals as curves; yield rows of a table."""
+    yield '| blocks | motion s | chain us per block | peak memory MB |'
+    yield '|---|---|---|---|'
+    machine = Machine.load('xyzac')
+    for count in counts:
+        chain, motion = CpuChain(machine, ChainOptions()), 0.0
+        for blocks in spirals(count):
+            chain.push(blocks)
+            motion = chain.pieces[-1].law.end_time if chain.pieces else motion
+            for held in (chain.segments, chain.pieces, chain.setpoints):
+                held.clear()
+        chain.finish()
+        spent = sum(chain.seconds.values()) / count / UM
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        motion = chain.pieces[-1].law.end_time
+        yield f'| {count:,} | {motion:.1f} | {spent:.0f} | {peak:.0f} |'
+
+
+def spirals(count: int) -> Iterator[Blocks]:
+    """Yield batches of blocks of 0.5 mm, to and fro on the dome spiral."""
+    piece = dome()
+    n = len(piece) - 1
+    for first in range(0, count + 1, BATCH):
+        k = np.arange(first, min(first + BATCH, count + 1)) % (2 * n)
+        rows = np.where(k <= n, k, 2 * n - k)
+        yield piece[rows]
 
 
 def main() -> None:
-    """Print the table."""
-    run(Machine.load('xyzac'), spiral(300, 0.5 * MM), curves=True)  # compile
-    print(
-        '| program | blocks | segments | contour / orientation bound over tolerance '
-        '| corner by corner s | as curves s | at programmed feed s '
-        '| blocks/s: look-ahead / kinematics / feedrate / interpolator | whole chain |'
-    )
-    print('|---|' + '---|' * 8)
-    for name, machine, blocks in cases(sys.argv[1:]):
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--most', type=int, default=5000, help='blocks of a public program')
+    parser.add_argument('--only', choices=[*MADE, *PUBLIC], nargs='+', default=[*MADE, *PUBLIC])
+    parser.add_argument('--growth', type=int, nargs='+', help='numbers of blocks')
+    parser.add_argument('--here', help='run one in this process')
+    options = parser.parse_args()
+    if options.growth:
+        for row in growth(options.growth):
+            print(row, flush=True)
+        return
+    if options.here:
         try:
-            print(row_of(name, machine, blocks), flush=True)
+            print(json.dumps(row_of(options.here, options.most)))
         except InterpError as refusal:
-            print(f'| {name} | {len(blocks) - 1} | refused: {refusal} |' + ' |' * 6, flush=True)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(f'\npeak memory {peak:.0f} MB, all results kept')
+            print(json.dumps(f'| {options.here} | refused: {refusal} |' + ' |' * 9))
+        return
+    print(HEAD)
+    print('|---' * 11 + '|')
+    for name in options.only:
+        if name in PUBLIC and not PROGRAMS.exists():
+            continue
+        command = [sys.executable, __file__, '--here', name, '--most', str(options.most)]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        print(json.loads(done.stdout.splitlines()[-1]), flush=True)
 
 
 if __name__ == '__main__':

@@ -20,6 +20,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import Blocks, ReadOptions, read_program
 from cnc_interp.program.blocks import FloatArray
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.units import DEG, MM, MM_PER_MIN
 
@@ -62,8 +63,9 @@ class Case:
 
 
 def smoothed(blocks: Blocks, machine: Machine) -> AxisPath:
-    """Send blocks through look-ahead and kinematics."""
-    transform, options = Transform.of(machine), ChainOptions()
+    """Send blocks through look-ahead and kinematics, corner by corner."""
+    transform = Transform.of(machine)
+    options = ChainOptions(compression=Compression(enabled=False))
     lookahead = LookAhead(smoothing_options(transform, options))
     builder = AxisPathBuilder(transform, options.flank_height)
     parts = [builder.push(part) for part in (lookahead.push(blocks), lookahead.finish())]

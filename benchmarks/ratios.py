@@ -20,6 +20,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import Chain, ChainOptions
 from cnc_interp.program import Blocks, ReadOptions, read_program
 from cnc_interp.program.blocks import FloatArray
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.corner import Corners
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.units import DEG, MM, MM_PER_MIN
@@ -46,7 +47,7 @@ def cycle_time(
     blocks: Blocks, ratio: float | None = None, table: dict[bytes, float] | None = None
 ) -> float:
     """Plan blocks and return the time they take [s]."""
-    chain = Chain(MACHINE, ChainOptions(ratio=ratio))
+    chain = Chain(MACHINE, ChainOptions(ratio=ratio, compression=Compression(enabled=False)))
     if table is not None:
         told = Told(chain.lookahead.options)
         told.table = table

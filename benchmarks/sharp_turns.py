@@ -17,6 +17,7 @@ from paths import blocks_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.pipeline import Chain, ChainOptions
 from cnc_interp.program import Blocks
+from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.units import DEG, MM, MM_PER_MIN
 
@@ -49,7 +50,7 @@ def two_lines(rng: np.random.Generator, turn: float, turning: bool) -> Blocks:
 
 def cycle_time(blocks: Blocks, sharpest: float) -> float:
     """Plan blocks, turns up to the sharpest rounded, and return the time they take [s]."""
-    chain = Chain(MACHINE, ChainOptions())
+    chain = Chain(MACHINE, ChainOptions(compression=Compression(enabled=False)))
     options = replace(chain.lookahead.options, sharpest_turn=sharpest, sharpest_swing=sharpest)
     chain.lookahead = LookAhead(options)
     chain.push(blocks)

@@ -219,8 +219,8 @@ def program_options(added: argparse.ArgumentParser) -> None:
         '--septic', action='store_true', help='continue the third derivative of the tool axis too'
     )
     added.add_argument(
-        '--compress', action=argparse.BooleanOptionalAction, default=False,
-        help='make curves of dense blocks instead of rounding every corner',
+        '--compress', action=argparse.BooleanOptionalAction, default=True,
+        help='make curves of dense blocks, or round every corner (--compress)',
     )  # fmt: skip
     length(added, '--longest-block', 5.0, 'longer blocks stay straight lines')
     added.add_argument(

@@ -47,7 +47,7 @@ SMOOTHING = (
     Declared('parametrization', 'exact', 'Orientation of corners: exact, linear or paper'),
     Declared('top', 'in_step', 'Top curve of corners: in_step or tolerance'),
     Declared('septic', False, 'Continue the third derivative of the tool axis too'),
-    Declared('compress', False, 'Make curves of dense blocks'),
+    Declared('compress', True, 'Make curves of dense blocks; else round every corner'),
     Declared('longest_block', 0.005, 'Longer blocks stay straight lines [m]', 1e-6, 10.0),
     Declared('corner_angle', 0.6109, 'Sharper turns of dense blocks are corners [rad]', 0.01, 3.1),
     Declared('tolerance_share', 0.98, 'Part of the tolerances that curves may use', 0.1, 1.0),

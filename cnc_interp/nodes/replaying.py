@@ -26,7 +26,7 @@ from cnc_interp.nodes.planning import RunPlanner
 from cnc_interp.nodes.recorded import blocks_of, chain_options
 from cnc_interp.nodes.running import stay_on_this_host
 from cnc_interp.pipeline import smoothing_options
-from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.path_smoother import PathSmoother
 
 #: Topics that are shown again. The streams are not: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
@@ -124,7 +124,7 @@ def _compare_run(
     )  # fmt: skip
     planner.stream.override = overrides[0]
     options = chain_options(bag.parameters, blocks[0].flank_height, period)
-    lookahead = LookAhead(smoothing_options(transform, options))
+    lookahead = PathSmoother(smoothing_options(transform, options))
     pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
     for segments in (lookahead.push(blocks_from(blocks)), lookahead.finish()):
         if len(segments):

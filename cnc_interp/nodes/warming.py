@@ -60,19 +60,18 @@ def dense_program(transform: Transform) -> Blocks:
     )
 
 
-def warm_lookahead(transform: Transform, compression: Compression | None = None) -> PathSegments:
-    """Load the kernels of the look-ahead; those of curves where there are any."""
-    chain = ChainOptions(compression=compression or Compression())
-    options = smoothing_options(transform, chain)
+def warm_lookahead(transform: Transform, compression: Compression) -> PathSegments:
+    """Load the kernels of the look-ahead, those of curves where they are made."""
+    options = smoothing_options(transform, ChainOptions(compression=compression))
     made = []
-    programs = [dense_program, tiny_program] if chain.compression.enabled else [tiny_program]
+    programs = [dense_program, tiny_program] if compression.enabled else [tiny_program]
     for program in programs:
         lookahead = PathSmoother(options)
         made = [lookahead.push(program(transform)), lookahead.finish()]
     return PathSegments.concatenate(made)
 
 
-def warm_kinematics(transform: Transform, compression: Compression | None = None) -> AxisPath:
+def warm_kinematics(transform: Transform, compression: Compression) -> AxisPath:
     """Load the kernels from look-ahead to machine axes."""
     machine = transform.machine
     endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
@@ -83,8 +82,8 @@ def warm_kinematics(transform: Transform, compression: Compression | None = None
 
 
 def warm_all(transform: Transform, period: float) -> None:
-    """Load the kernels from look-ahead to setpoints."""
-    path = warm_kinematics(transform)
+    """Load the kernels from corners to setpoints; curves need no others behind the look-ahead."""
+    path = warm_kinematics(transform, Compression(enabled=False))
     for options in (PlanOptions(), SHORT_WINDOWS):
         planner = FeedPlanner(transform.machine, options)
         planner.push(path)

@@ -86,8 +86,8 @@ class Blocks:
         """Count the rows, start pose included."""
         return len(self.tip)
 
-    def __getitem__(self, rows: slice) -> Blocks:
-        """Take a slice of rows."""
+    def __getitem__(self, rows: slice | IntArray) -> Blocks:
+        """Take some of the rows."""
         return Blocks(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     @property

@@ -62,7 +62,7 @@ class PlanFigures:
         # Where tolerances change, or native splines begin or end: the row, and what holds from it.
         self._marks = np.zeros((0, 4))
         self._samples = self._segments = self._blocks = 0
-        self._cycle_time = self._path_length = 0.0
+        self._planned = self._spanned = self._path_length = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
         """Count further rows of the program, and note where their tolerances change."""
@@ -100,7 +100,7 @@ class PlanFigures:
 
     def piece(self, piece: PlannedPiece) -> None:
         """Take note of how long the motion is by now."""
-        self._cycle_time = piece.law.end_time
+        self._planned = piece.law.end_time
 
     def setpoints(self, samples: Setpoints) -> None:
         """Measure the use of every limit by differences of the positions."""
@@ -108,7 +108,14 @@ class PlanFigures:
             return
         self._samples += len(samples)
         self._path_length = float(samples.s[-1])
+        self._spanned = float(samples.time[-1])
         self._measure(samples.position)
+
+    @property
+    def cycle_time(self) -> float:
+        """Time of the motion [s]; an executed one with holds or overrides is not the planned."""
+        as_planned = abs(self._spanned - self._planned) <= self._period
+        return self._planned if as_planned else self._spanned
 
     def _measure(self, position: FloatArray) -> None:
         before = np.repeat(position[:1], 3, axis=0) if self._last is None else self._last
@@ -137,7 +144,7 @@ class PlanFigures:
         return {
             'program': source,
             'machine': machine.file or machine.name,
-            'cycle_time': self._cycle_time,
+            'cycle_time': self.cycle_time,
             'interpolation_period': self._period,
             'flank_height': self._height,
             'samples': self._samples,

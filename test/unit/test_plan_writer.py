@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,19 @@ def test_written_path_and_figures_are_those_of_the_joined_pieces(program, tmp_pa
     jerk = np.diff(np.concatenate([still[0], position, still[1]]), 3, axis=0) / period**3
     expected = np.abs(jerk).max(axis=0) / MACHINE.max_jerk
     np.testing.assert_allclose(list(summary['largest_use']['jerk'].values()), expected, rtol=1e-9)
+
+
+def test_cycle_time_of_an_executed_motion_that_was_slower_than_its_plan(program, tmp_path):
+    plan = plan_program(opened(program).read(), MACHINE)
+    slower = tmp_path / 'slower.ngc'
+    slower.write_text(program.read_text().replace('F6000', 'F600'))
+    executed = plan_program(opened(slower).read(), MACHINE).setpoints
+    assert len(executed) > len(plan.setpoints) + 100
+    write_plan(replace(plan, setpoints=executed), tmp_path / 'out')
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert summary['cycle_time'] == pytest.approx((len(executed) - 1) * MS)
+    proof = verify_plan(tmp_path / 'out', MACHINE)
+    assert proof.ok, proof.text()
 
 
 def test_a_refusal_leaves_what_was_there(program, tmp_path):

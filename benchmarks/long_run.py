@@ -1,0 +1,223 @@
+"""
+A long run through the real nodes while another core is busy: nothing lost, memory flat.
+
+``PYTHONPATH=.:test/ros python benchmarks/long_run.py --minutes 60`` runs corners and turns for
+about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length`` and
+``--feed`` say how short and how fast). Every executed setpoint is measured as it is told: numbers
+without a gap, velocity, acceleration and jerk by differences.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import SetpointChunk
+from diagnostic_msgs.msg import DiagnosticArray
+from nodes_under_test import NodesUnderTest
+from operated import LIMITS, T, waves
+
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.streams import same_run
+
+#: Corners and turns that take a minute.
+WAVES_A_MINUTE = 120
+#: Times that memory is looked at on the way.
+LOOKS = 20
+#: A turn of the program of short blocks: its radius [mm].
+RADIUS = 60.0
+TICKS = os.sysconf('SC_CLK_TCK')
+BUSY = 'while True: pass'
+
+
+def short_blocks(count: int, length: float, feed: float) -> str:
+    """Program of blocks of one length [mm] round and round, all five axes moving; F [mm/min]."""
+    u = np.arange(1, count + 1) * length / RADIUS
+    x, y, z = RADIUS * (1 - np.cos(u)), RADIUS * np.sin(u), 5 * np.sin(u / 7)
+    a, c = 15 + 4 * np.sin(u / 3), 30 + 20 * np.sin(u / 5)
+    lines = [f'X{x[k]:.4f} Y{y[k]:.4f} Z{z[k]:.4f} A{a[k]:.4f} C{c[k]:.4f}' for k in range(count)]
+    head = f'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\nG1 F{feed:g}\n'
+    return head + '\n'.join(lines) + '\nM30\n'
+
+
+class Usage:
+    """CPU time and memory of processes, as Linux counts them."""
+
+    def __init__(self, process_ids: dict[str, int]):
+        self._ids = process_ids
+        self._since = self._cpu()
+        self._begin = time.monotonic()
+
+    def _cpu(self) -> dict[str, float]:
+        found = {}
+        for name, number in self._ids.items():
+            words = Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()
+            found[name] = (int(words[11]) + int(words[12])) / TICKS
+        return found
+
+    def memory(self) -> dict[str, float]:
+        """Return the resident memory of each process [MB]."""
+        page = os.sysconf('SC_PAGE_SIZE') / 1e6
+        return {
+            name: int(Path(f'/proc/{number}/statm').read_text().split()[1]) * page
+            for name, number in self._ids.items()
+        }
+
+    def cpu(self) -> dict[str, float]:
+        """Return the share of a core that each has used since the beginning [-]."""
+        elapsed = time.monotonic() - self._begin
+        return {name: (used - self._since[name]) / elapsed for name, used in self._cpu().items()}
+
+
+class LongRun(NodesUnderTest):
+    """The nodes, and figures of what goes over their topics; memory of its own stays flat."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.run = ''
+        self.clock: dict[str, str] = {}
+        self.scheduling = ''
+        self._sent: dict[int, int] = {}
+        self.executed = self.lost = 0
+        self._last: np.ndarray | None = None
+        self.use = np.zeros((3, 5))
+        self.node.create_subscription(
+            SetpointChunk, 'executed_setpoints', self._see_executed, qos.STREAM
+        )
+        self.node.create_subscription(SetpointChunk, 'setpoints', self._see_sent, qos.LISTENING)
+        self.node.create_subscription(
+            DiagnosticArray, '/diagnostics', self._see_clock, qos.DIAGNOSTICS
+        )
+
+    def _see_sent(self, chunk: SetpointChunk) -> None:
+        after = chunk.first_sample + len(chunk.sequences)
+        self._sent[chunk.plan] = max(self._sent.get(chunk.plan, 0), after)
+
+    @property
+    def sent(self) -> int:
+        """Setpoints sent, of all plans."""
+        return sum(self._sent.values())
+
+    def _see_executed(self, chunk: SetpointChunk) -> None:
+        self.lost += chunk.first_sample - self.executed
+        self.executed = chunk.first_sample + len(chunk.sequences)
+        q = np.reshape(chunk.positions, (-1, 5))
+        before = q[:1].repeat(3, 0) if self._last is None else self._last
+        held = np.concatenate([before, q])
+        for order, limit in enumerate(LIMITS, start=1):
+            use = np.abs(np.diff(held[3 - order :], order, axis=0)).max(axis=0)
+            self.use[order - 1] = np.maximum(self.use[order - 1], use / T**order / limit)
+        self._last = held[-3:]
+
+    def _see_clock(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.hardware_id == self.namespace and status.name == 'machine_node: clock':
+                self.scheduling = status.message
+                self.clock = {pair.key: pair.value for pair in status.values}
+
+    def go(self, program: Path, patience: float) -> RunProgram.Result:
+        """Run the program to its end and print what there is to see on the way."""
+        usage = Usage(self.children.process_ids)
+        handle = self.start(program=str(program))
+        wanted = handle.get_result_async()
+        self.spin_until(lambda: self.executed > 0 or wanted.done())
+        memory, began = usage.memory(), time.monotonic()
+        usage = Usage(self.children.process_ids)
+        print('progress  ' + '  '.join(f'{name:>14}' for name in memory) + '  resident MB')
+        shown = 0
+
+        def done() -> bool:
+            nonlocal shown
+            self.states.clear()
+            self.diagnostics.clear()
+            state, length = self.peers.state, self.loaded[-1].path_length
+            share = state.path_position / length if same_run(state.program_id, self.run) else 0.0
+            if share * LOOKS >= shown:
+                shown += 1
+                tell_memory(share, usage.memory())
+            return bool(wanted.done())
+
+        self.run = self.loaded[-1].program_id
+        self.spin_until(done, patience)
+        result: RunProgram.Result = wanted.result().result
+        self.spin_until(lambda: self.executed >= self.peers.state.samples)
+        self.tell(result, usage, memory, time.monotonic() - began)
+        return result
+
+    def tell(
+        self, result: RunProgram.Result, usage: Usage, memory: dict[str, float], elapsed: float
+    ) -> None:
+        """Print the figures of the whole run."""
+        tell_memory(1.0, usage.memory())
+        after, cpu = usage.memory(), usage.cpu()
+        void = self.sent - self.executed
+        print(
+            f'\nresult     {result.message}: blocks {result.blocks_sent} sent, '
+            f'{result.blocks_executed} executed, {result.blocks_executed / elapsed:.0f} a second'
+        )
+        print(
+            f'setpoints  {self.sent} sent, {self.executed} received and executed, {self.lost} '
+            f'lost, {void} void behind stops; {elapsed:.0f} s'
+        )
+        print(
+            f'underruns  {result.starvations}; at least {result.least_buffered_time * 1e3:.0f} '
+            'ms held ready'
+        )
+        print(
+            'largest use of velocity, acceleration, jerk: '
+            + ', '.join(f'{use:.4f}' for use in self.use.max(axis=1))
+        )
+        print(
+            f'clock      late by p50 {self.clock["late_p50_us"]} us, p99 '
+            f'{self.clock["late_p99_us"]} us, largest {self.clock["late_max_us"]} us; '
+            f'{self.clock["missed_periods"]} of {self.clock["periods"]} a period late '
+            f'({self.scheduling})'
+        )
+        for name, share in cpu.items():
+            print(f'{name:<15}{share:5.0%} of a core, {memory[name]:.0f} MB at the start, '
+                  f'{after[name]:.0f} MB at the end', flush=True)  # fmt: skip
+
+
+def tell_memory(share: float, memory: dict[str, float]) -> None:
+    """Print a line of the table of memory."""
+    print(f'{share:8.0%}  ' + '  '.join(f'{size:14.1f}' for size in memory.values()), flush=True)
+
+
+def main() -> int:
+    """Run what is asked for."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument('--minutes', type=float, default=60.0)
+    asked.add_argument('--blocks', type=int, help='short blocks, this many, instead')
+    asked.add_argument('--length', type=float, default=0.2, help='of a short block [mm]')
+    asked.add_argument('--feed', type=float, default=6000.0, help='of short blocks [mm/min]')
+    asked.add_argument('--busy', type=int, default=1, help='busy processes beside it')
+    options = asked.parse_args()
+    if options.blocks:
+        text = short_blocks(options.blocks, options.length, options.feed)
+    else:
+        text = waves(max(2, round(options.minutes * WAVES_A_MINUTE)))
+    run = LongRun()
+    busy = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(options.busy)]
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            program = Path(folder) / 'long.ngc'
+            program.write_text(text)
+            result = run.go(program, patience=10 * 60.0 * options.minutes + 3600.0)
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+        run.close()
+    kept = run.lost == 0 and run.use.max() <= 1.001
+    return 0 if result.code == RunProgram.Result.SUCCEEDED and kept else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -67,6 +67,10 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     program_options(run)
     run.add_argument(
+        '--then', type=Path, action='append', default=[], metavar='PROGRAM',
+        help='a further program, which waits for the end of the one before; may be repeated',
+    )  # fmt: skip
+    run.add_argument(
         '--out', type=Path, metavar='DIR', help='write what the machine received as plan files'
     )
     run.add_argument(
@@ -440,7 +444,7 @@ def urdf_command(options: argparse.Namespace) -> int:
 
 
 def run_command(options: argparse.Namespace) -> int:
-    """Stream a program through the nodes."""
+    """Stream one or more programs through the nodes."""
     from cnc_interp.nodes.session import RunRequest, run_session
 
     beside = None
@@ -448,9 +452,13 @@ def run_command(options: argparse.Namespace) -> int:
         from cnc_interp.panel.starting import PanelBeside, PanelRequest
 
         beside = PanelBeside(PanelRequest.from_options(options))
-    result = run_session(RunRequest.from_options(options), beside)
-    print(json.dumps(result.to_json(), indent=2) if options.json else result.text())
-    return FINE if result.ok else FAILED
+    results = run_session(RunRequest.from_options(options), beside)
+    if options.json:
+        found = [result.to_json() for result in results]
+        print(json.dumps(found if options.then else found[0], indent=2))
+    else:
+        print('\n\n'.join(result.text() for result in results))
+    return FINE if all(result.ok for result in results) else FAILED
 
 
 def tell(notices: Sequence[str]) -> None:

@@ -8,8 +8,9 @@ import sys
 import termios
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
@@ -22,6 +23,7 @@ from std_srvs.srv import Trigger
 
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.nodes.asking import AskedGoal
 from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.playback import PROGRAM_STOP
@@ -39,9 +41,17 @@ START_TIMEOUT, SLOW_START = 300.0, 8.0
 RECORD_TIMEOUT = 10.0
 
 
+class Goal(NamedTuple):
+    """A program that was sent, the handle of its goal, and what shows how far it is."""
+
+    program: Path
+    handle: Any
+    progress: Progress
+
+
 class Client:
     """
-    A node that runs one program on others.
+    A node that runs programs on others.
 
     Parameters
     ----------
@@ -71,9 +81,9 @@ class Client:
         self._cycle_start = self._node.create_client(Trigger, 'cycle_start')
         self._restarted = self._attended = self._stop_told = False
         self.received: list[SetpointChunk] = []
-        self._feedback: RunProgram.Feedback | None = None
         self._first_motion = float('nan')
-        self._interrupted = False
+        self._interrupted = self._cancelling = False
+        self._forgotten = False  # by a program_node that was killed
         self._checking = ''
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, DIAGNOSTICS)
         self._previous = {
@@ -89,9 +99,9 @@ class Client:
 
     def run(
         self, request: RunRequest, machine: Machine, started: float, attended: bool
-    ) -> RunResult:
+    ) -> list[RunResult]:
         """
-        Run a program to its end.
+        Run one program after the other, each to its end.
 
         Parameters
         ----------
@@ -108,7 +118,7 @@ class Client:
         Raises
         ------
         InterpError
-            When the program was refused before anything moved, or a node ended.
+            When the first was refused before anything moved, or a node ended.
 
         """
         if request.out is not None or request.record is not None:
@@ -125,18 +135,31 @@ class Client:
 
     def _run(
         self, request: RunRequest, machine: Machine, started: float, recorder: Recorder | None
-    ) -> RunResult:
-        """Run a program while what is said is recorded."""
+    ) -> list[RunResult]:
+        """Run all programs while what is said is recorded."""
         self._wait_for_nodes()
         if recorder is not None and not self._spin(recorder.ready, RECORD_TIMEOUT):
             raise InterpError(f'{request.record}: not all topics of the run can be heard')
-        outcome = self._execute(request)
-        if request.out is not None or recorder is not None:
-            self._wait_for_record(
-                outcome.samples + round(outcome.approach_time / self._peers.period)
-            )
-        if outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples:
-            raise InterpError(outcome.message)
+        goals = [self._send(request, program) for program in request.programs]
+        results: list[RunResult] = []
+        count = 0
+        for goal in goals:
+            outcome = self._result_of(goal, request)
+            count += outcome.samples + round(outcome.approach_time / self._peers.period)
+            if request.out is not None or recorder is not None:
+                self._wait_for_record(count)
+            refused = outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples
+            if refused and not results:
+                raise InterpError(outcome.message)
+            results.append(self._result(goal.program, outcome, machine, started))
+            if self._forgotten:  # and those that waited, too
+                break
+        return results
+
+    def _result(
+        self, program: Path, outcome: RunProgram.Result, machine: Machine, started: float
+    ) -> RunResult:
+        """Turn the result of a goal into that of the run."""
         names = machine.axis_names
 
         def by_axis(values: Any) -> dict[str, float]:
@@ -145,7 +168,7 @@ class Client:
         return RunResult(
             ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
             message=outcome.message,
-            program=str(request.program),
+            program=str(program),
             machine=machine.name,
             program_id=outcome.program_id,
             cycle_time=outcome.cycle_time,
@@ -189,28 +212,29 @@ class Client:
             silent = self._peers.missing(time.monotonic(), 1.0) or 'program_node'
             raise InterpError(f'{silent} does not answer; is another ROS middleware set?')
 
-    def _execute(self, request: RunRequest) -> RunProgram.Result:
-        """Send the goal and wait for its result, showing progress; cancel when interrupted."""
-        goal = RunProgram.Goal(
-            program=str(request.program),
+    def _send(self, request: RunRequest, program: Path) -> Goal:
+        """Send a program; it waits for those before it."""
+        wanted = RunProgram.Goal(
+            program=str(program),
             contour_tolerance=request.contour_tolerance,
             orientation_tolerance=request.orientation_tolerance,
             force_tolerances=request.force_tolerances,
             flank_height=request.flank_height,
             feedrate=request.feedrate or 0.0,
         )
-        accepted = self._action.send_goal_async(goal, feedback_callback=self._take_feedback)
-        self._spin(accepted.done)
-        handle = accepted.result()
-        wanted = handle.get_result_async()
         progress = Progress(None if request.quiet else sys.stderr)
-        cancelling = False
+        asked = AskedGoal(self._action, wanted, lambda message: progress.show(message.feedback))
+        self._spin(lambda: asked.handle is not None)
+        return Goal(program, asked.handle, progress)
+
+    def _result_of(self, goal: Goal, request: RunRequest) -> RunProgram.Result:
+        """Wait for the result of a program; cancel it when interrupted."""
+        wanted = goal.handle.get_result_async()
 
         def done() -> bool:
-            nonlocal cancelling
-            if self._interrupted and not cancelling:
-                cancelling = True
-                handle.cancel_goal_async()
+            if self._interrupted and not self._cancelling:
+                self._cancelling = True
+                goal.handle.cancel_goal_async()
                 print(
                     '\ncancelled: the blocks on their way are executed, then the machine rests; '
                     'once more ends at once',
@@ -220,28 +244,52 @@ class Client:
             self._bring_back_lost_nodes()
             self._pass_program_stop()
             if self._checking:
-                progress.checking(self._checking)
-            if self._feedback is not None:
-                progress.show(self._feedback)
-            return bool(wanted.done())
+                goal.progress.checking(self._checking)
+            return bool(wanted.done()) or (self._forgotten and self._peers.at_rest)
 
         self._spin(done)
-        answer = wanted.result()
-        progress.end(answer.result.code == Result.SUCCEEDED)
-        result: RunProgram.Result = answer.result
+        if not wanted.done():
+            return self._forgotten_result()
+        result: RunProgram.Result = wanted.result().result
+        goal.progress.end(result.code == Result.SUCCEEDED)
         if not request.quiet:
             for notice in result.notices:
                 print(f'note: {notice}', file=sys.stderr)
         return result
+
+    def _forgotten_result(self) -> RunProgram.Result:
+        """Tell what is known of a run whose program_node was killed."""
+        text = 'program_node was killed and has forgotten the program; run it again'
+        state = self._peers.state
+        if state is None:
+            return Result(code=Result.STREAM_LOST, message=text)
+        period = self._peers.period
+        return Result(
+            code=Result.STREAM_LOST,
+            message=text,
+            program_id=state.program_id,
+            samples=state.samples - state.approach_samples,
+            approach_time=state.approach_samples * period,
+            cycle_time=max(0, state.samples - state.approach_samples - 1) * period,
+            blocks_executed=state.sequence,
+            path_length=max(0.0, state.path_position),
+            starvations=state.starvations,
+        )
 
     def _bring_back_lost_nodes(self) -> None:
         """Start killed nodes again, and go on from where the machine has stopped."""
         for name in self._children.revive():
             print(f'\n{name} was killed; it is started again', file=sys.stderr)
             self._restarted = True
+            self._forgotten = self._forgotten or name == 'program_node'
         state = self._peers.state
         stands = state is not None and state.plan_over and not state.start_wanted
-        if self._restarted and stands and not self._peers.missing(time.monotonic(), 1.0):
+        if (
+            self._restarted
+            and not self._forgotten
+            and stands
+            and not self._peers.missing(time.monotonic(), 1.0)
+        ):
             self._restarted = False
             self._cycle_start.call_async(Trigger.Request())
 
@@ -270,13 +318,11 @@ class Client:
         self._cycle_start.call_async(Trigger.Request())
 
     def _hear(self, array: DiagnosticArray) -> None:
-        """Note how far the check of the program is."""
+        """Note how far the check of the program is, while there is one."""
         for status in array.status:
-            if status.hardware_id == self._node.get_namespace() and CHECKING in status.message:
-                self._checking = status.message
-
-    def _take_feedback(self, message: Any) -> None:
-        self._feedback = message.feedback
+            mine = status.hardware_id == self._node.get_namespace()
+            if mine and status.name == 'program_node: program':
+                self._checking = status.message if CHECKING in status.message else ''
 
     def _see_motion(self) -> None:
         """Note when the machine executed its first setpoint."""

@@ -8,6 +8,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from cnc_interp.nodes.qos import DIAGNOSTICS
 
+#: Key under which program_node names the programs that wait.
+WAITING = 'waiting'
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -130,7 +130,7 @@ class Inlet:
             receiver.expect(stream, first)
         except StreamError as fault:
             mine = stream == receiver.program_id
-            if mine and first > receiver.next_number and not receiver.refusal:
+            if mine and first > receiver.next_number and receiver.active:
                 self._ask_again(str(fault))
                 return
             known = receiver.refusal if mine else ''
@@ -139,7 +139,7 @@ class Inlet:
         try:
             self._check(message)
         except TooLateError as fault:
-            receiver.close()
+            receiver.close(str(fault))
             self._name(WARN, str(fault))
             return
         except StreamError as fault:

@@ -12,10 +12,8 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, MachineState, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import MachineState, PathSegment, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from std_msgs.msg import Float64
-from std_srvs.srv import SetBool
 
 from cnc_interp.errors import InterpError, StreamError
 from cnc_interp.kinematics.machine import Machine
@@ -26,19 +24,21 @@ from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.endpoints import Inlet, Outlet, stream_of
 from cnc_interp.nodes.messages import segments_from
 from cnc_interp.nodes.planning import RunPlanner
-from cnc_interp.nodes.qos import OVERRIDE, STATE
+from cnc_interp.nodes.qos import STATE
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_segment
 from cnc_interp.nodes.streams import GOES_ON, WindowedReceiver
 from cnc_interp.nodes.warming import warm_all
+from cnc_interp.nodes.wishes import Wishes
 from cnc_interp.stream.chunk import Chunk, Wait
+from cnc_interp.units import MS
 
 #: Segments taken over together.
 BATCH = 64
 #: Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled.
 SAMPLED = 0.6
-#: Largest feed override, and how long after a revision that failed the next is tried [s].
-MOST, TRY_AGAIN = 1.5, 0.02
+#: How long after a revision that failed the next is tried [s].
+TRY_AGAIN = 0.02
 ON_HOLD = (MachineState.HELD, MachineState.STARVED)
 
 
@@ -53,12 +53,13 @@ class FeedrateNode(LifecycleNode):
         self._planner: RunPlanner | None = None
         self._state: MachineState | None = None
         self._run, self._plan = '', 0
+        self._known = False  # the run to the machine
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: Future[Any] | None = None
         self._done: Callable[[Any], None] = self._queue
         self._end_wanted = self._ended = self._end_sent = False
-        self._override, self._single_block, self._optional_stop = 1.0, False, False
-        self._heard = self._tried = 0.0
+        self._heard = self._tried = self._submitted = 0.0
+        self._ready = self._longest = 0.0  # motion at hand; longest step since the last word [s]
         self._period: float = self._values['interpolation_period']
         if self._values['autostart']:
             start_lifecycle(self)
@@ -82,10 +83,9 @@ class FeedrateNode(LifecycleNode):
             self._check, self._take, self._end, self._diagnostics,
         )  # fmt: skip
         self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
-        self.create_subscription(Float64, 'feed_override', self._see_override, OVERRIDE)
-        self.create_service(SetBool, 'single_block', self._set_single_block)
-        self.create_service(SetBool, 'optional_stop', self._set_optional_stop)
+        self._wishes = Wishes(self, self._diagnostics, self._work)
         self.create_timer(0.005, self._work)
+        self.create_timer(1.0, self._tell_planning)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Begin to take programs."""
@@ -98,28 +98,10 @@ class FeedrateNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def _see_machine(self, state: MachineState) -> None:
-        """Keep what the machine said last."""
+        """Keep what the machine said last, and whether it is on the run."""
         self._state = state
-
-    def _see_override(self, message: Float64) -> None:
-        """Take the operator's override, 0 to 1.5."""
-        value = float(message.data)
-        sound = 0.0 <= value <= MOST
-        if sound:
-            self._override = value
-            self._work()
-        said = f'{value:g}' if sound else f'{value:g} refused: it must lie between 0 and {MOST}'
-        self._diagnostics.say('feed_override', OK if sound else WARN, said)
-
-    def _set_single_block(self, request: Any, response: Any) -> Any:
-        self._single_block = request.data
-        response.success, response.message = True, f'single block: {request.data}'
-        return response
-
-    def _set_optional_stop(self, request: Any, response: Any) -> Any:
-        self._optional_stop = request.data
-        response.success, response.message = True, f'optional stop: {request.data}'
-        return response
+        if state.program_id == self._run:
+            self._known = not state.completed
 
     def _check(self, segment: PathSegment) -> None:
         """Let segments in while the node is active."""
@@ -130,7 +112,7 @@ class FeedrateNode(LifecycleNode):
     def _take(self, segment: PathSegment) -> None:
         """Queue a sound segment; the first one begins a run."""
         if segment.sequence == 0:
-            self._planner, self._state, self._job = None, None, None
+            self._planner, self._state, self._job, self._known = None, None, None, False
             self._end_wanted = self._ended = self._end_sent = False
             self._segments.clear()
             self._run, self._plan = segment.program_id, 0
@@ -150,11 +132,11 @@ class FeedrateNode(LifecycleNode):
         receiver, planner = self._inlet.receiver, self._planner
         if self._job is not None:
             self._collect()
-        elif self._outlet.refusal:
+        elif reason := self._outlet.refusal or self._given_up():
             self._segments.clear()
             self._planner = None
             if not receiver.refusal:
-                self._inlet.refuse(receiver.program_id, self._outlet.refusal)
+                self._inlet.refuse(receiver.program_id, reason)
         elif planner is None:
             self._begin_run()
         elif self._machine_left_the_plan():
@@ -163,6 +145,11 @@ class FeedrateNode(LifecycleNode):
             self._revise(planner)
         else:
             self._go_on(planner)
+
+    def _given_up(self) -> str:
+        """Say that the machine has left the run for good: by a reset, or it was restarted."""
+        left = self._known and self._state is not None and self._state.program_id != self._run
+        return 'machine_node has given up this run; run the program again' if left else ''
 
     def _begin_run(self) -> None:
         """Begin the run once the machine has said where it stands at rest."""
@@ -177,8 +164,7 @@ class FeedrateNode(LifecycleNode):
                 self._transform, first.flank_height, self._period, self._values['chunk_size'],
                 np.array(state.commanded_positions), first.continue_at,
             )  # fmt: skip
-            stream = self._planner.stream
-            stream.override, stream.single_block = self._override, self._single_block
+            self._wishes.tell(self._planner.stream)
 
     def _machine_left_the_plan(self) -> bool:
         """Tell whether the machine has followed a stop tail and rests."""
@@ -196,27 +182,24 @@ class FeedrateNode(LifecycleNode):
         self._plan += 1
         self._end_sent = False
         self._outlet.sender.begin(stream_of(self._run, self._plan))
-        planner.stream.override = self._override
-        planner.stream.single_block = self._single_block
+        self._wishes.tell(planner.stream)
         self._submit(self._queue, planner.resume, self._state.path_position)
 
     def _must_revise(self, planner: RunPlanner) -> bool:
         """Tell whether override or single block have changed for setpoints that are not sent."""
-        stream, now = planner.stream, time.monotonic()
-        changed = (stream.override, stream.single_block) != (self._override, self._single_block)
         return (
-            changed
+            self._wishes.differ_from(planner.stream)
             and self._outlet.sender.sent > 0
             and not self._end_sent
-            and now - self._tried > TRY_AGAIN
+            and time.monotonic() - self._tried > TRY_AGAIN
         )
 
     def _revise(self, planner: RunPlanner) -> None:
         """Plan anew behind the last setpoint that was sent; until then nothing is sent."""
         self._outlet.paused = True
         self._submit(
-            self._revised, planner.stream.revise, self._outlet.sender.sent - 1, self._override,
-            self._single_block,
+            self._revised, planner.stream.revise, self._outlet.sender.sent - 1,
+            self._wishes.override, self._wishes.single_block,
         )  # fmt: skip
 
     def _revised(self, accepted: bool) -> None:
@@ -231,7 +214,8 @@ class FeedrateNode(LifecycleNode):
         unsent = self._outlet.sender.unsent * self._period
         stream = planner.stream
         sample = unsent < SAMPLED and stream.can_sample
-        ahead = unsent + stream.planned < self._values['plan_ahead']
+        self._ready = unsent + stream.planned
+        ahead = self._ready < self._values['plan_ahead']
         state = self._state
         mine = state is not None and state.program_id == self._run
         executed = state.path_position if state is not None and mine else -math.inf
@@ -239,7 +223,7 @@ class FeedrateNode(LifecycleNode):
             self._submit(self._queue, planner.work, sample, executed)
         elif ahead and self._segments:
             batch = [self._segments.popleft() for _ in range(min(BATCH, len(self._segments)))]
-            pauses = {int(s.last_block) for s in batch if self._pauses_behind(s)}
+            pauses = {int(s.last_block) for s in batch if self._wishes.pauses_behind(s)}
             self._submit(
                 lambda _: self._inlet.receiver.consume(len(batch)), planner.push,
                 segments_from(batch), pauses,
@@ -250,15 +234,9 @@ class FeedrateNode(LifecycleNode):
         elif self._inlet.receiver.active:
             self._watch_sender()
 
-    def _pauses_behind(self, segment: PathSegment) -> bool:
-        """Tell whether the operator is waited for behind a segment (M0, M1)."""
-        return segment.program_stop == G1Block.STOP or (
-            segment.program_stop == G1Block.OPTIONAL_STOP and self._optional_stop
-        )
-
     def _submit(self, done: Callable[[Any], None], work: Callable[..., Any], *values: Any) -> None:
         """Have something done by the planning thread."""
-        self._done = done
+        self._done, self._submitted = done, time.monotonic()
         self._job = self._worker.submit(work, *values)
 
     def _collect(self) -> None:
@@ -267,12 +245,22 @@ class FeedrateNode(LifecycleNode):
         if job is None or not job.done():
             return
         self._job = None
+        self._longest = max(self._longest, time.monotonic() - self._submitted)
         try:
             self._done(job.result())
         except InterpError as problem:
             self._inlet.refuse(self._inlet.receiver.program_id, str(problem))
             self._planner = None
         self._work()
+
+    def _tell_planning(self) -> None:
+        """Say how much motion was ready beyond what the machine holds, and how long steps take."""
+        words = 'at work' if self._planner is not None else 'no program'
+        self._diagnostics.say(
+            'planning', OK, words, planned_ahead_s=round(self._ready, 2),
+            longest_step_ms=round(self._longest / MS, 1),
+        )  # fmt: skip
+        self._longest = 0.0
 
     def _watch_sender(self) -> None:
         """Say that segments stopped coming although the window is open."""

@@ -99,7 +99,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         recent_velocity_use=recent[0].tolist(),
         recent_acceleration_use=recent[1].tolist(),
         recent_jerk_use=recent[2].tolist(),
-        buffered_time=playback.buffered * period,
+        buffered_time=playback.buffer.count * period,
         least_buffered_time=least * period if np.isfinite(least) else np.nan,
         starvations=playback.starvations,
         message=machine.message,

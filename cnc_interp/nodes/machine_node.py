@@ -28,15 +28,19 @@ from cnc_interp.nodes.machine_messages import (
 )
 from cnc_interp.nodes.playback import Playback
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
+from cnc_interp.nodes.realtime import Lateness, ask_for_priority, lock_memory
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_chunk
 from cnc_interp.nodes.streams import WindowedReceiver
 from cnc_interp.nodes.trajectories import joint_trajectory
+from cnc_interp.units import UM
 
 #: After a longer stall of the computer the clock starts anew instead of being caught up [s].
 LONGEST_CATCH_UP = 0.5
 #: Time between reports of what was executed [s].
 EXECUTED_PERIOD = 0.1
+#: Time between words about the clock [s].
+CLOCK_PERIOD = 1.0
 #: Time between trajectories for a controller [s].
 TRAJECTORY_PERIOD = 0.05
 
@@ -52,6 +56,8 @@ class MachineNode(LifecycleNode):
         self._stop = threading.Event()
         self._ticking: threading.Thread | None = None
         self._told: tuple[Any, ...] = ()
+        self._lateness = Lateness(self._period)
+        self._scheduling = self._locked = ''
         if self._values['autostart']:
             start_lifecycle(self)
 
@@ -62,6 +68,10 @@ class MachineNode(LifecycleNode):
     def _configure(self) -> None:
         values = self._values
         machine = Machine.load(values['machine'])
+        priority = values['realtime_priority']
+        # The others of this process come right behind the clock: it may wait for them.
+        ask_for_priority(max(priority - 1, min(priority, 1)))
+        self._locked = lock_memory() if values['lock_memory'] else 'memory may be paged out'
         drives = Drives(values['position_gain'], values['feed_forward'], values['time_constant'])
         home = np.zeros(len(machine.axis_names))
         self._machine = SimulatedMachine(machine, self._period, home, drives)
@@ -83,6 +93,7 @@ class MachineNode(LifecycleNode):
         self._controls = Controls(self, self._playback, self._lock, self._give_up)
         self.create_timer(0.005, self._work)
         self.create_timer(EXECUTED_PERIOD, self._tell_executed)
+        self.create_timer(CLOCK_PERIOD, self._tell_clock)
         self.create_timer(1.0 / values['joint_state_rate'], self._tell_joints)
         self.create_timer(1.0 / values['machine_state_rate'], self._tell_state)
 
@@ -106,6 +117,7 @@ class MachineNode(LifecycleNode):
 
     def _run_clock(self) -> None:
         """Step the drives at absolute deadlines; late ones are caught up."""
+        self._scheduling = ask_for_priority(self._values['realtime_priority'])
         due = time.monotonic()
         while not self._stop.is_set():
             due += self._period
@@ -114,6 +126,7 @@ class MachineNode(LifecycleNode):
                 time.sleep(wait)
             elif wait < -LONGEST_CATCH_UP:
                 due = time.monotonic()
+            self._lateness.add(time.monotonic() - due)
             with self._lock:
                 self._playback.step()
 
@@ -127,16 +140,20 @@ class MachineNode(LifecycleNode):
         """Let in what fits the machine, its state, and where it stands."""
         playback = self._playback
         with self._lock:
-            before, state = playback.newest, self._machine.state
+            before, state = playback.buffer.newest, self._machine.state
             mine = (chunk.program_id, chunk.plan) == (playback.program_id, playback.plan)
             if mine and playback.left:
-                raise TooLateError(f'setpoints from {chunk.first_sample} came after the stop')
+                raise TooLateError(self._left())
             if chunk.first_sample == 0:
                 playback.refuse_beginning(chunk.program_id, chunk.plan)
         if state in (State.INACTIVE, State.STOPPING, State.FAULT):
             reason = self._machine.message or 'activate it'
             raise StreamError(f'the machine is {state.value}: {reason}')
         check_chunk(chunk, self._machine.machine, self._period, before)
+
+    def _left(self) -> str:
+        """Say once for all setpoints of a plan why they are void; not with the number of each."""
+        return f'setpoints of plan {self._playback.plan} that come after its stop are void'
 
     def _take(self, chunk: SetpointChunk) -> None:
         """Put sound setpoints into the buffer."""
@@ -167,16 +184,29 @@ class MachineNode(LifecycleNode):
             over, state = mine and playback.plan_over, self._machine.state
             fault = self._machine.message if state is State.FAULT else ''
             news = (state, playback.plan, playback.plan_over, playback.start_wanted)
-        self._inlet.buffered_time = playback.buffered * self._period
+        self._inlet.buffered_time = playback.buffer.count * self._period
         if fault:
             self._give_up(fault)
         elif over and receiver.active:
-            receiver.close()
+            receiver.close(self._left())
         if news != self._told:
             self._told = news
             level = {State.FAULT: ERROR, State.STARVED: WARN}.get(state, OK)
             self._diagnostics.say('drives', level, self._machine.message or state.value)
             self._tell_state()
+
+    def _tell_clock(self) -> None:
+        """Say how punctual the drives are stepped, and how they are scheduled."""
+        late = self._lateness
+        figures = {
+            'periods': late.count,
+            'missed_periods': late.missed,
+            'late_p50_us': f'{late.quantile(0.5) / UM:.0f}',
+            'late_p99_us': f'{late.quantile(0.99) / UM:.0f}',
+            'late_max_us': f'{late.largest / UM:.0f}',
+        }
+        said = f'{self._scheduling}; {self._locked}'
+        self._diagnostics.say('clock', OK, said, **figures)
 
     def _tell_executed(self) -> None:
         with self._lock:

@@ -24,6 +24,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from cnc_interp.nodes.asking import AskedGoal
+from cnc_interp.nodes.diagnostics import WAITING
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, STATE
 
@@ -39,7 +41,7 @@ __all__ = [
 #: Commands without a value; each is a service of that name.
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
-SILENCE, ANSWER = 2.0, 5.0
+SILENCE, ANSWER = 2.0, 3.0
 #: How soon commands of other threads are seen [s].
 SPIN = 0.01
 ALARMS_KEPT = 200
@@ -112,7 +114,10 @@ class Operating:
         self._alarms: deque[Alarm] = deque(maxlen=ALARMS_KEPT)
         self._levels: dict[str, tuple[bytes, str]] = {}
         self._todo: deque[Callable[[], None]] = deque()
-        self._handle: Any = None
+        self._pending: list[Callable[[], bool]] = []  # each tells whether it was answered
+        self._goals: dict[bytes, Any] = {}  # handles of programs sent from here, by their ids
+        self._ahead: dict[bytes, int] = {}  # programs that come before each of them
+        self.waiting = ''
         self.program: LoadedProgram | None = None
         self.override = 1.0
         self.machine = ''
@@ -175,6 +180,9 @@ class Operating:
             if self._levels.get(status.name) != news and status.level in LEVELS:
                 self.warn(LEVELS[status.level], status.name, status.message)
             self._levels[status.name] = news
+            for pair in status.values:
+                if pair.key == WAITING:
+                    self.waiting = pair.value
 
     def _ask_for_machine(self) -> None:
         """Learn from the machine node which machine it is."""
@@ -205,7 +213,9 @@ class Operating:
 
     def run(self, program: Path, options: Mapping[str, Any]) -> Future[Answer]:
         """
-        Run a program; answered when it was accepted, its end becomes an alarm or a notice.
+        Run a program, behind those that run or wait already.
+
+        Answered when it was accepted; its end becomes an alarm or a notice.
 
         Parameters
         ----------
@@ -222,24 +232,34 @@ class Operating:
             if not self._action.server_is_ready():
                 wanted.set_result(Answer(False, 'program_node does not answer; start it'))
                 return
-            self._action.send_goal_async(goal).add_done_callback(accepted)
+            asked = AskedGoal(self._action, goal, self._see_feedback)
+            self._pending.append(lambda: accepted(asked.handle))
 
-        def accepted(answer: Any) -> None:
-            self._handle = answer.result()
+        def accepted(handle: Any) -> bool:
+            if handle is None:
+                return False
+            key = bytes(handle.goal_id.uuid)
+            self._goals[key] = handle
             wanted.set_result(Answer(True, 'started'))
-            self._handle.get_result_async().add_done_callback(self._see_result)
+            handle.get_result_async().add_done_callback(lambda end: self._see_result(key, end))
+            return True
 
         self._todo.append(send)
         return wanted
 
-    def cancel(self) -> None:
-        """Give the program up that was started here; the machine ends at rest on the path."""
-        if self._handle is not None:
-            self._todo.append(self._handle.cancel_goal_async)
+    def cancel_waiting(self) -> int:
+        """Take the programs out of the queue that were sent from here; returns how many."""
+        found = [handle for key, handle in self._goals.items() if self._ahead.get(key, 0) > 0]
+        self._todo.extend(handle.cancel_goal_async for handle in found)
+        return len(found)
 
-    def _see_result(self, answer: Any) -> None:
+    def _see_feedback(self, message: Any) -> None:
+        self._ahead[bytes(message.goal_id.uuid)] = message.feedback.programs_ahead
+
+    def _see_result(self, key: bytes, answer: Any) -> None:
         result = answer.result().result
-        self._handle = None
+        self._goals.pop(key, None)
+        self._ahead.pop(key, None)
         good = result.code == RunProgram.Result.SUCCEEDED
         self.warn('notice' if good else 'error', 'program', result.message)
 
@@ -250,11 +270,17 @@ class Operating:
             if not client.service_is_ready():
                 wanted.set_result(Answer(False, f'{name}: no node offers it; start the nodes'))
                 return
-            client.call_async(request).add_done_callback(answered)
+            answer, until = client.call_async(request), time.monotonic() + ANSWER
+            self._pending.append(lambda: answered(answer, until))
 
-        def answered(answer: Any) -> None:
-            response = answer.result()
-            wanted.set_result(Answer(response.success, f'{name}: {response.message}'))
+        def answered(answer: Any, until: float) -> bool:
+            if answer.done():
+                response = answer.result()
+                wanted.set_result(Answer(response.success, f'{name}: {response.message}'))
+            elif time.monotonic() > until:  # not sent again by itself: it could come too late
+                client.remove_pending_request(answer)
+                wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
+            return wanted.done()
 
         self._todo.append(send)
         return wanted
@@ -265,6 +291,7 @@ class Operating:
         while not self._ended.is_set():
             while self._todo:
                 self._todo.popleft()()
+            self._pending = [look for look in self._pending if not look()]
             self._executor.spin_once(timeout_sec=SPIN)
 
     def close(self) -> None:

@@ -55,6 +55,15 @@ class Peers:
         """Interpolation period of the machine [s]; 0 while it is unknown."""
         return float(self.state.interpolation_period) if self.state is not None else 0.0
 
+    @property
+    def at_rest(self) -> bool:
+        """Tell whether the machine stands still until somebody does something."""
+        state = self.state
+        return state is not None and (
+            state.state in (MachineState.IDLE, MachineState.HELD, MachineState.FAULT)
+            or (state.state == MachineState.STARVED and state.plan_over)
+        )
+
     def missing(self, now: float, timeout: float) -> str:
         """Name the first node that has been silent for longer than the timeout."""
         for stream, node in RECEIVERS.items():

@@ -20,8 +20,8 @@ from cnc_interp.stream.motion_stream import MotionStream
 
 #: A machine farther from the path than this is not on it [m, rad].
 ON_PATH = 1e-8
-#: Source lines kept before those of blocks long executed are forgotten.
-LINES_KEPT = 100_000
+#: Source lines that may come before those of executed blocks are looked for and forgotten.
+LINES_KEPT = 4096
 
 
 class RunPlanner:
@@ -60,7 +60,7 @@ class RunPlanner:
         self._builder = AxisPathBuilder(transform, flank_height)
         self.stream = MotionStream(transform.machine, period, chunk_size, self.line_of)
         self._lines: dict[int, int] = {}
-        self._first_block = 0
+        self._lines_left = 0  # when some were forgotten last
         self._begun = False
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -134,11 +134,12 @@ class RunPlanner:
         return []
 
     def _note_lines(self, segments: PathSegments) -> None:
-        """Remember the source line of each block; forget blocks that are long executed."""
+        """Remember the source line of each block; forget those of path that is forgotten."""
         lines = self._lines
-        if len(lines) > LINES_KEPT:
-            first = self._first_block
+        if len(lines) > LINES_KEPT + 2 * self._lines_left:
+            first = self.stream.first_block
             lines = {block: line for block, line in lines.items() if block >= first}
+            self._lines_left = len(lines)
         for (first, last), line in zip(segments.block, segments.line_number, strict=True):
             lines.setdefault(int(first), int(line))
             lines[int(last)] = int(line)
@@ -150,6 +151,4 @@ class RunPlanner:
 
     def lines_of(self, samples: Setpoints) -> list[int]:
         """Return the source line of each setpoint."""
-        if len(samples):
-            self._first_block = int(samples.block[0])
         return [self._lines.get(block, 0) for block in samples.block.tolist()]

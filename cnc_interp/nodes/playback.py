@@ -9,35 +9,20 @@ begin where the machine rests.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from cnc_interp.errors import StreamError
-from cnc_interp.interpolator import Setpoints
 from cnc_interp.machine import FOLLOWING, Event, Feedback, SimulatedMachine, State
+from cnc_interp.nodes.buffer import Buffer, Held, Row
 from cnc_interp.nodes.streams import same_run
-from cnc_interp.program.blocks import FloatArray
 from cnc_interp.stream.chunk import Chunk, Wait
 
 #: States from which the machine starts by itself when setpoints are there.
 SELF_STARTING = (State.IDLE, State.STARVED)
 PROGRAM_STOP = 'program stop; cycle_start to go on'
 STOPPED_BY_HAND = 'emergency stop; reset to go on'
-
-
-@dataclass(frozen=True)
-class Row:
-    """One setpoint in the buffer."""
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
-    block: int
-    line: int
-    s: float
 
 
 class Executed(NamedTuple):
@@ -47,23 +32,6 @@ class Executed(NamedTuple):
     plan: int
     number: int
     row: Row
-
-
-@dataclass(frozen=True)
-class Held:
-    """A chunk in the buffer, its stop tail not unpacked."""
-
-    rows: list[Row]
-    tail: Setpoints
-    tail_lines: list[int]
-    wait: Wait
-
-
-def rows_of(samples: Setpoints, lines: list[int]) -> list[Row]:
-    """Unpack setpoints."""
-    columns = (samples.block.tolist(), lines, samples.s.tolist())
-    motion = (samples.position, samples.velocity, samples.acceleration, samples.jerk)
-    return list(map(Row, *motion, *columns))
 
 
 class Playback:
@@ -84,10 +52,9 @@ class Playback:
         self.feedback = machine.rest()
         self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are told
         self._start_count = start_count
-        self._chunks: deque[Held] = deque()
+        self.buffer = Buffer(machine.setpoints[-1])
         self.program_id = self._given_up = ''
         self.start_wanted = False
-        self.newest: FloatArray = np.empty((0, 0))
         self.begin('')
 
     def begin(self, program_id: str) -> None:
@@ -139,7 +106,7 @@ class Playback:
 
     def _clear(self) -> None:
         """Empty the buffer."""
-        self._drop_buffer()
+        self.buffer.clear(self.machine.setpoints[-1])
         self._rows: deque[Row] = deque()
         self._current: Held | None = None
         self._on_tail = self._leave = self.start_wanted = False
@@ -155,11 +122,7 @@ class Playback:
 
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk into the buffer."""
-        rows = rows_of(chunk.samples, lines)
-        self._chunks.append(Held(rows, chunk.tail, tail_lines, chunk.wait))
-        self.buffered += len(rows)
-        self._waits += chunk.wait is not Wait.NOTHING
-        self.newest = np.concatenate([self.newest, chunk.samples.position])[-3:]
+        self.buffer.push(chunk, lines, tail_lines)
 
     @property
     def left(self) -> bool:
@@ -172,12 +135,12 @@ class Playback:
         if self.resting or self._on_tail:
             return rows
         if not self._leave:
-            for held in self._chunks:
+            for held in self.buffer.chunks:
                 if current is not None and current.wait is not Wait.NOTHING:
                     break
                 current = held
                 rows += held.rows
-        return rows + (rows_of(current.tail, current.tail_lines) if current else [])
+        return rows + (current.tail_rows() if current else [])
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -247,34 +210,32 @@ class Playback:
 
     def _may_start(self) -> bool:
         """Start with enough at hand."""
-        state = self.machine.state
+        state, buffer = self.machine.state, self.buffer
         if state is State.RUNNING:  # rests for the override only
-            return bool(self._chunks)
+            return bool(buffer.chunks)
         wanted = state in SELF_STARTING or (state is State.HOLDING and self.start_wanted)
-        enough = self.buffered >= self._start_count or self._waits > 0
-        return wanted and bool(self._chunks) and enough
+        enough = buffer.count >= self._start_count or buffer.rests > 0
+        return wanted and bool(buffer.chunks) and enough
 
     def _take_next(self) -> None:
         """Go on behind a chunk or a tail that was played to its end."""
         current = self._current
-        if self._on_tail or (current is None and not self._chunks):
+        if self._on_tail or (current is None and not self.buffer.chunks):
             self._come_to_rest()
         elif current is None:
-            self._follow(self._chunks.popleft())
+            self._follow_next()
         elif self._leave:
             self._follow_tail(current)
         elif current.wait is not Wait.NOTHING:
             self._rest_behind(current.wait)
-        elif self._chunks:
-            self._follow(self._chunks.popleft())
+        elif self.buffer.chunks:
+            self._follow_next()
         else:
             self._starve(current)
 
-    def _follow(self, held: Held) -> None:
-        self._current = held
-        self._rows.extend(held.rows)
-        self.buffered -= len(held.rows)
-        self._waits -= held.wait is not Wait.NOTHING
+    def _follow_next(self) -> None:
+        self._current = self.buffer.pop()
+        self._rows.extend(self._current.rows)
 
     def _rest_behind(self, wait: Wait) -> None:
         """Rest where the setpoints say so; they go on from there."""
@@ -289,21 +250,15 @@ class Playback:
     def _follow_tail(self, current: Held) -> None:
         """Leave the plan by the stop behind the chunk."""
         self._on_tail = True
-        self._rows.extend(rows_of(current.tail, current.tail_lines))
-        self._drop_buffer()
+        self._rows.extend(current.tail_rows())
+        self.buffer.clear(self.machine.setpoints[-1])
         if not self._rows:
             self._come_to_rest()
-
-    def _drop_buffer(self) -> None:
-        self._chunks.clear()
-        self.buffered = 0
-        self._waits = 0  # chunks in the buffer behind which the machine rests
-        self.newest = np.tile(self.machine.setpoints[-1], (3, 1))
 
     def _come_to_rest(self) -> None:
         """Be at rest on the path; another plan must follow."""
         self._current = None
-        self._drop_buffer()
+        self.buffer.clear(self.machine.setpoints[-1])
         self.resting = self.plan_over = True
         self._on_tail = self._leave = False
         if self.machine.state is State.STOPPING:
@@ -325,8 +280,8 @@ class Playback:
         """Follow one setpoint and keep the figures of the run."""
         current = self._current
         flows = current is not None and current.wait is Wait.NOTHING and not self._on_tail
-        if flows and self._waits == 0:
-            self.least_buffered = min(self.least_buffered, self.buffered + len(self._rows))
+        if flows and self.buffer.rests == 0:
+            self.least_buffered = min(self.least_buffered, self.buffer.count + len(self._rows))
         if row.block == 0:
             self.approach_samples += 1
         elif self.last is None or self.last.block == 0:

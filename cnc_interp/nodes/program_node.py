@@ -18,7 +18,7 @@ from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.diagnostics import OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.endpoints import Outlet
 from cnc_interp.nodes.messages import block_messages
 from cnc_interp.nodes.peers import Peers
@@ -27,17 +27,20 @@ from cnc_interp.nodes.program_run import CHECKING, ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.running import run_node
 from cnc_interp.nodes.streams import same_run
+from cnc_interp.nodes.waiting import Queue
 from cnc_interp.nodes.warming import warm_kinematics
 
 Result = RunProgram.Result
 #: Blocks queued for sending at a time, and time between feedbacks [s].
 QUEUE, FEEDBACK = 512, 0.1
+#: How often a button is pressed until it has had its effect [s].
+PRESS_AGAIN = 0.25
 #: After a longer pause of its own the node has slept, not the others [s].
 FROZEN = 0.5
 
 
 class ProgramNode(Node):
-    """Runs one program after another."""
+    """Runs one program after another; goals that come meanwhile wait."""
 
     def __init__(self) -> None:
         super().__init__('program_node')
@@ -50,8 +53,8 @@ class ProgramNode(Node):
         self._peers = Peers(self)
         self._outlet = Outlet(self, 'blocks', G1Block, self._values['resend_after'], self._encode)
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
-        self._feedback_at = self._worked_at = 0.0
-        self._asked: Any = None
+        self._feedback_at = self._worked_at = self._pressed_at = 0.0
+        self._queue = Queue(self._answer)
         self._buttons = {
             name: self.create_client(Trigger, name) for name in ('feed_hold', 'reset')
         }
@@ -66,20 +69,16 @@ class ProgramNode(Node):
 
     def _accept(self, handle: Any) -> None:
         """
-        Begin the run of a goal; the timer brings it forward.
+        Read the program of a goal and put it into the queue; the timer brings it forward.
 
         rclpy polls an awaiting execute callback without pause, at most of a core. So the goal is
         only handed to ``execute`` when its result is there.
         """
-        if self._run is not None:
-            busy = f'{self._run.name} is running; wait for its end'
-            self._answer(handle, Result(code=Result.BUSY, message=busy))
-            return
         run = ProgramRun(handle.request)
         run.preparing = self._worker.submit(
             prepare, handle.request, self._transform, self._values, run.has_checked
         )
-        self._run, self._goal = run, handle
+        self._queue.add(run, handle)
 
     def _answer(self, handle: Any, result: RunProgram.Result) -> None:
         """End a goal with its result."""
@@ -97,6 +96,10 @@ class ProgramNode(Node):
 
     def _work(self) -> None:
         """Bring the run forward by one step."""
+        self._queue.watch()
+        if self._run is None and (following := self._queue.next()) is not None:
+            self._run, self._goal = following
+            self._run.take_turn()
         run = self._run
         if run is None:
             self._see_unknown_run()
@@ -105,25 +108,21 @@ class ProgramNode(Node):
         if now - self._worked_at > FROZEN:
             self._peers.trust(now)
         self._worked_at = now
-        if self._goal.is_cancel_requested and not run.cancelled:
-            run.cancelled = True
-            self._press('feed_hold')
+        run.cancelled = run.cancelled or self._goal.is_cancel_requested
         if run.prepared is None:
             outcome = run.see_prepared()
-            if outcome is None and run.prepared is None:
-                self._diagnostics.say('program', OK, f'{CHECKING}: {run.checked:.0%}')
         elif not run.started:
             outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
             if run.started:
                 self._outlet.sender.begin(run.program_id)
                 self._loaded.publish(run.loaded())
-                self._diagnostics.say('program', OK, f'running {run.name}')
         else:
             run.fill(self._outlet.sender, QUEUE)
             self._outlet.pump()
             outcome = run.watch(self._peers, now, self._values['peer_timeout'])
             self._tell_progress(run, now)
             self._help(run)
+        self._tell_programs(run)
         if outcome is not None:
             self._finish(run, *outcome)
 
@@ -136,17 +135,27 @@ class ProgramNode(Node):
 
     def _help(self, run: ProgramRun) -> None:
         """Bring a cancelled run to its end, and one that lost a node on again."""
-        if run.cancelled and run.rests:
-            self._press('reset')
+        if run.cancelled:
+            self._press('reset' if run.rests else 'feed_hold')
         elif run.may_go_on():
             run.begin_again(self._outlet.sender)
-        level = WARN if run.trouble else OK
-        self._diagnostics.say('program', level, run.trouble or f'running {run.name}')
+
+    def _tell_programs(self, run: ProgramRun) -> None:
+        """Say what runs, what waits behind it, and what keeps it from going on."""
+        waiting = ', '.join(self._queue.names)
+        text = f'running {run.name}'
+        if not run.started:
+            text = f'{CHECKING} {run.name}: {run.checked:.0%}'
+        text += f'; then {waiting}' if waiting else ''
+        level, text = (WARN, run.trouble) if run.trouble else (OK, text)
+        self._diagnostics.say('program', level, text, **{WAITING: waiting})
 
     def _press(self, button: str) -> None:
-        """Use a service of the machine; while one is asked, the next waits."""
-        if self._asked is None or self._asked.done():
-            self._asked = self._buttons[button].call_async(Trigger.Request())
+        """Use a service of the machine, now and then: what goes to a lost node has no answer."""
+        now = time.monotonic()
+        if now - self._pressed_at > PRESS_AGAIN:
+            self._pressed_at = now
+            self._buttons[button].call_async(Trigger.Request())
 
     def _encode(self, row: int, sequence: int) -> G1Block:
         """Make the message of one block."""
@@ -187,11 +196,13 @@ class ProgramNode(Node):
         """End the run and hand its result over."""
         result = run.result(code, message, self._peers, self._outlet.sender.sent)
         level = OK if code == Result.SUCCEEDED else WARN
-        self._diagnostics.say('program', level, message)
+        self._diagnostics.say('program', level, message, **{WAITING: ''})
         self._outlet.sender.begin('')
         run.close()
         self._run = None
         self._answer(self._goal, result)
+        if code != Result.SUCCEEDED:
+            self._queue.give_up(run.name)
 
     def close(self) -> None:
         """End: blocks that were sent are executed, the look-ahead ends the path after them."""

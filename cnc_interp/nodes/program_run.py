@@ -47,6 +47,11 @@ class ProgramRun:
         self._queued = self._times = 0
         self._state: MachineState | None = None  # the last one of this run
         self._known_by: set[str] = set()
+        self._taken = False  # by look-ahead and planner
+        self._asked_at = time.monotonic()
+
+    def take_turn(self) -> None:
+        """Count from now how long the other nodes take."""
         self._asked_at = time.monotonic()
 
     def has_checked(self, share: float) -> None:
@@ -68,7 +73,7 @@ class ProgramRun:
             text = str(problem) if known else f'{type(problem).__name__}: {problem}'
             return Result.CANCELED if self.cancelled else Result.REFUSED, text
         self.last_sequence = len(self.prepared.blocks) - 1
-        self._asked_at = time.monotonic()
+        self.take_turn()
         return None
 
     def may_start(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
@@ -83,9 +88,12 @@ class ProgramRun:
             self.started = state.state == MachineState.IDLE or (
                 state.state == MachineState.STARVED and state.plan_over
             )
+            if self.started:
+                self.take_turn()
         if not self.started and now - self._asked_at > PATIENCE:
-            what = f'{missing} does not answer' if missing else 'the machine is moving'
-            return Result.STREAM_LOST, f'{what}; start all four nodes and try again'
+            if missing:
+                return Result.STREAM_LOST, f'{missing} does not answer; start it and try again'
+            return Result.BUSY, 'the machine is in another run; wait for its end, or reset it'
         return None
 
     def loaded(self) -> LoadedProgram:
@@ -134,6 +142,14 @@ class ProgramRun:
                 self._known_by.add(node)
             elif node in self._known_by:
                 self.lost = node
+        if self._taken or self.missing:
+            return None
+        self._taken = {'lookahead_node', 'feedrate_node'} <= self._known_by
+        if not self._taken and now - self._asked_at > PATIENCE:
+            return Result.BUSY, (
+                'the look-ahead is in a run that is not over; reset, or else restart '
+                'lookahead_node and feedrate_node, then run this again'
+            )
         return None
 
     def _moves(self, state: MachineState | None) -> bool:
@@ -191,11 +207,16 @@ class ProgramRun:
         if self.prepared is not None:
             self.prepared.blocks.close()
 
-    def result(self, code: int, message: str, peers: Peers, sent: int) -> RunProgram.Result:
-        """Collect what the run came to."""
+    def unmoved(self, code: int, message: str) -> RunProgram.Result:
+        """Make the result of a run that moved nothing."""
         result = Result(code=code, message=message, program_id=self.program_id)
         if self.prepared is not None:
             result.notices = list(self.prepared.notices)
+        return result
+
+    def result(self, code: int, message: str, peers: Peers, sent: int) -> RunProgram.Result:
+        """Collect what the run came to."""
+        result = self.unmoved(code, message)
         result.blocks_sent = max(0, sent - 1)
         state = self._state
         if state is None:

@@ -29,6 +29,8 @@ class RunRequest:
     ----------
     program : Path
         Program file.
+    then : tuple of Path
+        Further programs; each starts when the one before it has reached its end.
     machine : str
         Bundled machine or YAML file.
     contour_tolerance, orientation_tolerance, flank_height : float
@@ -61,6 +63,7 @@ class RunRequest:
     """
 
     program: Path
+    then: tuple[Path, ...] = ()
     machine: str = 'xyzac'
     contour_tolerance: float = 0.02 * MM
     orientation_tolerance: float = 0.02 * MM
@@ -85,6 +88,7 @@ class RunRequest:
         """Take the options of the command line, in the shop's units."""
         return RunRequest(
             program=options.program,
+            then=tuple(options.then),
             machine=options.machine,
             contour_tolerance=options.contour_tolerance * MM,
             orientation_tolerance=options.orientation_tolerance * MM,
@@ -109,6 +113,11 @@ class RunRequest:
             record=options.record,
             quiet=options.json,
         )
+
+    @property
+    def programs(self) -> tuple[Path, ...]:
+        """All programs in their order."""
+        return (self.program, *self.then)
 
     def node_parameters(self) -> dict[str, dict[str, object]]:
         """Return what the nodes must know from the start."""
@@ -230,9 +239,9 @@ class Companion(Protocol):
         """See the result; the nodes live until this returns."""
 
 
-def run_session(request: RunRequest, companion: Companion | None = None) -> RunResult:
+def run_session(request: RunRequest, companion: Companion | None = None) -> list[RunResult]:
     """
-    Run a program through the real nodes and end them again.
+    Run one or more programs through the real nodes and end them again.
 
     Raises
     ------
@@ -242,11 +251,14 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> RunR
 
     """
     started = time.monotonic()
-    try:
-        request.program.open('rb').close()
-    except OSError as problem:
-        reason = f'cannot be opened: {problem.strerror}'
-        raise ProgramError(reason, str(request.program)) from None
+    for program in request.programs:
+        try:
+            program.open('rb').close()
+        except OSError as problem:
+            reason = f'cannot be opened: {problem.strerror}'
+            raise ProgramError(reason, str(program)) from None
+    if request.then and request.out is not None:
+        raise InterpError('--out takes the motion of one program; leave out --then, or --record')
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
     domain = chosen_domain()
     with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
@@ -258,15 +270,15 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> RunR
         if companion is not None:
             companion.start(namespace, domain)
         with Client(namespace, domain, children) as client:
-            result = client.run(request, machine, started, attended=companion is not None)
+            results = client.run(request, machine, started, attended=companion is not None)
             received = client.received
         if companion is not None:
-            companion.finish(result)
-    if request.out is not None and result.ok:
+            companion.finish(results[-1])
+    if request.out is not None and results[0].ok:
         from cnc_interp.nodes.recording import write_received
 
         write_received(request, machine, received, request.out)
-    return result
+    return results
 
 
 def chosen_domain() -> int:

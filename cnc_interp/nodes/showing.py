@@ -41,6 +41,8 @@ class Progress:
 
     def show(self, feedback: Any) -> None:
         """Show feedback: the bar moves with every per cent, a line comes with every ten."""
+        if feedback.programs_ahead:
+            return
         step = int(100 * feedback.progress) if self._terminal else int(10 * feedback.progress)
         if self._stream is None or step == self._shown:
             return

@@ -165,7 +165,7 @@ class WindowedReceiver:
         self.next_number = 0
         self.consumed = 0
         self.complete = False
-        self.refusal = ''
+        self.refusal = self._closed = ''
         self._past: deque[str] = deque(maxlen=REMEMBERED)
 
     @property
@@ -199,7 +199,8 @@ class WindowedReceiver:
                 f'{self.stream}: repeat of {first}; {self.next_number} is next and was not touched'
             )
         elif self.complete:
-            raise StreamError(f'{self.stream}: {first} after the end of the program')
+            over = f'{self.stream}: {first} after the end of the program'
+            raise StreamError(self._closed or over)
         elif first > self.next_number:
             raise StreamError(
                 f'{self.stream}: gap: {first} came, but {self.next_number} is next; send again '
@@ -233,7 +234,7 @@ class WindowedReceiver:
             self._past.append(self.program_id)
         self.program_id = program_id
         self.next_number = self.consumed = 0
-        self.complete, self.refusal = False, ''
+        self.complete, self.refusal, self._closed = False, '', ''
 
     def refuse(self, program_id: str, reason: str) -> None:
         """Let nothing more of a program through."""
@@ -241,9 +242,9 @@ class WindowedReceiver:
             self._begin(program_id)
         self.refusal = reason
 
-    def close(self) -> None:
-        """Expect nothing more of this program."""
-        self.complete = True
+    def close(self, reason: str) -> None:
+        """Expect nothing more of this program; what comes still gets the reason as its answer."""
+        self.complete, self._closed = True, reason
 
     def consume(self, count: int) -> None:
         """Open the window by items that were worked off."""

@@ -8,7 +8,7 @@ from builtin_interfaces.msg import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.nodes.playback import Row
+from cnc_interp.nodes.buffer import Row
 
 #: Every so many setpoints become a point: the controller interpolates with their derivatives [s].
 SPACING = 0.004

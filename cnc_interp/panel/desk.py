@@ -151,6 +151,19 @@ class Desk:
         self._lay(self._planner, name, text, Choices())
         return Answer(True, f'{name} loaded')
 
+    async def queue(self, name: str, text: str) -> Answer:
+        """Let a program wait for the end of the one that runs; it is laid here when it begins."""
+        state = self.nodes.state
+        if self._planner is None or state is None or state.state not in ON_PATH:
+            return Answer(False, 'no program runs; load this one and start it')
+        path = self._planner.keep(name, text)
+        return await asyncio.wrap_future(self.nodes.run(path, asdict(Choices())))
+
+    def empty_queue(self) -> Answer:
+        """Let the programs go that wait."""
+        count = self.nodes.cancel_waiting()
+        return Answer(count > 0, f'{count} taken out' if count else 'none waits from here')
+
     def _lay(self, planner: Planner, name: str, text: str, choices: Choices) -> Job:
         path = planner.keep(name, text)
         job = self.job = Job(path.name, text.splitlines(), path, choices)
@@ -201,6 +214,8 @@ class Desk:
         state = self.nodes.state
         if state is not None and state.state in RESTING:
             return await self.trigger('cycle_start')
+        if state is not None and state.state in ON_PATH:
+            return Answer(False, 'a program runs already')
         if self.nodes.silent:
             return Answer(False, f'{self.nodes.silent} does not answer')
         if self.job is None:

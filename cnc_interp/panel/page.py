@@ -49,6 +49,7 @@ class Page:
         self._labels: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         self._count = 0
+        self._waits = False
         access.enter(tab, token)
         with ui.element('div').classes('panel'):
             self._build_head()
@@ -134,12 +135,19 @@ class Page:
             ).classes('hidden')
             self._upload = upload
             check = self._answer(self._desk.check)
-            self._loader = ui.button('load', on_click=lambda: upload.run_method('pickFiles'))
+            self._loader = ui.button('load', on_click=lambda: self._pick(waits=False))
+            self._follower = ui.button('then', on_click=lambda: self._pick(waits=True))
             self._checker = ui.button('check', on_click=lambda: self._command(check))
-            for button in (self._loader, self._checker):
+            for button in (self._loader, self._follower, self._checker):
                 button.props('dense no-caps size=sm unelevated color=blue-grey-8')
                 marked(button, button.text)
+            self._follower.tooltip('a program that starts when the one that runs has ended')
         self._label('status', '').style('font-size: 12px; color: #93a3af')
+        with ui.element('div').classes('title') as self._next:
+            self._label('waiting', 'grow').style('font-size: 12px; color: #93a3af')
+            empty = self._answer(self._desk.empty_queue)
+            clear = ui.button('take out', on_click=lambda: self._command(empty))
+            marked(clear.props('dense outline no-caps size=sm'), clear.text)
         with ui.element('div').classes('bar'):
             self._bar = ui.element('div')
         self._lines = ui.html('', sanitize=False).classes('lines')
@@ -198,10 +206,18 @@ class Page:
 
         return done
 
+    def _pick(self, waits: bool) -> None:
+        """Let the user choose a file, to be loaded, or to wait behind the one that runs."""
+        self._waits = waits
+        self._upload.run_method('pickFiles')
+
     async def _load(self, event: events.UploadEventArguments) -> None:
         text = (await event.file.read()).decode('utf-8-sig', errors='replace')
         name = event.file.name
-        await self._command(self._answer(lambda: self._desk.load(name, text)))
+        if self._waits:
+            await self._command(lambda: self._desk.queue(name, text))
+        else:
+            await self._command(self._answer(lambda: self._desk.load(name, text)))
         self._upload.reset()
 
     async def _set_single_block(self, event: events.ValueChangeEventArguments) -> None:
@@ -243,12 +259,15 @@ class Page:
         words = readings(desk)
         words['program'] = job.name if job else 'no program'
         words['status'] = job.status if job else 'load one to begin'
+        words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
         for name, text in words.items():
             if self._changed(name, text):
                 self._labels[name].set_text(text)
         if self._changed('state colour', words['state']):
             colour = 'silent' if words['state'].startswith('no') else words['state']
             self._labels['state'].classes(replace=f'state {colour}')
+        if self._changed('some wait', bool(desk.nodes.waiting)):
+            self._next.set_visibility(bool(desk.nodes.waiting))
         self._show_rights()
         self._show_lists()
         if state is not None and self._view is not None and desk.machine is not None:
@@ -268,7 +287,8 @@ class Page:
         if self._changed('rights', rights):
             self._labels['rights'].set_text(rights)
             self._take.set_visibility(not self._in_charge)
-            for element in (*self._keys, self._single, self._slider, self._loader, self._checker):
+            buttons = (self._loader, self._follower, self._checker)
+            for element in (*self._keys, self._single, self._slider, *buttons):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._access.may_stop(self._token))
         if self._changed('single block', self._desk.single_block):

@@ -70,6 +70,12 @@ class Course:
                 return
             self.items.popleft()
 
+    @property
+    def first_block(self) -> int:
+        """The block in which the path kept begins; 0 where none is kept."""
+        parts = (item for item in self.items if isinstance(item, AxisPath))
+        return next((int(part.cell_block[0]) for part in parts), 0)
+
     def ahead(self, s: float) -> AxisPath:
         """Return the path from the part in which s lies up to the end of its leg."""
         parts: list[AxisPath] = []

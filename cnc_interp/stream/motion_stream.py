@@ -97,6 +97,11 @@ class MotionStream:
             self._history.popleft()
 
     @property
+    def first_block(self) -> int:
+        """The block in which the path that is not forgotten begins; 0 before there is any."""
+        return self._course.first_block
+
+    @property
     def planned(self) -> float:
         """Motion planned but not sampled [s]."""
         return sum(leg.planned for leg in self._legs)

@@ -13,6 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from cnc_interp.nodes import qos
+from cnc_interp.nodes.asking import AskedGoal
 from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.session import nodes_file
@@ -81,9 +82,9 @@ class NodesUnderTest:
 
     def start(self, **goal):
         """Send a goal; returns its handle."""
-        accepted = self.action.send_goal_async(RunProgram.Goal(**goal))
-        self.spin_until(accepted.done)
-        return accepted.result()
+        asked = AskedGoal(self.action, RunProgram.Goal(**goal))
+        self.spin_until(lambda: asked.handle is not None)
+        return asked.handle
 
     def result_of(self, handle, patience=PATIENCE):
         wanted = handle.get_result_async()

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
-from operated import PROGRAM, Bench, blocks_of, path_of
+from operated import PROGRAM, Bench, blocks_of, path_of, waves
 from std_msgs.msg import Float64
+
+from cnc_interp.nodes.messages import block_messages
 
 Result = RunProgram.Result
 
@@ -168,6 +171,54 @@ def test_what_a_killed_program_node_has_sent_is_executed(bench):
     bench.spin_until(lambda: bench.state.completed)
     _, s = bench.recorded()
     assert abs(s[-1] - path_of(PROGRAM).s[-1]) < 1e-12
+
+
+def test_a_goal_sent_at_once_to_a_restarted_program_node_runs_when_the_machine_rests(bench):
+    bench.begin()
+    bench.until_at(0.01)
+    bench.kill('program_node')
+    assert bench.children.revive() == ['program_node']
+    first = bench.state.program_id
+    bench.finish(bench.begin())
+    assert bench.state.program_id != first
+
+
+def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
+    bench.begin(waves(300))  # more blocks than any window holds
+    bench.until_at(0.01)
+    bench.kill('program_node')
+    assert bench.press('feed_hold').success
+    bench.spin_until(lambda: bench.state.plan_over)
+    assert bench.children.revive() == ['program_node']
+    result = bench.run(text=PROGRAM)
+    assert result.code == Result.BUSY and 'reset' in result.message
+    assert bench.press('reset').success
+    bench.finish(bench.begin())
+
+
+def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
+    for message in block_messages(blocks_of(PROGRAM)[:3], 'stranger', 0, 0.03, end=False):
+        bench.blocks.publish(message)
+    bench.spin_until(lambda: bench.peers.knows('blocks', 'stranger'))
+    result = bench.run(text=PROGRAM)
+    assert result.code == Result.BUSY and 'restart lookahead_node' in result.message
+    bench.kill('lookahead_node')
+    bench.children.revive()
+    bench.spin_until(lambda: bench.peers.knows('blocks', ''))
+    bench.finish(bench.begin())
+
+
+def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):
+    handle = bench.begin()
+    bench.until_at(0.01)
+    bench.kill('machine_node')
+    assert bench.children.revive() == ['machine_node']
+    result = bench.result_of(handle)
+    assert result.code in (Result.STREAM_LOST, Result.STOPPED), result.message
+    bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))
+    state = bench.next_state()
+    assert (state.state, state.samples) == (MachineState.IDLE, 0)
+    bench.finish(bench.begin())
 
 
 def test_a_run_that_nobody_knows_any_more_asks_for_reset(bench):

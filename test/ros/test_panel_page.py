@@ -197,6 +197,36 @@ def test_only_one_page_with_the_token_commands(panel, program):
     stranger.close()
 
 
+def test_a_program_waits_behind_the_one_that_runs(panel, program, tmp_path):
+    tab, second = panel.open_in_charge(), tmp_path / 'second.ngc'
+    second.write_text(PROGRAM.replace('ZIGZAG', 'SECOND'))
+    panel.load(tab, program)
+    tab.click('cycle start')
+    panel.until(MachineState.RUNNING)
+
+    def wait_behind():
+        tab.click('then')
+        tab.choose_file('input[type=file]', second)
+        tab.wait(lambda: tab.text('waiting') == 'then second.ngc')
+
+    wait_behind()
+    time.sleep(1.0)  # a program that waits is told so twice a second
+    tab.click('take out')
+    tab.wait(lambda: tab.text('waiting') == '')
+    wait_behind()
+    assert tab.text('program') == program.name
+    panel.spin_until(lambda: panel.loaded[-1].name == 'second.ngc')
+    tab.wait(lambda: tab.text('program') == 'second.ngc' and tab.text('waiting') == '')
+    panel.spin_until(
+        lambda: (
+            panel.peers.state.completed
+            and panel.peers.state.program_id == panel.loaded[-1].program_id
+        )
+    )
+    assert tab.faults == []
+    tab.close()
+
+
 def test_what_is_wrong_with_a_program_is_said(panel, tmp_path):
     tab = panel.open_in_charge()
     wrong = tmp_path / 'wrong.ngc'

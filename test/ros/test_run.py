@@ -54,7 +54,7 @@ def nodes():
 def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path):
     program, out = tmp_path / 'part.apt', tmp_path / 'received'
     program.write_text(PROGRAM)
-    result = run_session(RunRequest(program, out=out, quiet=True))
+    (result,) = run_session(RunRequest(program, out=out, quiet=True))
     assert result.ok, result.message
     assert result.blocks_sent == result.blocks_executed == 3
     assert_at_the_last_pose(list(result.position.values()))
@@ -116,12 +116,6 @@ def test_programs_run_one_after_the_other_without_restart(nodes):
         assert 0.1 < max(use) <= 1.001
     # The way from the end back to the start is an approach of its own and does not count.
     assert second.cycle_time == first.cycle_time and second.approach_time > 0.0
-
-
-def test_a_second_program_is_told_that_one_is_running(nodes):
-    handle = nodes.start(text=PROGRAM)
-    assert nodes.run(text=PROGRAM).code == Result.BUSY
-    assert nodes.result_of(handle).code == Result.SUCCEEDED
 
 
 def test_cancelling_ends_at_rest_on_the_path(nodes):

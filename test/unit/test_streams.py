@@ -179,6 +179,19 @@ def test_a_program_begins_with_its_first_item_only():
     assert (receiver.next_number, receiver.consumed, receiver.complete) == (1, 0, False)
 
 
+def test_a_closed_program_answers_all_that_still_comes_in_the_same_words():
+    receiver = WindowedReceiver('setpoints', 10)
+    assert receive(receiver, 'p', 0)
+    receiver.close('came after the stop')
+    said = set()
+    for number in (1, 2, 9):
+        with pytest.raises(StreamError) as fault:
+            receiver.expect('p', number)
+        said.add(str(fault.value))
+    assert said == {'came after the stop'}
+    assert not receiver.active and receive(receiver, 'q', 0)
+
+
 def test_old_programs_never_come_back():
     receiver = WindowedReceiver('blocks', 10)
     for program in ('p', 'q', 'r'):

@@ -1,0 +1,93 @@
+"""Goals that wait behind the program that runs: one starts when the one before it has ended."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from cnc_interp_msgs.action import RunProgram
+
+from cnc_interp.nodes.program_run import ProgramRun
+
+Result = RunProgram.Result
+#: Programs that may wait; each holds what was read of it.
+MOST = 16
+#: Time between feedbacks to a goal that waits [s].
+FEEDBACK = 0.5
+
+
+class Waiting(NamedTuple):
+    """A run that waits, and the handle of its goal."""
+
+    run: ProgramRun
+    handle: Any
+
+
+class Queue:
+    """
+    First in, first out; a goal leaves when its turn comes, when it is cancelled or refused.
+
+    Parameters
+    ----------
+    answer : callable
+        Ends a goal: its handle and its result.
+
+    """
+
+    def __init__(self, answer: Callable[[Any, RunProgram.Result], None]):
+        self._answer = answer
+        self._entries: deque[Waiting] = deque()
+        self._told_at = 0.0
+
+    def add(self, run: ProgramRun, handle: Any) -> None:
+        """Take a goal in, or say that too many wait already."""
+        if len(self._entries) < MOST:
+            self._entries.append(Waiting(run, handle))
+            return
+        full = f'{MOST} programs wait already; send it again when one has ended'
+        self._end(Waiting(run, handle), Result.BUSY, full)
+
+    def next(self) -> Waiting | None:
+        """Hand out the goal whose turn it is."""
+        return self._entries.popleft() if self._entries else None
+
+    @property
+    def names(self) -> list[str]:
+        """The programs that wait, the next one first."""
+        return [entry.run.name for entry in self._entries]
+
+    def watch(self) -> None:
+        """Answer goals that were cancelled while they wait; a refused one ends all behind it."""
+        for entry in list(self._entries):
+            if entry not in self._entries:  # it stood behind one that was refused
+                continue
+            if entry.handle.is_cancel_requested:
+                self._entries.remove(entry)
+                self._end(entry, Result.CANCELED, 'cancelled while it waited; nothing moved')
+            elif entry.run.prepared is None and (outcome := entry.run.see_prepared()) is not None:
+                behind = list(self._entries).index(entry) + 1
+                self._drop(behind, entry.run.name)
+                self._entries.remove(entry)
+                self._end(entry, *outcome)
+        now = time.monotonic()
+        if now - self._told_at > FEEDBACK:
+            self._told_at = now
+            for ahead, entry in enumerate(self._entries, start=1):
+                entry.handle.publish_feedback(RunProgram.Feedback(programs_ahead=ahead))
+
+    def give_up(self, name: str) -> None:
+        """Start none of those that wait: the program before them did not reach its end."""
+        self._drop(0, name)
+
+    def _drop(self, first: int, name: str) -> None:
+        """Answer all from a place on."""
+        while len(self._entries) > first:
+            entry = self._entries.pop()
+            text = f'not started: {name} before it did not reach its end; send it again'
+            self._end(entry, Result.NOT_STARTED, text)
+
+    def _end(self, entry: Waiting, code: int, message: str) -> None:
+        entry.run.close()
+        self._answer(entry.handle, entry.run.unmoved(code, message))

@@ -234,7 +234,7 @@ class ChainBuilder:
         repeated = (step < REPEATED) & (kind[kept] != FIXED)
         feed = self._feeds(raw, before, kept)
         if repeated.any():
-            for k in np.flatnonzero(repeated):
+            for k in np.flatnonzero(repeated)[::-1]:
                 if k == 0:
                     chain.stop[-1] |= stop[kept[0]]
                     chain.closed[-1] |= closed[kept[0]]

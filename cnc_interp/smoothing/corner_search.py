@@ -27,7 +27,8 @@ class CornerSearch:
     def look(self, chain: Chain, final: bool) -> None:
         """Look at the vertices from where the chain reaches far enough, all if it is final."""
         n, tolerance = len(chain), chain.tolerance
-        closed = np.flatnonzero(chain.closed)
+        # a repeated point to come may still close the last vertex
+        closed = np.flatnonzero(chain.closed[: n if final else n - 1])
         known = int(closed[-1]) + 1 if len(closed) else 0
         widest = float(tolerance[-1].max())
         turned = n

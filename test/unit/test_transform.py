@@ -101,6 +101,16 @@ def test_reference_machine_formula():
     assert np.allclose(transform.tool_axis(np.array([[a, c]]))[0], expected, atol=1e-15)
 
 
+@pytest.mark.parametrize('tilt', [1e-2, 1e-3, 4e-4])
+def test_the_table_is_found_near_the_pole_to_the_digits_of_the_tool_axis(tilt):
+    transform = Transform.of(Machine.load('xyzac'))
+    for turn in np.linspace(-3.0, 3.0, 25):
+        lean = np.sin(tilt) * np.array([np.sin(turn), np.cos(turn)])
+        positions = transform.rotary_solutions(np.array([*lean, np.cos(tilt)]))
+        gaps = [np.abs(pair - [tilt, turn]).max() for pair in positions]
+        assert min(gaps) < 2e-15
+
+
 def test_unreachable_orientation_has_no_solution():
     """A nutating table at 45 deg tilts by at most 90 deg."""
     transform = Transform.of(MACHINES['nutating table'])

@@ -84,6 +84,7 @@ lint() {
 
 main() {
   local parts=(base project messages)
+  unset PYTHONDONTWRITEBYTECODE # compiling all imports anew makes every start take seconds longer
   leave_other_ros
   case ${1-} in
     test)

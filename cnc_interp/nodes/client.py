@@ -36,7 +36,7 @@ from cnc_interp.nodes.showing import Progress
 
 Result = RunProgram.Result
 #: When all kernels must be compiled first, starting takes a minute or more [s].
-START_TIMEOUT, SLOW_START = 300.0, 8.0
+START_TIMEOUT = 300.0
 #: How long topics may take to be found, and what was executed to be told [s].
 RECORD_TIMEOUT = 10.0
 
@@ -194,16 +194,9 @@ class Client:
         self._spin(lambda: sum(len(m.sequences) for m in self.received) >= count, RECORD_TIMEOUT)
 
     def _wait_for_nodes(self) -> None:
-        """Wait until all four nodes answer; the first start ever compiles for a while."""
-        began = time.monotonic()
-        told = False
+        """Wait until all four nodes answer."""
 
         def ready() -> bool:
-            nonlocal told
-            waited = time.monotonic() - began
-            if waited > SLOW_START and not told:
-                told = True
-                print('compiling the kernels, once; takes a minute or two', file=sys.stderr)
             return self._action.server_is_ready() and not self._peers.missing(
                 time.monotonic(), 1.0
             )

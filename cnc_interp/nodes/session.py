@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cnc_interp.errors import InterpError, ProgramError
-from cnc_interp.nodes.children import Children
+from cnc_interp.nodes.children import Children, begin_loading
 from cnc_interp.smoothing.compression import Compression
 from cnc_interp.units import DEG, MM, MM_PER_MIN, MS, UM
 
@@ -261,11 +261,12 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
         raise InterpError('--out takes the motion of one program; leave out --then, or --record')
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
     domain = chosen_domain()
-    with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
-        # Imported while the nodes start: ROS and the kernels take a second each.
-        from cnc_interp.kinematics.machine import Machine
-        from cnc_interp.nodes.client import Client
+    begin_loading()
+    # Imported meanwhile: ROS and the kernels take a second each.
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.nodes.client import Client
 
+    with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
         machine = Machine.load(request.machine)
         if companion is not None:
             companion.start(namespace, domain)

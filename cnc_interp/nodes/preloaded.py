@@ -1,0 +1,19 @@
+"""
+All that the nodes need, loaded once: imported by the process that they are forked from.
+
+Importing this module is its purpose: libraries, the nodes' own modules and the compiled kernels
+are in memory afterwards, and no thread of ours runs, so that a fork is safe.
+"""
+
+import gc
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import feedrate_node, lookahead_node, machine_node, program_node
+from cnc_interp.nodes.warming import warm_all
+
+__all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
+
+warm_all(Transform.of(Machine.load('xyzac')), 1e-3)
+gc.collect()
+gc.freeze()  # lives as long as the nodes: no collection walks over it, its memory stays shared

@@ -11,12 +11,15 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import NodesUnderTest
 
+from cnc_interp.convert import convert
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.messages import block_messages
 from cnc_interp.nodes.session import RunRequest, run_session
+from cnc_interp.pipeline import ChainOptions
 from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.units import UM
 from cnc_interp.verify import verify_plan
 
 Result = RunProgram.Result
@@ -63,6 +66,20 @@ def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path
     samples = np.load(out / 'setpoints.npz')
     assert len(samples['time']) == result.samples
     assert result.cycle_time == pytest.approx(samples['time'][-1])
+
+
+def test_native_splines_run_over_the_nodes_and_are_proven(tmp_path):
+    program, out = tmp_path / 'curves.mpf', tmp_path / 'received'
+    read = read_text(PROGRAM, 'part.apt', TRANSFORM, ReadOptions())
+    written = convert(read, MACHINE, ChainOptions(), 'siemens-bspline', 0.01 * UM)
+    program.write_text(written.text)
+    result = run_session(RunRequest(program, out=out, quiet=True))
+    assert result.ok, result.message
+    assert written.text.count('BSPLINE') >= 2, 'both corners are curves now'
+    assert result.blocks_sent == result.blocks_executed > 10
+    assert_at_the_last_pose(list(result.position.values()))
+    proof = verify_plan(out, MACHINE)
+    assert proof.ok, proof.text()
 
 
 def test_session_names_a_missing_program_and_a_wrong_machine(tmp_path):

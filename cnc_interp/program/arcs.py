@@ -23,6 +23,8 @@ PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
 #: Start and end may differ in radius by this, and beyond by a share of the radius up to the most.
 RADIUS_ERROR, RADIUS_SHARE, RADIUS_MOST = 0.0127 * MM, 1e-3, 0.5 * MM
 _SAME_POINT = 1e-12
+#: Beyond this a centre is a slip of the pen, and its square may be no number [m].
+_FARTHEST_CENTRE = 1e6
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ FAULTS = {
     4: 'the radius is smaller than half the way from start to end; correct R',
     5: 'a full circle cannot be given by its radius; give I, J, K',
     6: 'the centre is where the arc starts; correct I, J, K',
+    7: 'the centre is more than 1000 km away; correct R or I, J, K',
 }
 
 
@@ -94,8 +97,11 @@ def arcs_of(
     chord = end - start
     by_radius = np.isfinite(radius)
     given = np.isfinite(offset[:, [a, b]])
+    far = np.abs(np.nan_to_num(np.column_stack([offset, radius]))).max(axis=1) > _FARTHEST_CENTRE
+    offset, radius = np.where(far[:, None], np.nan, offset), np.where(far, np.nan, radius)
     fault = np.where(by_radius & given.any(axis=1), 2, 0)
     fault = np.where(~by_radius & ~given.any(axis=1), 1, fault)
+    fault = np.where(far, 7, fault)
     relative = np.where(absolute, offset - start, offset)
     relative = np.where(np.isfinite(relative), relative, 0.0)
     half = 0.5 * np.hypot(chord[:, a], chord[:, b])

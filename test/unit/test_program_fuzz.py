@@ -8,6 +8,7 @@ import io
 import os
 import random
 import signal
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -190,7 +191,9 @@ def test_mutated_programs_are_read_or_refused():
             text = mutated(random.Random(seed), texts)
             signal.alarm(MOST_SECONDS)
             try:
-                _, why = answer(text, GEOMETRIES[seed % 3])
+                with warnings.catch_warnings():
+                    warnings.simplefilter('error')
+                    _, why = answer(text, GEOMETRIES[seed % 3])
             except Exception as problem:
                 raise AssertionError(
                     f'seed {seed}: {type(problem).__name__}: {problem}'

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from growth import CpuChain
+from cpu_chain import CpuChain
 from paths import dome
 from programs import CASES, PROGRAMS, program_file
 

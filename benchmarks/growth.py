@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import resource
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from figures import Figures, Stopwatch
+from cpu_chain import CpuChain
+from figures import Figures
 from paths import blocks_of, smoothed
 from rivals import topp3
 
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.pipeline import BATCH, Chain, ChainOptions
+from cnc_interp.pipeline import BATCH, ChainOptions
 from cnc_interp.program import Blocks
 from cnc_interp.units import DEG, MM, MM_PER_MIN
 
@@ -31,17 +30,6 @@ def raster(count: int, first: int = 0) -> Blocks:
     tilt = np.column_stack([x / (200 * MM), y / (200 * MM) - np.tan(20 * DEG), np.ones(count)])
     axis = tilt / np.linalg.norm(tilt, axis=1, keepdims=True)
     return blocks_of(np.column_stack([x, y, z]), axis, 3000 * MM_PER_MIN)
-
-
-class CpuChain(Chain):
-    """A chain that counts CPU seconds."""
-
-    def _timed(self, room: str, work: Callable[..., Any], *arguments: Any) -> Any:
-        watch = Stopwatch()
-        try:
-            return work(*arguments)
-        finally:
-            self.seconds[room] += watch.seconds()
 
 
 def chain_cost(count: int) -> Figures:

@@ -25,7 +25,7 @@ from cnc_interp.plan_writer import PlanFigures, PlanWriter
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.compression import Compression
-from cnc_interp.smoothing.lookahead import SmoothingOptions
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.units import MM, MS

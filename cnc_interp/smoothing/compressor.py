@@ -18,10 +18,10 @@ from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.smoothing.chain import LONG, SHORT, Chain, ChainBuilder
 from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.corner_search import CornerSearch
-from cnc_interp.smoothing.leg import Leg, between, leg_at, longest_spacing
+from cnc_interp.smoothing.leg import Leg, leg_at, longest_spacing, with_leg
 from cnc_interp.smoothing.orientation import angles_between
 from cnc_interp.smoothing.polyline import Polyline
-from cnc_interp.smoothing.rows import Rows, Spans
+from cnc_interp.smoothing.rows import Rows
 from cnc_interp.smoothing.run import AHEAD, Run, Window
 
 #: Blocks that a run must have at least.
@@ -191,18 +191,8 @@ class Compressor:
             contour_tolerance=block.contour_tolerance - off[0],
             orientation_tolerance=block.orientation_tolerance - off[1],
         )
-        no_spans = np.zeros(1, dtype=np.int64)
-        self._rows.append(
-            Rows(
-                blocks=block,
-                row=chain.row[k : k + 1].copy(),
-                used=off[None].copy(),
-                smooth=np.array([self._after_curve]),
-                leads=np.array([leads]),
-                count=no_spans,
-                spans=Spans.none(),
-            )
-        )
+        row = int(chain.row[k])
+        self._rows.append(Rows.line(block, row, off, smooth=self._after_curve, leads=leads))
         self._after_curve = False
 
     def _begin(self, start: int, last: int, ended: bool) -> None:
@@ -219,35 +209,11 @@ class Compressor:
         else:
             leg = leg_at(chain, start, 1, last, ended)
             self._lead = leg
-            line, jet = self._with_leg(Polyline.at(*leg.pose, -1), leg, leg.goal, leg.vertex)
+            line = Polyline.at(*leg.pose, -1)
+            line, jet = with_leg(line, leg, leg.goal, leg.vertex, chain, height)
             following = leg.vertex + 1
         self._run = Run(line, jet, turning, height, longest_spacing(chain, start + 1), self._share)
         self._start, self._next = start, following
-
-    def _with_leg(
-        self, line: Polyline, leg: Leg, pose: tuple[FloatArray, FloatArray], vertex: int
-    ) -> tuple[Polyline, FloatArray]:
-        """Return a polyline with a vertex that a leg leads to, and the jet at its outer end."""
-        chain, n = self._chain, len(leg.pieces)
-        before = line.tip[-1], line.axis[-1]
-        inner = [between(*before, *pose, float(cut)) for cut in leg.cuts]
-        straight = Polyline.at(*before, -1).extended(
-            pose[0][None], pose[1][None], np.array([-1]), leg.used[None], np.ones(1),
-            leg.pieces[:1], leg.pieces[:1], self._height,
-        )  # fmt: skip
-        at_end = vertex < 0
-        jet = straight.line_jet(len(straight.feed) - 1 if at_end else 0, at_end, self._height)
-        line = line.extended(
-            np.array([tip for tip, _ in [*inner, pose]]),
-            np.array([axis for _, axis in [*inner, pose]]),
-            np.append(np.full(n - 1, -1), vertex),
-            np.repeat(leg.used[None], n, axis=0),
-            np.full(n, leg.feed),
-            chain.row[leg.pieces],
-            chain.blocks.line_number[leg.pieces],
-            self._height,
-        )
-        return line, jet
 
     def _fixed(self, axis: FloatArray) -> bool:
         """Tell whether a tool that does not turn now stays as it is for the whole run."""
@@ -300,7 +266,7 @@ class Compressor:
         leg = leg_at(chain, last, -1, self._start, True)
         self._tail = leg
         line = run.line.upto(leg.vertex)
-        run.end(*self._with_leg(line, leg, leg.pose, -1))
+        run.end(*with_leg(line, leg, leg.pose, -1, chain, self._height))
 
     def _commit(self, run: Run, found: Window) -> None:
         """Send the first spans of a window, the line that leads to them, and the line after."""
@@ -337,10 +303,7 @@ class Compressor:
             line_number=spans.line_number[-1:].copy(),
             exact_stop=np.array([found.last and self._tail is None]),
         )
-        return Rows(
-            block, spans.block[-1:, 1].copy(), np.zeros((1, 2)), np.array([smooth]),
-            np.zeros(1, dtype=bool), np.array([len(spans)]), spans,
-        )  # fmt: skip
+        return Rows.curve(block, spans, smooth)
 
     def _retreat(self, run: Run, worst: float) -> None:
         """

@@ -10,6 +10,7 @@ from cnc_interp.program.blocks import FloatArray, IntArray
 from cnc_interp.smoothing import skeleton
 from cnc_interp.smoothing.chain import Chain
 from cnc_interp.smoothing.orientation import rotations_between, turned_by
+from cnc_interp.smoothing.polyline import Polyline
 from cnc_interp.smoothing.run import AHEAD, LONGEST
 
 #: A chord beside a corner is this long, where it can be, and the corner gets this part of it; both
@@ -132,3 +133,52 @@ def between(
     """Return the pose at a share of the way from one pose to another."""
     rotation = rotations_between(axis[None], far_axis[None])
     return tip + share * (far_tip - tip), turned_by(axis[None], rotation, share)[0]
+
+
+def with_leg(
+    line: Polyline,
+    leg: Leg,
+    pose: tuple[FloatArray, FloatArray],
+    vertex: int,
+    chain: Chain,
+    height: float,
+) -> tuple[Polyline, FloatArray]:
+    """
+    Return a polyline with a vertex that a leg leads to, and how curves move at its outer end.
+
+    Parameters
+    ----------
+    line : Polyline
+        What the leg goes on from.
+    leg : Leg
+        The line that is added.
+    pose : tuple of ndarray
+        Tip and axis where it ends.
+    vertex : int
+        Index of that vertex in the chain; -1 where the run ends there.
+    chain : Chain
+        What the leg is a part of.
+    height : float
+        Flank height [m].
+
+    """
+    n = len(leg.pieces)
+    before = line.tip[-1], line.axis[-1]
+    inner = [between(*before, *pose, float(cut)) for cut in leg.cuts]
+    straight = Polyline.at(*before, -1).extended(
+        pose[0][None], pose[1][None], np.array([-1]), leg.used[None], np.ones(1),
+        leg.pieces[:1], leg.pieces[:1], height,
+    )  # fmt: skip
+    at_end = vertex < 0
+    jet = straight.line_jet(len(straight.feed) - 1 if at_end else 0, at_end, height)
+    line = line.extended(
+        np.array([tip for tip, _ in [*inner, pose]]),
+        np.array([axis for _, axis in [*inner, pose]]),
+        np.append(np.full(n - 1, -1), vertex),
+        np.repeat(leg.used[None], n, axis=0),
+        np.full(n, leg.feed),
+        chain.row[leg.pieces],
+        chain.blocks.line_number[leg.pieces],
+        height,
+    )
+    return line, jet

@@ -13,8 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.joining import Jets, line_jets
-from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions, no_segments
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import norm, rotations_between
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.spline_run import SplineRun

@@ -127,6 +127,22 @@ class Rows:
         )  # fmt: skip
 
     @staticmethod
+    def line(block: Blocks, row: int, used: FloatArray, smooth: bool, leads: bool) -> Rows:
+        """Return one line; ``block`` is its only row."""
+        return Rows(
+            block, np.array([row]), used[None].copy(), np.array([smooth]), np.array([leads]),
+            np.zeros(1, dtype=np.int64), Spans.none(),
+        )  # fmt: skip
+
+    @staticmethod
+    def curve(block: Blocks, spans: Spans, smooth: bool) -> Rows:
+        """Return one piece of a curve; ``block`` tells where it ends."""
+        return Rows(
+            block, spans.block[-1:, 1].copy(), np.zeros((1, 2)), np.array([smooth]),
+            np.zeros(1, dtype=bool), np.array([len(spans)]), spans,
+        )  # fmt: skip
+
+    @staticmethod
     def none() -> Rows:
         """Return no rows."""
         real, no = np.zeros(0), np.zeros(0, dtype=bool)

@@ -18,7 +18,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.pipeline import plan_program, write_plan
 from cnc_interp.program import Program
 from cnc_interp.smoothing.compression import Compression
-from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 from cnc_interp.units import MM
 from cnc_interp.verify import verify_plan

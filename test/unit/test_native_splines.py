@@ -20,7 +20,7 @@ from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.programmed_splines import with_chords
 from cnc_interp.smoothing.joining import Jets, connected, line_jets, span_jets
-from cnc_interp.smoothing.lookahead import SmoothingOptions
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import LINE, SPLINE, PathSegments, spline_jets

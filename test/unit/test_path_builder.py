@@ -14,7 +14,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ReadOptions, read_program
-from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.units import DEG, MM
 
 AC = Transform.of(Machine.load('xyzac'))

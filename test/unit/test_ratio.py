@@ -15,7 +15,8 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.smoothing.corner import Corners
-from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import cross, turned_by
 from cnc_interp.smoothing.ratio import LARGEST, LEAST, MOST, ratios_at
 from cnc_interp.smoothing.segments import CORNER, PathSegments

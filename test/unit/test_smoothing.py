@@ -16,7 +16,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.smoothing.compression import Compression
 from cnc_interp.smoothing.curves import Curves, poses
-from cnc_interp.smoothing.lookahead import LookAhead, SmoothingOptions
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,

@@ -1,0 +1,209 @@
+"""Decided vertices -> segments: what corners leave of the lines, corners, spans of curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.errors import BlockError
+from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.smoothing import corner
+from cnc_interp.smoothing.corner import Style
+from cnc_interp.smoothing.orientation import norm, turned_by
+from cnc_interp.smoothing.rows import Rows
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments, room_for
+from cnc_interp.smoothing.vertices import ROUND, STOP, Legs, corners_at
+
+
+@dataclass(frozen=True)
+class Emission:
+    """
+    Rows whose vertices are decided.
+
+    Parameters
+    ----------
+    rows : Rows
+        Lines and curves.
+    legs : Legs
+        Geometry of the blocks between the vertices.
+    vertex : ndarray of int, shape (n,)
+        PASS, ROUND or STOP.
+    inner : ndarray, shape (n,)
+        L1 of the corners [m].
+    outer : ndarray, shape (n, 2)
+        L2 before and after the vertices, 0 without corner [m].
+    style : Style
+        How corners are made.
+
+    """
+
+    rows: Rows
+    legs: Legs
+    vertex: IntArray
+    inner: FloatArray
+    outer: FloatArray
+    style: Style
+
+    def segments(self, last: int) -> PathSegments:
+        """Build the segments of rows 1 .. last and the corners at vertices 1 .. last."""
+        kept, lines = self._lines(last)
+        parts, places = [lines], [2 * kept + 1]
+        round_ones = np.flatnonzero(self.vertex[: last + 1] == ROUND)
+        round_ones = round_ones[round_ones > 0]
+        if len(round_ones):
+            parts.append(self._corners(round_ones))
+            places.append(2 * round_ones)
+        curves = np.repeat(np.arange(last), self.rows.count[1 : last + 1])
+        if len(curves):
+            parts.append(self._curves(curves))
+            places.append(2 * curves + 1)
+        order = np.argsort(np.concatenate(places), kind='stable')
+        return PathSegments.concatenate(parts)[order]
+
+    def _curves(self, row: IntArray) -> PathSegments:
+        """Return the spans of curves; ``row`` says to which row, less one, each belongs."""
+        n, first = len(row), int(self.rows.count[0])
+        spans = self.rows.spans[first : first + n]
+        room = self.style.room(n)
+        tool = spans.top[:, 0] - spans.bottom[:, 0]
+        final = np.append(row[1:] != row[:-1], True)
+        return PathSegments(
+            kind=np.full(n, SPLINE),
+            bottom=spans.bottom,
+            top=spans.top,
+            connection=room.connection,
+            parametrization=room.parametrization,
+            axis=tool / norm(tool)[:, None],
+            rotation=np.zeros((n, 3)),
+            rotary=np.full((n, 2, 2), np.nan),
+            length=np.full(n, np.nan),
+            feed=spans.feed,
+            block=spans.block,
+            line_number=spans.line_number,
+            stop=final & (self.vertex[row + 1] == STOP),
+            deviation=spans.deviation,
+        )
+
+    def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
+        """
+        Return what the corners leave of the blocks, and the rotations of the resting tool.
+
+        The first array tells the rows, less one.
+        """
+        rows, legs, outer, stop = self.rows, self.legs, self.outer, self.vertex == STOP
+        blocks = rows.blocks
+        start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]
+        resting = legs.resting[:last]
+        rotary = np.stack([blocks.rotary[:last], blocks.rotary[1 : last + 1]], axis=1)
+        programmed = np.isfinite(rotary).all(axis=(1, 2))
+        swept = np.where(
+            programmed, np.sqrt((np.diff(rotary, axis=1)[:, 0] ** 2).sum(axis=1)), legs.turn[:last]
+        )
+        length = np.where(resting, self.style.height * swept, end - start)
+        line = rows.count[1 : last + 1] == 0
+        kept = np.flatnonzero(
+            line & np.where(resting, swept > 0.0, end - start > 1e-12 * legs.length[:last])
+            | (line & stop[1 : last + 1] & (end - start > 0.0))
+        )
+        share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
+        rotation = legs.rotation[:last]
+        part = np.where(resting, 1.0, (end - start) / np.where(resting, 1.0, legs.length[:last]))
+        curves = self.style.room(last)
+        bottom = curves.bottom
+        bottom[:, 0] = blocks.tip[:last] + start[:, None] * legs.direction[:last]
+        bottom[:, 1] = blocks.tip[:last] + end[:, None] * legs.direction[:last]
+        from_corner, to_corner = outer[:last, 1] > 0.0, outer[1 : last + 1, 0] > 0.0
+        bottom[:, 1] = np.where(
+            (to_corner | resting)[:, None], bottom[:, 1], blocks.tip[1 : last + 1]
+        )
+        bottom[:, 0] = np.where(from_corner[:, None], bottom[:, 0], blocks.tip[:last])
+        axis = turned_by(blocks.axis[:last], rotation, share)
+        feed = self._feed(np.arange(last), swept)
+        row = rows.row[kept + 1]
+        return kept, PathSegments(
+            kind=np.where(resting, ROTATION, LINE)[kept],
+            bottom=room_for(bottom[kept]),
+            top=room_for(curves.top[kept]),
+            connection=curves.connection[kept],
+            parametrization=curves.parametrization[kept],
+            axis=axis[kept],
+            rotation=(rotation * part[:, None])[kept],
+            rotary=np.where(programmed[:, None, None], rotary, np.nan)[kept],
+            length=length[kept],
+            feed=np.repeat(feed[kept, None], 2, axis=1),
+            block=np.repeat(row[:, None], 2, axis=1),
+            line_number=blocks.line_number[kept + 1],
+            stop=stop[1 : last + 1][kept],
+            deviation=rows.used[kept + 1],
+        )
+
+    def _feed(self, rows: IntArray, swept: FloatArray) -> FloatArray:
+        """
+        Return the programmed ds/dt of the blocks that start at rows [m/s].
+
+        A duration (G93) gives length / duration; a rotation of the resting tip is limited by its
+        duration or by the axes alone.
+        """
+        blocks, legs = self.rows.blocks, self.legs
+        duration = blocks.duration[rows + 1]
+        timed = np.isfinite(duration)
+        resting = legs.resting[rows]
+        length = np.where(resting, self.style.height * swept, legs.length[rows])
+        programmed = np.where(resting, np.inf, blocks.feedrate[rows + 1])
+        return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
+
+    def _corners(self, rows: IntArray) -> PathSegments:
+        """Return the corners at the given vertices."""
+        n, lines = len(rows), self.rows
+        blocks, corners = lines.blocks, corners_at(lines.blocks, self.legs, rows)
+        _, _, curves, deviation = corner.fit(
+            corners, self.inner[rows], self.outer[rows], self.style
+        )
+        beyond = np.flatnonzero((deviation > corners.tolerances * (1.0 + 1e-6)).any(axis=1))
+        if len(beyond):
+            raise BlockError(
+                'this corner cannot be rounded within the tolerances; give it an exact stop (G61)',
+                int(blocks.line_number[rows[beyond[0]]]),
+            )
+        zero = np.zeros(n)
+        return PathSegments(
+            kind=np.full(n, CORNER),
+            bottom=room_for(curves.bottom),
+            top=room_for(curves.top),
+            connection=curves.connection,
+            parametrization=curves.parametrization,
+            axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.style.height,
+            rotation=np.zeros((n, 3)),
+            rotary=np.full((n, 2, 2), np.nan),
+            length=np.full(n, np.nan),
+            feed=np.stack(
+                [self._feed(rows - 1, zero), self._feed(rows, zero)],
+                axis=1,
+            ),
+            block=np.stack([lines.row[rows], lines.row[rows + 1]], axis=1),
+            line_number=blocks.line_number[rows + 1],
+            stop=np.zeros(n, dtype=bool),
+            deviation=deviation + np.maximum(lines.used[rows], lines.used[rows + 1]),
+        )
+
+
+def no_segments(style: Style) -> PathSegments:
+    """Return an empty batch for a style of corners."""
+    curves = style.room(0)
+    return PathSegments(
+        kind=np.zeros(0, dtype=np.int64),
+        bottom=room_for(curves.bottom),
+        top=room_for(curves.top),
+        connection=curves.connection,
+        parametrization=curves.parametrization,
+        axis=np.zeros((0, 3)),
+        rotation=np.zeros((0, 3)),
+        rotary=np.zeros((0, 2, 2)),
+        length=np.zeros(0),
+        feed=np.zeros((0, 2)),
+        block=np.zeros((0, 2), dtype=np.int64),
+        line_number=np.zeros(0, dtype=np.int64),
+        stop=np.zeros(0, dtype=bool),
+        deviation=np.zeros((0, 2)),
+    )

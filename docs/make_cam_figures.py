@@ -31,7 +31,7 @@ from cnc_interp.cam.nbuffer import Needles, cut_needles
 from cnc_interp.cam.next_posture import conditions, nearest_places, resting
 from cnc_interp.cam.passes import Pass, constant_tilt
 from cnc_interp.cam.scallop import scallop_points
-from cnc_interp.cam.shapes import Cap, Cylinder
+from cnc_interp.cam.shapes import Bumps, Cap, Cylinder
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
@@ -75,6 +75,33 @@ def loops() -> None:
     panel.set(xlim=(-22, 22), ylim=(-3, 17), xlabel='x (mm)', ylabel='y (mm)', aspect='equal')
     panel.set_title(f'sphere, torus, plane; {found.loop}', fontsize=8)
     _save(figure, 'cam_loops')
+
+
+def strategies() -> None:
+    """Fig. 5a: classical passes where the curvature varies, and those along parallel planes."""
+    surface = Bumps((50 * MM, 40 * MM), np.array([[0.0, 0.0, 5.0, 10.0]]) * MM)
+    classical = classical_paths(surface, MILL, Y, HEIGHT, 8 * DEG)
+    options = IsoScallopOptions(scallop_height=HEIGHT, tilt=8 * DEG)
+    planes = iso_scallop_paths(surface, MILL, Y, options)
+    print('classical', len(classical.passes), classical.loop, '; planes', len(planes.passes))
+    figure, panels = plt.subplots(
+        1, 2, figsize=(7.6, 3.3), layout='constrained', sharex=True, sharey=True
+    )
+    x, y = np.meshgrid(np.linspace(-25, 25, 101), np.linspace(-20, 20, 81))
+    for panel, passes, title in (
+        (panels[0], classical.passes, f'classical; {classical.loop}'),
+        (panels[1], planes.passes, f'parallel planes; all {len(planes.passes)} passes'),
+    ):
+        height = 5.0 * np.exp(-(x**2 + y**2) / 200.0)
+        panel.contour(x, y, height, np.arange(0.5, 5.0), colors=[QUIET], linewidths=0.6)
+        for made in passes:
+            line = made.postures.contact / MM
+            panel.plot(line[:, 0], line[:, 1], color=BLUE, lw=1.0)
+        panel.set(xlim=(-25, 25), ylim=(-20, 20), xlabel='x (mm)', aspect='equal')
+        panel.set_title(title, fontsize=8)
+        panel.grid(visible=False)
+    panels[0].set_ylabel('y (mm)')
+    _save(figure, 'cam_strategies')
 
 
 def contours() -> list[tuple[float, float, bool]]:
@@ -251,6 +278,7 @@ def main() -> None:
             times()
             return
         loops()
+        strategies()
         contours()
         application()
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import Blocks, FloatArray
 from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.joining import Jets, line_jets
 from cnc_interp.smoothing.lookahead import LookAhead
@@ -44,6 +44,7 @@ class PathSmoother:
         self._recent: Blocks | None = None  # the last two linear blocks
         self._waiting: PathSegments | None = None  # until it is known whether the tool rests
         self._row = 0  # row in the program of the next block
+        self._start: FloatArray | None = None  # words of the start pose, until they are sent
 
     def push(self, blocks: Blocks) -> PathSegments:
         """
@@ -56,6 +57,8 @@ class PathSmoother:
 
         """
         found: list[PathSegments | None] = []
+        if self._row == 0 and self._run is None and len(blocks):
+            self._start = blocks.rotary[0]
         spline = blocks.on_spline
         ends = spline & blocks.exact_stop  # a curve ends there
         cuts = np.flatnonzero((spline[1:] != spline[:-1]) | ends[:-1]) + 1
@@ -124,7 +127,15 @@ class PathSmoother:
 
     def _joined(self, found: list[PathSegments | None]) -> PathSegments:
         parts = [part for part in found if part is not None and len(part)]
-        return PathSegments.concatenate(parts) if parts else no_segments(self._style)
+        if not parts:
+            return no_segments(self._style)
+        segments = PathSegments.concatenate(parts)
+        if self._start is not None:
+            # A curve has no rotary words, but those of the start pose say branch and turns.
+            rotary = segments.rotary.copy()
+            rotary[0, 0] = self._start
+            segments, self._start = replace(segments, rotary=rotary), None
+        return segments
 
 
 def _line_at(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:

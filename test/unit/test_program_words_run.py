@@ -8,7 +8,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.pipeline import plan_program, write_plan
 from cnc_interp.program import JobSetup, ReadOptions, read_text
-from cnc_interp.units import MM
+from cnc_interp.smoothing.segments import SPLINE
+from cnc_interp.units import DEG, MM
 from cnc_interp.verify import verify_plan
 
 MACHINE = Machine.load('xyzac')
@@ -72,5 +73,17 @@ def test_it_runs_and_is_proven(name, tmp_path):
     options = ReadOptions(setup=SETUP if set_up else JobSetup())
     program = read_text(text, 'part.ngc', Transform.of(MACHINE), options)
     write_plan(plan_program(program, MACHINE), tmp_path)
+    proof = verify_plan(tmp_path, MACHINE)
+    assert proof.ok, proof.failures
+
+
+def test_a_curve_begins_in_the_turn_that_the_start_pose_names(tmp_path):
+    dense = [f'G1 X{0.4 * k:g} Y{0.01 * k * k:g} A{12 + k / 10:g} C{k - 250}' for k in range(40)]
+    text = '\n'.join(['TRAORI', 'G0 X0 Y0 Z0 A12 C-250', 'F3000', *dense, 'M30'])
+    program = read_text(text, 'part.ngc', Transform.of(MACHINE), ReadOptions())
+    plan = plan_program(program, MACHINE)
+    assert (plan.segments.kind == SPLINE).sum() > 0.8 * len(plan.segments)
+    assert plan.setpoints.position[0, 4] == pytest.approx(-250 * DEG)
+    write_plan(plan, tmp_path)
     proof = verify_plan(tmp_path, MACHINE)
     assert proof.ok, proof.failures

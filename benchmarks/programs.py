@@ -85,6 +85,23 @@ def program_file(name: str) -> Path:
     return next(path for path in sorted((PROGRAMS / name).iterdir()) if path.name != 'SOURCE')
 
 
+def commit() -> str:
+    """Return the state of the code."""
+    command = ['git', '-C', str(ROOT), 'rev-parse', '--short', 'HEAD']
+    found = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    return found or 'no repository'
+
+
+def made_at(results: dict[str, dict[str, Any]]) -> str:
+    """Tell at which states of the code the rows were made."""
+    names: dict[str, list[str]] = {}
+    for name, result in results.items():
+        names.setdefault(result['commit'], []).append(name)
+    most = max(names, key=lambda key: len(names[key]))
+    others = [f'{key}: {", ".join(names[key])}' for key in names if key != most]
+    return f'State of the code: {most}' + (f'; but {"; ".join(others)}' if others else '') + '.'
+
+
 def read(name: str, geometry: Transform) -> tuple[Program, float, float]:
     """Read a program; also the time to the first block and to the last [s]."""
     case = CASES[name]
@@ -121,7 +138,7 @@ def run_one(name: str) -> dict[str, Any]:
     case, file = CASES[name], program_file(name)
     machine = Machine.load(case.machine)
     geometry = Transform.of(machine)
-    result: dict[str, Any] = {'lines': len(file.read_bytes().splitlines())}
+    result: dict[str, Any] = {'lines': len(file.read_bytes().splitlines()), 'commit': commit()}
     try:
         read(name, geometry)  # kernels and file cache warm
         program, first, whole = read(name, geometry)
@@ -186,6 +203,8 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
         'which its interpreter and',
         'ours agree; "-": it does not read this. Planning: blocks/s from blocks to setpoints, on '
         'one of two busy cores.',
+        '',
+        made_at(results),
         '',
         '| program | lines | machine | blocks | klines/s | first | LinuxCNC | motion [s] '
         '| planning | check |',

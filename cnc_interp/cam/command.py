@@ -23,7 +23,10 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
         'make a program of constant scallop height along parallel planes',
         'cnc-interp cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps',
     )  # fmt: skip
-    make.add_argument('surface', type=Path, metavar='SURFACE', help='surface file (JSON)')
+    make.add_argument(
+        'surface', type=Path, metavar='SURFACE', help='surface file (JSON), or STEP (.step, .stp)'
+    )
+    _face(make)
     make.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
     _mill(make, positive)
     make.add_argument(
@@ -89,8 +92,10 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
         'motion', type=Path, metavar='PROGRAM_OR_DIR', help='part program, or folder of a plan'
     )
     simulate.add_argument(
-        '--surface', type=Path, required=True, metavar='FILE', help='surface file (JSON)'
-    )
+        '--surface', type=Path, required=True, metavar='FILE',
+        help='surface file (JSON), or STEP (.step, .stp)',
+    )  # fmt: skip
+    _face(simulate)
     _mill(simulate, positive)
     _value(simulate, '--scallop', 10.0, 'UM', 'scallop height of the colour scale', positive)
     simulate.add_argument(
@@ -105,6 +110,14 @@ def _mill(added: argparse.ArgumentParser, positive: Number) -> None:
     """Add the options of the mill; the defaults are those of the paper."""
     _value(added, '--tool-diameter', 13.0, 'MM', 'diameter of the mill, 2 (R + r_c)', positive)
     _value(added, '--corner-radius', 1.5, 'MM', 'corner radius r_c', positive)
+
+
+def _face(added: argparse.ArgumentParser) -> None:
+    """Add the choice of a face."""
+    added.add_argument(
+        '--face', type=int, metavar='N',
+        help='face of a STEP file; without it, several faces are listed',
+    )  # fmt: skip
 
 
 def _cutting(added: argparse.ArgumentParser, positive: Number) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
 from cnc_interp.program.blocks import FloatArray
 
 
@@ -226,15 +226,66 @@ class Placed(Surface):
         Its rotation.
     shift : ndarray, shape (3,)
         Then its shift [m].
+    domain : ((float, float), (float, float)) or None
+        Another rectangle of its parameters.
+    flip : bool
+        Turn the normal round.
 
     """
 
-    def __init__(self, surface: Surface, rotation: FloatArray, shift: FloatArray):
-        super().__init__(surface.domain)
+    def __init__(
+        self, surface: Surface, rotation: FloatArray, shift: FloatArray,
+        domain: tuple[tuple[float, float], tuple[float, float]] | None = None, flip: bool = False,
+    ):  # fmt: skip
+        super().__init__(domain or surface.domain)
         self.surface, self.rotation, self.shift = surface, rotation, shift
-        self.sign = surface.sign
+        self.sign = -surface.sign if flip else surface.sign
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
         """Return S, S_u, S_v, S_uu, S_uv, S_vv."""
         first, *others = (x @ self.rotation.T for x in self.surface.derivatives(u, v))
         return (first + self.shift, *others)
+
+
+class RationalSurface(Surface):
+    """
+    Rational B-spline surface S = A / w, both B-splines.
+
+    Parameters
+    ----------
+    knots : (ndarray, ndarray)
+        Knot vectors of u and v.
+    control_points : ndarray, shape (n_u, n_v, 3)
+        Control points [m].
+    weights : ndarray, shape (n_u, n_v)
+        Their positive weights.
+    degree : (int, int)
+        Degrees in u and v, at least 2.
+    flip : bool
+        Turn the normal round.
+
+    """
+
+    def __init__(
+        self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
+        weights: FloatArray, degree: tuple[int, int] = (3, 3), flip: bool = False,
+    ):  # fmt: skip
+        w = np.repeat(weights[..., None], 3, axis=2)
+        self.above = BSplineSurface(knots, w * control_points, degree)
+        self.weight = BSplineSurface(knots, w, degree)
+        super().__init__(self.above.domain, flip)
+
+    def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
+        """Return S, S_u, S_v, S_uu, S_uv, S_vv: w S = A, differentiated twice."""
+        a, a_u, a_v, a_uu, a_uv, a_vv = self.above.derivatives(u, v)
+        w, w_u, w_v, w_uu, w_uv, w_vv = self.weight.derivatives(u, v)
+        s = a / w
+        s_u, s_v = (a_u - w_u * s) / w, (a_v - w_v * s) / w
+        return (
+            s,
+            s_u,
+            s_v,
+            (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
+            (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w,
+            (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
+        )

@@ -1,5 +1,5 @@
 """
-Surface files: JSON with lengths in mm and angles in degrees (docs/cam.md, "Surface files").
+Surface files: STEP, or JSON with lengths in mm and angles in degrees (docs/cam.md).
 
     {"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
      "placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}
@@ -8,6 +8,7 @@ Surface files: JSON with lengths in mm and angles in degrees (docs/cam.md, "Surf
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, Torus
+from cnc_interp.cam.step_file import read_step_face
 from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
 from cnc_interp.program.blocks import FloatArray
 from cnc_interp.units import DEG, MM
 
+STEP_SUFFIXES = '.step', '.stp', '.p21'
 #: Keys of every kind, and whether they may be left out.
 KEYS: dict[str, dict[str, bool]] = {
     'plane': {'size_mm': False},
@@ -65,9 +68,20 @@ class _File:
         return float(self.numbers(key, ())) * unit
 
 
-def read_surface(path: Path) -> Surface:
+def read_surface(
+    path: Path, face: int | None = None, note: Callable[[str], None] | None = None
+) -> Surface:
     """
-    Read a surface file.
+    Read a surface file, or a face of a STEP file (.step, .stp, .p21).
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    face : int or None
+        Number of the face in a STEP file.
+    note : callable
+        Is told what the user should know of the surface.
 
     Raises
     ------
@@ -75,6 +89,10 @@ def read_surface(path: Path) -> Surface:
         If the file cannot be read; names the key and what it must be.
 
     """
+    if path.suffix.lower() in STEP_SUFFIXES:
+        return read_step_face(path, face, note)
+    if face is not None:
+        raise SurfaceError(f'{path}: --face is for STEP files ({", ".join(STEP_SUFFIXES)})')
     try:
         contents = json.loads(path.read_text(encoding='utf-8'))
     except OSError as error:

@@ -42,7 +42,7 @@ SMOOTHING = 0.2
 
 def make_program(options: argparse.Namespace) -> int:
     """Make the program of a surface, simulate it if asked, and write everything."""
-    surface = read_surface(options.surface)
+    surface = read_surface(options.surface, options.face, _note)
     cutter = _cutter(options)
     normal = across(surface, options.direction * DEG)
     clock = time.perf_counter()
@@ -90,7 +90,7 @@ def make_program(options: argparse.Namespace) -> int:
     (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
     for note in paths.notes if isinstance(paths, IsoScallopPaths) else []:
-        print(f'note: {note}', file=sys.stderr)
+        _note(note)
     return 0
 
 
@@ -114,7 +114,8 @@ def _followed(
 
 def simulate_motion(options: argparse.Namespace) -> int:
     """Cut a surface with a program or a plan."""
-    surface, cutter = read_surface(options.surface), _cutter(options)
+    surface = read_surface(options.surface, options.face, _note)
+    cutter = _cutter(options)
     machine = Machine.load(options.machine)
     if options.motion.is_dir():
         files = read_plan(options.motion)
@@ -307,6 +308,11 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
         points=options.points,
         stray=None if options.no_restart else IsoScallopOptions.stray,
     )
+
+
+def _note(text: str) -> None:
+    """Tell what the user should know, beside the results."""
+    print(f'note: {text}', file=sys.stderr)
 
 
 def _progress(what: str, quiet: bool) -> Callable[[float], None] | None:

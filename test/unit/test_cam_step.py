@@ -1,0 +1,412 @@
+"""Faces of STEP files: the same surfaces as in Python, and one line for what is not read."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cnc_interp.cam.shapes import RationalSurface
+from cnc_interp.cam.surface import BSplineSurface, SurfaceError
+from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cli import BAD_INPUT, FINE, main
+from cnc_interp.units import DEG, INCH, MM
+
+METRE = '(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT($,.METRE.))'
+MILLIMETRE = METRE.replace('$', '.MILLI.')
+QUARTER = np.array([[[1, 0, z], [1, 1, z], [0, 1, z]] for z in (0, 1, 3)], float).swapaxes(0, 1)
+QUARTER_WEIGHTS = np.outer([1.0, np.sqrt(0.5), 1.0], np.ones(3))
+
+
+class Part:
+    """Writes a STEP file, lengths in the file's unit."""
+
+    def __init__(self, unit=MILLIMETRE):
+        self.lines = []
+        self.unit(unit)
+
+    def add(self, text):
+        self.lines.append(f'#{len(self.lines) + 1}={text};')
+        return f'#{len(self.lines)}'
+
+    def unit(self, text):
+        self.add(f'(GLOBAL_UNIT_ASSIGNED_CONTEXT(({self.add(text)}))REPRESENTATION_CONTEXT($,$))')
+
+    def point(self, p, keyword='CARTESIAN_POINT'):
+        return self.add(f"{keyword}('',{self.all(float(x) for x in p)})")
+
+    def frame(self, origin=(0, 0, 0), z=(0, 0, 1), x=(1, 0, 0)):
+        z, x = self.point(z, 'DIRECTION'), self.point(x, 'DIRECTION')
+        return self.add(f"AXIS2_PLACEMENT_3D('',{self.point(origin)},{z},{x})")
+
+    def vertex(self, p):
+        return self.add(f"VERTEX_POINT('',{self.point(p)})")
+
+    def edge(self, a, b, curve, sense='T', along='T'):
+        edge = self.add(f"EDGE_CURVE('',{a},{b},{curve},.{sense}.)")
+        return self.add(f"ORIENTED_EDGE('',*,*,{edge},.{along}.)")
+
+    def line(self, a, b):
+        return self.edge(a, b, self.add("LINE('',$,$)"))
+
+    def circle(self, a, b, frame, radius, sense='T', along='T'):
+        curve = self.add(f"CIRCLE('',{frame},{radius!r})")
+        curve = self.add(f"SEAM_CURVE('',{curve},(),.CURVE_3D.)")
+        return self.edge(a, b, curve, sense, along)
+
+    def bound(self, *edges):
+        loop = self.add(f"EDGE_LOOP('',{self.all(edges)})")
+        return self.add(f"FACE_OUTER_BOUND('',{loop},.T.)")
+
+    def polygon(self, points):
+        ends = [self.vertex(p) for p in points]
+        return self.bound(*(self.line(*pair) for pair in zip(ends, ends[1:] + ends[:1])))
+
+    def face(self, surface, *bounds, sense='T'):
+        return self.add(f"ADVANCED_FACE('',{self.all(bounds)},{surface},.{sense}.)")
+
+    def spline(self, knots, points, degree, weights=None):
+        net = self.all(self.all(self.point(p) for p in row) for row in points)
+        values, counts = zip(*(np.unique(t, return_counts=True) for t in knots), strict=True)
+        shape = f'{degree[0]},{degree[1]},{net},.UNSPECIFIED.,.F.,.F.,.U.'
+        tail = ','.join(self.all(map(repr, x.tolist())) for x in (*counts, *values))
+        if weights is None:
+            return self.add(f"B_SPLINE_SURFACE_WITH_KNOTS('',{shape},{tail},.UNSPECIFIED.)")
+        return self.add(
+            f'(BOUNDED_SURFACE()B_SPLINE_SURFACE({shape})B_SPLINE_SURFACE_WITH_KNOTS({tail},'
+            '.UNSPECIFIED.)GEOMETRIC_REPRESENTATION_ITEM()RATIONAL_B_SPLINE_SURFACE('
+            f'{self.all(self.all(map(repr, row.tolist())) for row in weights)})'
+            "REPRESENTATION_ITEM('a;b'' /* #1 ')SURFACE())"
+        )
+
+    @staticmethod
+    def all(items):
+        return f'({",".join(map(str, items))})'
+
+    def write(self, path):
+        head = "ISO-10303-21;\nHEADER;\nFILE_NAME('it''s; #1=PLANE(',$);\nENDSEC;\nDATA;\n"
+        body = '\n/* a comment; #1=PLANE( */ '.join(self.lines)
+        path.write_text(f'{head}{body}\nENDSEC;\nEND-ISO-10303-21;\n')
+        return path
+
+
+def wavy():
+    """Knots with multiplicities, degrees 3 and 2, control points [mm]."""
+    knots = np.array([0, 0, 0, 0, 0.3, 0.5, 0.5, 1, 1, 1, 1]), np.array([2, 2, 2, 3, 5, 5, 5.0])
+    rng = np.random.default_rng(4)
+    x, y = np.meshgrid(np.linspace(-9, 9, 7), np.linspace(-6, 6, 4), indexing='ij')
+    return knots, np.stack([x, y, rng.uniform(0, 1, x.shape)], axis=-1), (3, 2)
+
+
+def corners(points):
+    return [points[0, 0], points[-1, 0], points[-1, -1], points[0, -1]]
+
+
+def assert_same(found, expected):
+    assert found.domain == expected.domain
+    u, v = expected.grid(15, 13)
+    for name in ('position', 'd_u', 'd_v', 'normal', 'n_u', 'n_v'):
+        a, b = getattr(found.at(u, v), name), getattr(expected.at(u, v), name)
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * max(1.0, np.abs(b).max()))
+
+
+@pytest.mark.parametrize('sense', ['T', 'F'])
+@pytest.mark.parametrize('weights', [None, 1.0, 2.0])
+def test_spline_face_is_the_spline(sense, weights, tmp_path):
+    knots, points, degree = wavy()
+    part = Part()
+    given = None if weights is None else np.full(points.shape[:2], weights)
+    surface = part.spline(knots, points, degree, given)
+    part.face(surface, part.polygon(corners(points)), sense=sense)
+    notes = []
+    found = read_surface(part.write(tmp_path / 'a.STEP'), note=notes.append)
+    assert_same(found, BSplineSurface(knots, points * MM, degree, sense == 'F'))
+    assert notes == []
+
+
+def test_trimmed_spline_face_is_told_to_be_the_whole_patch(tmp_path):
+    knots, points, degree = wavy()
+    part = Part()
+    part.face(part.spline(knots, points, degree), part.polygon(points[1, 1:4]))
+    notes = []
+    found = read_surface(part.write(tmp_path / 'a.stp'), note=notes.append)
+    assert_same(found, BSplineSurface(knots, points * MM, degree))
+    (note,) = notes
+    assert 'face 1 is trimmed' in note
+
+
+def test_rational_spline_is_a_cylinder(tmp_path):
+    knots = (np.array([0, 0, 0, 1, 1, 1.0]),) * 2
+    part = Part()
+    surface = part.spline(knots, 20 * QUARTER, (2, 2), QUARTER_WEIGHTS)
+    part.face(surface, part.polygon(20 * np.array(corners(QUARTER))))
+    found = read_surface(part.write(tmp_path / 'a.step'))
+    point = found.at(*found.grid(9, 9))
+    radial = point.position * [1, 1, 0] / (20 * MM)
+    np.testing.assert_allclose(np.linalg.norm(radial, axis=-1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(point.normal, radial, atol=1e-12)
+    low, high = point.principal_curvatures()
+    np.testing.assert_allclose(low, 0.0, atol=1e-9)
+    np.testing.assert_allclose(high, 50.0, atol=1e-9)
+    assert_same(found, RationalSurface(knots, 20 * MM * QUARTER, QUARTER_WEIGHTS, (2, 2)))
+
+
+def test_straight_direction_of_degree_1_is_raised(tmp_path):
+    knots, points, _ = wavy()
+    straight = points[:, [0, 3]]
+    part = Part()
+    surface = part.spline((knots[0], np.array([0, 0, 2, 2.0])), straight, (3, 1))
+    part.face(surface, part.polygon(corners(straight)))
+    found = read_surface(part.write(tmp_path / 'a.step'))
+    u, v = found.grid(9, 9)
+    line = BSplineSurface(
+        (knots[0], np.array([0, 0, 0, 2, 2, 2.0])),
+        MM * np.stack([straight[:, 0], straight.mean(axis=1), straight[:, 1]], axis=1), (3, 2),
+    )  # fmt: skip
+    assert_same(found, line)
+    middle = 0.5 * (found.at(u[:, :1], v[:, :1]).position + found.at(u[:, :1], v[:, -1:]).position)
+    np.testing.assert_allclose(found.at(u, v).position[:, 4:5], middle, atol=1e-15)
+
+
+def inch(part):
+    millimetre = part.add(MILLIMETRE)
+    measure = part.add(f'LENGTH_MEASURE_WITH_UNIT(LENGTH_MEASURE(25.4),{millimetre})')
+    return f"(CONVERSION_BASED_UNIT('INCH',{measure})LENGTH_UNIT()NAMED_UNIT($))"
+
+
+@pytest.mark.parametrize(('name', 'length'), [('mm', MM), ('m', 1.0), ('inch', INCH)])
+def test_units_are_those_of_the_file(name, length, tmp_path):
+    part = Part(METRE if name == 'm' else MILLIMETRE)
+    if name == 'inch':
+        part.lines = []
+        part.unit(inch(part))
+    surface = part.add(f"PLANE('',{part.frame((1, 2, 3))})")
+    part.face(surface, part.polygon([(0, 0, 3), (2, 0, 3), (2, 4, 3), (0, 4, 3)]))
+    found = read_surface(part.write(tmp_path / 'a.step'))
+    np.testing.assert_allclose(found.domain, np.array([[-1, 1], [-2, 2]]) * length, atol=1e-15)
+    place = found.at(*found.grid(2, 2)).position[1, 0]
+    np.testing.assert_allclose(place, np.array([2, 0, 3]) * length, atol=1e-15)
+
+
+AXES = np.array([[0.0, 0.6, 0.8], [0.0, -0.8, 0.6], [1.0, 0.0, 0.0]])
+ORIGIN = np.array([3.0, -4.0, 5.0])
+
+
+def rounded(u, v, ring, radius):
+    """The torus of the standard about AXES[2]; a sphere where ring is 0 [mm]."""
+    x, y, z = AXES
+    out = np.multiply.outer(np.cos(u), x) + np.multiply.outer(np.sin(u), y)
+    far = (ring + radius * np.cos(v))[..., None]
+    return ORIGIN + far * out + radius * np.multiply.outer(np.sin(v), z)
+
+
+def rounded_face(kind, u, v, sense):
+    """A face between lines of constant parameter; a cylinder has v as a length."""
+    part = Part()
+    frame = part.frame(ORIGIN, AXES[2], AXES[0])
+    ring, radius = {'CYLINDRICAL': (0.0, 20.0), 'SPHERICAL': (0.0, 20.0)}.get(kind, (30.0, 20.0))
+
+    def at(a, b):
+        if kind == 'CYLINDRICAL':
+            return rounded(np.array(a), np.array(0.0), 0.0, radius) + b * AXES[2]
+        return rounded(np.array(a), np.array(b), ring, radius)
+
+    ends = [part.vertex(at(a, b)) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]),
+                                               (u[0], v[1]))]  # fmt: skip
+    edges = []
+    for k, b in ((0, v[0]), (2, v[1])):
+        far, height = (radius, b) if kind == 'CYLINDRICAL' else (
+            ring + radius * np.cos(b), radius * np.sin(b))  # fmt: skip
+        circle = part.frame(ORIGIN + height * AXES[2], AXES[2], AXES[1])
+        sense_of = 'TF'[k // 2]
+        edges.append(part.circle(ends[k], ends[k + 1], circle, float(far), sense_of))
+        a = u[1 - k // 2]
+        if kind == 'CYLINDRICAL':
+            edges.append(part.line(ends[k + 1], ends[(k + 2) % 4]))
+            continue
+        out = np.cos(a) * AXES[0] + np.sin(a) * AXES[1]
+        meridian = part.frame(ORIGIN + ring * out, np.cross(out, AXES[2]), out)
+        # The second meridian is written from its end, as where another face uses it.
+        order = (ends[1], ends[2], 'T', 'T') if k == 0 else (ends[0], ends[3], 'T', 'F')
+        edges.append(part.circle(*order[:2], meridian, radius, *order[2:]))
+    numbers = f'{ring!r},{radius!r}' if ring else f'{radius!r}'
+    part.face(part.add(f"{kind}_SURFACE('',{frame},{numbers})"), part.bound(*edges), sense=sense)
+    return part
+
+
+@pytest.mark.parametrize('sense', ['T', 'F'])
+@pytest.mark.parametrize(
+    ('kind', 'u', 'v'),
+    [
+        ('CYLINDRICAL', (-20 * DEG, 65 * DEG), (-3.0, 12.0)),
+        ('CYLINDRICAL', (100 * DEG, 310 * DEG), (1.0, 2.0)),
+        ('SPHERICAL', (150 * DEG, 230 * DEG), (-10 * DEG, 50 * DEG)),
+        ('TOROIDAL', (10 * DEG, 80 * DEG), (-30 * DEG, 40 * DEG)),
+        ('TOROIDAL', (160 * DEG, 250 * DEG), (120 * DEG, 220 * DEG)),
+    ],
+)
+def test_round_faces_are_those_of_the_standard(kind, u, v, sense, tmp_path):
+    part = rounded_face(kind, u, v, sense)
+    notes = []
+    found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
+    assert notes == []
+    first, second = found.grid(11, 9)
+    turns = np.round((first[0, 0] - u[0]) / (2 * np.pi)) * 2 * np.pi
+    around = np.round((second[0, 0] - v[0]) / (2 * np.pi)) * 2 * np.pi
+    along = MM if kind == 'CYLINDRICAL' else 1.0
+    np.testing.assert_allclose(first[[0, -1], 0] - turns, u, atol=1e-12)
+    np.testing.assert_allclose(second[0, [0, -1]] - around, np.array(v) * along, atol=1e-12)
+    point = found.at(first, second)
+    if kind == 'CYLINDRICAL':
+        expected = rounded(first, 0 * first, 0.0, 20.0) + np.multiply.outer(second / MM, AXES[2])
+        centre = ORIGIN + np.multiply.outer(second / MM, AXES[2])
+    else:
+        ring = 30.0 if kind == 'TOROIDAL' else 0.0
+        expected = rounded(first, second, ring, 20.0)
+        centre = rounded(first, 0 * first, ring, 0.0)
+    np.testing.assert_allclose(point.position, expected * MM, atol=1e-12)
+    outward = (expected - centre) / 20.0 * (1 if sense == 'T' else -1)
+    np.testing.assert_allclose(point.normal, outward, atol=1e-12)
+
+
+def test_disc_is_its_square_and_says_so(tmp_path):
+    part = Part()
+    frame = part.frame((5, 0, 1), (0, 0, -1), (0.6, 0.8, 0))
+    end = part.vertex((5 - 7 * 0.28, 7 * 0.96, 1))
+    loop = part.bound(part.circle(end, end, part.frame((5, 0, 1)), 7.0))
+    part.face(part.add(f"PLANE('',{frame})"), loop)
+    notes = []
+    found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
+    np.testing.assert_allclose(found.domain, [[-7 * MM, 7 * MM]] * 2, atol=1e-15)
+    np.testing.assert_allclose(found.at(*found.grid(2, 2)).normal[..., 2], -1.0)
+    assert len(notes) == 1 and '14 x 14 mm' in notes[0]
+
+
+def two_faces():
+    part = Part()
+    points = [(0, 0, 0), (30, 0, 0), (30, 20, 0), (0, 20, 0)]
+    part.face(part.add(f"PLANE('',{part.frame()})"), part.polygon(points))
+    knots, net, degree = wavy()
+    part.face(part.spline(knots, net, degree), part.polygon(corners(net)))
+    part.face(part.add(f"CONICAL_SURFACE('',{part.frame()},1.,0.5)"), part.polygon(points))
+    return part
+
+
+def test_several_faces_are_listed(tmp_path):
+    path = two_faces().write(tmp_path / 'a.step')
+    with pytest.raises(SurfaceError, match='choose one of 3 faces with --face N') as listed:
+        read_surface(path)
+    _, *lines = str(listed.value).splitlines()
+    assert lines[0].split() == ['1', 'PLANE,', '30', 'x', '20', 'mm']
+    assert '2  B_SPLINE_SURFACE_WITH_KNOTS, 18.' in lines[1]
+    assert 'CONICAL_SURFACE, cannot be taken' in lines[2] and 'is not read' in lines[2]
+    assert_same(read_surface(path, 2), BSplineSurface(wavy()[0], wavy()[1] * MM, (3, 2)))
+    for number in (0, 4):
+        with pytest.raises(SurfaceError, match=f'no face {number}; .* from 1 to 3'):
+            read_surface(path, number)
+
+
+def changed(old, new):
+    def change(text):
+        assert old in text
+        return text.replace(old, new)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ('change', 'says'),
+    [
+        (lambda text: text[:-60], 'ends early: END-ISO-10303-21; is missing'),
+        (lambda text: text[: text.index("FILE_NAME('it") + 14], 'a.step:3: the file ends early'),
+        (lambda text: '{"kind": "plane"}', 'is not STEP: it does not begin with ISO-10303-21;'),
+        (changed('.MILLI.', '.PICO.'), 'the unit of length #1 is neither'),
+        (changed('LENGTH_UNIT', 'MASS_UNIT'), 'one unit of length (LENGTH_UNIT), and has none'),
+        (changed('ADVANCED_FACE', 'OTHER_FACE'), 'holds no face'),
+        (changed('(4,1,2,4)', '(4,1,2,3)'), 'multiplicities in u do not fit 7 control points'),
+        (changed('(4,1,2,4)', '(4,1,2,1000000000000)'), 'do not fit 7 control points'),
+        (changed("'',3,2,((#", "'',3,1,((#"), 'multiplicities in v do not fit'),
+        (changed('0.3,0.5', '0.5,0.3'), 'the knots in u must not fall'),
+        (changed("'',3,2,((#3,", "'',3,2,((#99999,"), 'there is no instance #99999'),
+        (changed("'',3,2,((#3,", "'',3,2,((#1,"), 'must be a CARTESIAN_POINT'),
+        (changed("'',3,2,((#3,", "'',3,2,((7,"), 'must hold a reference'),
+        (changed("'',3,2,((#3,", "'',3,2,(("), 'rows of different lengths'),
+        (changed("CARTESIAN_POINT('',(-9.0,", "CARTESIAN_POINT('',(-9.0e999,"), 'KEYWORD(...);'),
+        (changed("CARTESIAN_POINT('',(-9.0,", "CARTESIAN_POINT('',(&,"), "cannot be read at '&,"),
+        (changed("CARTESIAN_POINT('',(-9.0,", "CARTESIAN_POINT('',("), 'must have three numbers'),
+        (changed("#3=CARTESIAN_POINT('',", f"#3=CARTESIAN_POINT('',{'(' * 5000}"), 'KEYWORD(...)'),
+        (changed('EDGE_LOOP', 'VERTEX_LOOP'), 'is a VERTEX_LOOP and must be a EDGE_LOOP'),
+    ],
+)  # fmt: skip
+def test_wrong_files_get_one_line(change, says, tmp_path, capsys):
+    knots, points, degree = wavy()
+    part = Part()
+    part.face(part.spline(knots, points, degree), part.polygon(corners(points)))
+    path = part.write(tmp_path / 'a.step')
+    path.write_text(change(path.read_text()))
+    assert main(['cam', 'iso-scallop', str(path), '--out', str(tmp_path / 'out')]) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert says in error and str(path) in error and error.count('\n') == 1
+
+
+def face_of(surface, points):
+    def make(part):
+        part.face(part.add(surface.format(part.frame())), part.polygon(points))
+
+    return make
+
+
+def whole_cylinder(part):
+    end = part.vertex((5, 0, 0)), part.vertex((5, 0, 9))
+    circles = [part.circle(e, e, part.frame((0, 0, z)), 5.0, 'T', s)
+               for e, z, s in ((end[0], 0, 'T'), (end[1], 9, 'F'))]  # fmt: skip
+    loop = part.bound(circles[0], part.line(*end), circles[1], part.line(*end[::-1]))
+    part.face(part.add(f"CYLINDRICAL_SURFACE('',{part.frame()},5.)"), loop)
+
+
+def oblique_cylinder(part):
+    end = part.vertex((5, 0, 0)), part.vertex((0, 5, 3))
+    edge = part.edge(*end, part.add("ELLIPSE('',$,1.,2.)"))
+    part.face(part.add(f"CYLINDRICAL_SURFACE('',{part.frame()},5.)"), part.bound(edge))
+
+
+SQUARE = [(0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 0)]
+
+
+@pytest.mark.parametrize(
+    ('make', 'says'),
+    [
+        (face_of("CONICAL_SURFACE('',{},1.,0.5)", SQUARE), 'CONICAL_SURFACE is not read'),
+        (face_of("PLANE('',{})", SQUARE[:2]), 'spans no rectangle'),
+        (whole_cylinder, 'goes all the way round'),
+        (oblique_cylinder, 'is a ELLIPSE and must be a LINE or CIRCLE'),
+        (lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")), 'no bound'),
+    ],
+)
+def test_faces_that_cannot_be_taken_are_named(make, says, tmp_path):
+    part = Part()
+    make(part)
+    with pytest.raises(SurfaceError, match=says) as fault:
+        read_surface(part.write(tmp_path / 'a.step'))
+    assert str(fault.value).startswith(str(tmp_path / 'a.step:'))
+
+
+def test_face_makes_the_program_of_the_same_surface_in_json(tmp_path, capsys):
+    knots, points, degree = wavy()
+    points = points[:, ::-1] * [1.0, 1.0, 0.1]
+    part = Part()
+    part.face(part.spline(knots, points, degree), part.polygon(corners(points)), sense='F')
+    files = {'step': part.write(tmp_path / 'a.step'), 'json': tmp_path / 'a.json'}
+    files['json'].write_text(json.dumps({
+        'kind': 'bspline', 'knots_u': knots[0].tolist(), 'knots_v': knots[1].tolist(),
+        'points_mm': points.tolist(), 'degree': degree, 'flip': True,
+    }))  # fmt: skip
+    options = ['--stepover', '2', '--json']
+    for name, file in files.items():
+        command = ['cam', 'iso-scallop', str(file), *options, '--out', str(tmp_path / name)]
+        assert main(command) == FINE, capsys.readouterr().err
+    programs = [(tmp_path / name / 'program.mpf').read_text() for name in files]
+    assert programs[0] == programs[1] and programs[0].count('BSPLINE') > 1
+    command = ['cam', 'iso-scallop', str(files['json']), '--face', '1', '--out', str(tmp_path)]
+    capsys.readouterr()
+    assert main(command) == BAD_INPUT
+    assert '--face is for STEP files' in capsys.readouterr().err

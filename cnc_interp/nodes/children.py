@@ -25,8 +25,6 @@ from types import TracebackType
 from cnc_interp.errors import InterpError
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
-#: Set for the nodes: the process whose end is also theirs.
-PARENT = 'CNC_INTERP_PARENT'
 #: What the fork server loads before it forks.
 PRELOADED = 'cnc_interp.nodes.preloaded'
 #: Loading takes longer than this only where the kernels must be compiled first [s].
@@ -54,7 +52,7 @@ def begin_loading() -> None:
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
     """Be a node; the whole life of a forked process."""
     os.setsid()  # Ctrl-C is for the run, which ends the nodes in order
-    os.environ.update(environment, **{PARENT: str(os.getppid())})
+    os.environ.update(environment)
     with log.open('wb') as output, open(os.devnull, 'rb') as nothing:
         for stream, number in ((nothing, 0), (output, 1), (output, 2)):
             os.dup2(stream.fileno(), number)

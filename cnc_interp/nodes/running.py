@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import multiprocessing
 import os
 import signal
 import sys
@@ -18,7 +19,6 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from cnc_interp.errors import InterpError
-from cnc_interp.nodes.children import PARENT
 
 #: The events executor needs a finite timeout; this is also how soon a signal is seen [s].
 SPIN_TIMEOUT = 0.1
@@ -61,9 +61,9 @@ def run_node(
         executor.add_node(node)
         gc.collect()
         gc.freeze()  # what exists now lives as long as the node: no collection walks over it
-        parent = int(os.environ.get(PARENT, '0'))
+        run = multiprocessing.parent_process()
         # Nodes that a run started end with it, however it ends.
-        while not stop and rclpy.ok() and parent in (0, os.getppid()):
+        while not stop and rclpy.ok() and (run is None or run.is_alive()):
             executor.spin_once(timeout_sec=SPIN_TIMEOUT)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -13,13 +13,12 @@ from nicegui import app, ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from cnc_interp.errors import InterpError
-from cnc_interp.nodes.children import PARENT
 from cnc_interp.panel.access import Access
 from cnc_interp.panel.desk import Desk
 from cnc_interp.panel.page import Page
+from cnc_interp.panel.starting import LOOPBACK, PARENT
 
 STYLE = Path(__file__).with_name('style.css')
-LOOPBACK = ('127.0.0.1', 'localhost', '::1')
 #: How often the desk looks after programs and the machine's name [s].
 WATCH = 0.2
 #: A page that was cut off finds its place again within this time [s].

@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING
 
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.nodes.children import PARENT, Children
+from cnc_interp.nodes.children import Children
 from cnc_interp.nodes.session import RunResult, chosen_domain, nodes_file
 
 if TYPE_CHECKING:
     from cnc_interp.panel.server import Served
 
+#: Set for a page beside a run: the process whose end is also its own.
+PARENT = 'CNC_INTERP_PARENT'
 LOOPBACK = ('127.0.0.1', 'localhost', '::1')
 #: How long the page may take to end [s].
 LAST_WAIT = 5.0

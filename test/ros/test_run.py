@@ -1,6 +1,10 @@
 """Real processes: programs run to their end, bad input moves nothing, what is unsound is named."""
 
 import math
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,6 +43,15 @@ LAST = (np.array([16.0, 12.0, 0.0]) * 1e-3, np.array([0.05, -0.12, 0.991514]))
 TOO_FAR = PROGRAM.replace('16.0,12.0', '1600.0,12.0')
 NO_NUMBER = PROGRAM.replace('10.0,8.0', '10.0,eight')
 
+RUN_FOR_EVER = """
+import time
+from cnc_interp.nodes.children import Children
+from cnc_interp.nodes.session import nodes_file
+with Children('/killed', 99, {}, nodes_file()) as nodes:
+    print(*nodes.process_ids.values(), flush=True)
+    time.sleep(1000)
+"""
+
 
 def assert_at_the_last_pose(position):
     tip, axis = TRANSFORM.forward(np.array([position]))
@@ -73,7 +86,7 @@ def test_native_splines_run_over_the_nodes_and_are_proven(tmp_path):
     read = read_text(PROGRAM, 'part.apt', TRANSFORM, ReadOptions())
     written = convert(read, MACHINE, ChainOptions(), 'siemens-bspline', 0.01 * UM)
     program.write_text(written.text)
-    result = run_session(RunRequest(program, out=out, quiet=True))
+    (result,) = run_session(RunRequest(program, out=out, quiet=True))
     assert result.ok, result.message
     assert written.text.count('BSPLINE') >= 2, 'both corners are curves now'
     assert result.blocks_sent == result.blocks_executed > 10
@@ -142,6 +155,26 @@ def test_cancelling_ends_at_rest_on_the_path(nodes):
     result = nodes.result_of(handle)
     assert result.code == Result.CANCELED
     assert nodes.next_state().state == MachineState.IDLE
+
+
+def test_nodes_end_with_a_run_that_is_killed():
+    run = subprocess.Popen([sys.executable, '-c', RUN_FOR_EVER], stdout=subprocess.PIPE, text=True)
+    nodes = [int(word) for word in run.stdout.readline().split()]
+    assert len(nodes) == 4 and all(map(lives, nodes))
+    run.kill()
+    run.wait()
+    deadline = time.monotonic() + 60.0
+    while any(map(lives, nodes)):
+        assert time.monotonic() < deadline, 'a node outlives its run'
+        time.sleep(0.1)
+
+
+def lives(process):
+    """Whether a process runs and is not only remembered."""
+    try:
+        return ') Z ' not in Path(f'/proc/{process}/stat').read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def sound_blocks(program_id):

@@ -100,7 +100,7 @@ class FeedrateNode(LifecycleNode):
     def _see_machine(self, state: MachineState) -> None:
         """Keep what the machine said last, and whether it is on the run."""
         self._state = state
-        if state.program_id == self._run:
+        if self._run and state.program_id == self._run:
             self._known = not state.completed
 
     def _check(self, segment: PathSegment) -> None:

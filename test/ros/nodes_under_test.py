@@ -69,10 +69,14 @@ class NodesUnderTest:
     def spin_until(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience
         while not done():
-            assert time.monotonic() < deadline, 'waited too long'
+            assert time.monotonic() < deadline, f'waited too long; {self.last_words()}'
             if self.watching:
                 self.children.check()
             self.executor.spin_once(timeout_sec=0.05)
+
+    def last_words(self):
+        """What the nodes said last about each of their parts, and the state of the machine."""
+        return dict(self.diagnostics), self.peers.state
 
     def press(self, button):
         """Use a service of the machine; returns its answer."""

@@ -131,7 +131,8 @@ class Bench(NodesUnderTest):
 
     def finish(self, handle, patience=PATIENCE):
         result = self.result_of(handle, patience)
-        assert (result.code, result.message) == (Result.SUCCEEDED, 'executed to the end')
+        ended = (result.code, result.message)
+        assert ended == (Result.SUCCEEDED, 'executed to the end'), ended
         assert result.blocks_sent == result.blocks_executed == len(blocks_of(self.text)) - 1
         q, s = self.recorded()
         path = path_of(self.text)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import SetpointChunk
+from cnc_interp_msgs.msg import SetpointChunk, StreamStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, T, waves
@@ -84,26 +84,29 @@ class LongRun(NodesUnderTest):
         self.run = ''
         self.clock: dict[str, str] = {}
         self.scheduling = ''
-        self._sent: dict[int, int] = {}
+        self._received: dict[int, int] = {}
+        self._sent = 0
         self.executed = self.lost = 0
         self._last: np.ndarray | None = None
         self.use = np.zeros((3, 5))
         self.node.create_subscription(
             SetpointChunk, 'executed_setpoints', self._see_executed, qos.STREAM
         )
-        self.node.create_subscription(SetpointChunk, 'setpoints', self._see_sent, qos.LISTENING)
+        self.node.create_subscription(
+            StreamStatus, 'stream_status', self._see_received, qos.STATUS
+        )
         self.node.create_subscription(
             DiagnosticArray, '/diagnostics', self._see_clock, qos.DIAGNOSTICS
         )
 
-    def _see_sent(self, chunk: SetpointChunk) -> None:
-        after = chunk.first_sample + len(chunk.sequences)
-        self._sent[chunk.plan] = max(self._sent.get(chunk.plan, 0), after)
+    def _see_received(self, status: StreamStatus) -> None:
+        if status.stream == 'setpoints' and status.program_id == self.run:
+            self._received[status.plan] = status.next_sequence
 
     @property
-    def sent(self) -> int:
-        """Setpoints sent, of all plans."""
-        return sum(self._sent.values())
+    def received(self) -> int:
+        """Setpoints that the machine has received without a gap, of all plans."""
+        return sum(self._received.values())
 
     def _see_executed(self, chunk: SetpointChunk) -> None:
         self.lost += chunk.first_sample - self.executed
@@ -118,9 +121,13 @@ class LongRun(NodesUnderTest):
 
     def _see_clock(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            if status.hardware_id == self.namespace and status.name == 'machine_node: clock':
-                self.scheduling = status.message
-                self.clock = {pair.key: pair.value for pair in status.values}
+            if status.hardware_id != self.namespace:
+                continue
+            values = {pair.key: pair.value for pair in status.values}
+            if status.name == 'machine_node: clock':
+                self.scheduling, self.clock = status.message, values
+            elif status.name == 'feedrate_node: planning':
+                self._sent = int(values['setpoints_sent'])
 
     def go(self, program: Path, patience: float) -> RunProgram.Result:
         """Run the program to its end and print what there is to see on the way."""
@@ -147,7 +154,10 @@ class LongRun(NodesUnderTest):
         self.run = self.loaded[-1].program_id
         self.spin_until(done, patience)
         result: RunProgram.Result = wanted.result().result
-        self.spin_until(lambda: self.executed >= self.peers.state.samples)
+        until = time.monotonic() + 3.0  # what is told once a second
+        self.spin_until(
+            lambda: time.monotonic() > until and self.executed >= self.peers.state.samples
+        )
         self.tell(result, usage, memory, time.monotonic() - began)
         return result
 
@@ -157,14 +167,13 @@ class LongRun(NodesUnderTest):
         """Print the figures of the whole run."""
         tell_memory(1.0, usage.memory())
         after, cpu = usage.memory(), usage.cpu()
-        void = self.sent - self.executed
         print(
             f'\nresult     {result.message}: blocks {result.blocks_sent} sent, '
             f'{result.blocks_executed} executed, {result.blocks_executed / elapsed:.0f} a second'
         )
         print(
-            f'setpoints  {self.sent} sent, {self.executed} received and executed, {self.lost} '
-            f'lost, {void} void behind stops; {elapsed:.0f} s'
+            f'setpoints  {self._sent} sent, {self.received} received, {self.executed} executed '
+            f'(stops behind void ones included), {self.lost} lost; {elapsed:.0f} s'
         )
         print(
             f'underruns  {result.starvations}; at least {result.least_buffered_time * 1e3:.0f} '

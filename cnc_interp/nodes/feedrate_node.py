@@ -53,6 +53,7 @@ class FeedrateNode(LifecycleNode):
         self._planner: RunPlanner | None = None
         self._state: MachineState | None = None
         self._run, self._plan = '', 0
+        self._sent_before = 0  # setpoints, in the plans of the run before this one
         self._known = False  # the run to the machine
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: Future[Any] | None = None
@@ -115,7 +116,7 @@ class FeedrateNode(LifecycleNode):
             self._planner, self._state, self._job, self._known = None, None, None, False
             self._end_wanted = self._ended = self._end_sent = False
             self._segments.clear()
-            self._run, self._plan = segment.program_id, 0
+            self._run, self._plan, self._sent_before = segment.program_id, 0, 0
             self._outlet.sender.begin(self._run)
             self._outlet.paused = False
         self._segments.append(segment)
@@ -180,6 +181,7 @@ class FeedrateNode(LifecycleNode):
         """Plan anew from where the machine rests."""
         assert self._state is not None
         self._plan += 1
+        self._sent_before += self._outlet.sender.sent
         self._end_sent = False
         self._outlet.sender.begin(stream_of(self._run, self._plan))
         self._wishes.tell(planner.stream)
@@ -259,6 +261,7 @@ class FeedrateNode(LifecycleNode):
         self._diagnostics.say(
             'planning', OK, words, planned_ahead_s=round(self._ready, 2),
             longest_step_ms=round(self._longest / MS, 1),
+            setpoints_sent=self._sent_before + self._outlet.sender.sent,
         )  # fmt: skip
         self._longest = 0.0
 

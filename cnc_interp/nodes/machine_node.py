@@ -156,10 +156,12 @@ class MachineNode(LifecycleNode):
         return f'setpoints of plan {self._playback.plan} that come after its stop are void'
 
     def _take(self, chunk: SetpointChunk) -> None:
-        """Put sound setpoints into the buffer."""
+        """Put sound setpoints into the buffer; not where the plan was left since their check."""
         with self._lock:
             if chunk.first_sample == 0:
                 self._playback.begin_plan(chunk.program_id, chunk.plan)
+            elif self._playback.left:
+                return
             self._playback.push(
                 chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
             )

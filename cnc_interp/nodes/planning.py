@@ -15,7 +15,7 @@ from cnc_interp.program.blocks import FloatArray
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.stream.approach import approach
 from cnc_interp.stream.chunk import Chunk, Wait
-from cnc_interp.stream.course import from_place
+from cnc_interp.stream.course import SAME, from_place
 from cnc_interp.stream.motion_stream import MotionStream
 
 #: A machine farther from the path than this is not on it [m, rad].
@@ -96,7 +96,7 @@ class RunPlanner:
                 self.stream.end_leg(Wait.NOTHING)
             self._begun = True
             return path
-        if path.s[-1] <= self._continue_at:
+        if path.s[-1] <= self._continue_at + SAME:
             return None
         there = evaluate(path, np.array([self._continue_at]))[0][0]
         off = np.abs(there - self._stands)

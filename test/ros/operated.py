@@ -110,6 +110,7 @@ class Bench(NodesUnderTest):
 
     def recorded(self):
         """Everything the drives were told in this run, proven."""
+        self.spin_until(lambda: self.peers.at_rest)  # states heard late are not yet the last
         state = self.next_state()
         run, count = state.program_id, state.samples
 
@@ -134,6 +135,7 @@ class Bench(NodesUnderTest):
         ended = (result.code, result.message)
         assert ended == (Result.SUCCEEDED, 'executed to the end'), ended
         assert result.blocks_sent == result.blocks_executed == len(blocks_of(self.text)) - 1
+        self.spin_until(lambda: self.state.completed)
         q, s = self.recorded()
         path = path_of(self.text)
         assert abs(s[-1] - path.s[-1]) < 1e-12 and np.abs(q[-1] - path.q[-1]).max() < 1e-12

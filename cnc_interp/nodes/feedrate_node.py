@@ -136,6 +136,7 @@ class FeedrateNode(LifecycleNode):
         elif reason := self._outlet.refusal or self._given_up():
             self._segments.clear()
             self._planner = None
+            self._outlet.sender.begin('')  # what is on its way is not sent again
             if not receiver.refusal:
                 self._inlet.refuse(receiver.program_id, reason)
         elif planner is None:

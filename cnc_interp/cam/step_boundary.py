@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from cnc_interp.cam.part21 import Enumeration, Record, Reference, StepFile
 from cnc_interp.cam.vectors import cross, norm, unit
@@ -14,8 +15,11 @@ from cnc_interp.units import DEG
 
 #: Arcs of a boundary are followed in steps of this angle, and through their extremes [rad].
 ARC = 1.0 * DEG
-#: The three-dimensional curve is the first parameter after the name of these.
-WITH_CURVE = 'SURFACE_CURVE', 'SEAM_CURVE', 'INTERSECTION_CURVE'
+#: B-spline edges are followed by this many points a span.
+SPAN = 64
+CURVES = 'LINE', 'CIRCLE', 'B_SPLINE_CURVE_WITH_KNOTS'
+#: The curve itself is the first parameter after the name of these.
+WITH_CURVE = 'SURFACE_CURVE', 'SEAM_CURVE', 'INTERSECTION_CURVE', 'TRIMMED_CURVE'
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ class Geometry:
 
     def followed(self, loop: Record, directions: FloatArray) -> FloatArray:
         """
-        Follow a boundary of lines and circles.
+        Follow a boundary of lines, circles and B-splines.
 
         Parameters
         ----------
@@ -137,14 +141,22 @@ class Geometry:
     def _points(self, edge: Record, directions: FloatArray) -> FloatArray:
         """Follow one edge from its first vertex."""
         start, end = self.ends(edge)
-        curve = self.record(edge.get(3, Reference), edge, 'LINE', 'CIRCLE', *WITH_CURVE)
-        while curve.keyword in WITH_CURVE:
-            curve = self.record(curve.get(1, Reference), curve, 'LINE', 'CIRCLE')
+        curve = self.record(edge.get(3, Reference), edge, *CURVES, *WITH_CURVE)
+        forward = edge.get(4, Enumeration) == 'T'
+        for _ in WITH_CURVE:
+            if curve.keyword in WITH_CURVE:
+                if curve.keyword == 'TRIMMED_CURVE':
+                    forward ^= curve.get(4, Enumeration) == 'F'
+                curve = self.record(curve.get(1, Reference), curve, *CURVES, *WITH_CURVE)
+        if curve.keyword == 'B_SPLINE_CURVE_WITH_KNOTS':
+            if forward:
+                return self._along_spline(curve, start, end)
+            return self._along_spline(curve, end, start)[::-1]
         if curve.keyword == 'LINE':
             return np.stack([start, 0.5 * (start + end), end])
         frame = self.frame(curve.get(1, Reference), curve)
         radius = curve.get(2, float) * self.length
-        sense = 1.0 if edge.get(4, Enumeration) == 'T' else -1.0
+        sense = 1.0 if forward else -1.0
         first, last = np.arctan2(*frame.local(np.stack([start, end])).T[1::-1])
         whole = 2.0 * np.pi
         turn = whole if edge.values[1] == edge.values[2] else sense * (last - first) % whole
@@ -156,6 +168,31 @@ class Geometry:
         arc = frame.origin + radius * (np.outer(np.cos(at), x) + np.outer(np.sin(at), y))
         return np.concatenate([start[None], arc[1:-1], end[None]])
 
+    def _along_spline(self, tail: Record, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Follow a B-spline, with rising parameter, between the points nearest to two vertices."""
+        records = self.file.records(tail.number)
+        shape, first, then = tail, 1, 6
+        if 'B_SPLINE_CURVE' in records:
+            shape, first, then = records['B_SPLINE_CURVE'], 0, 0
+        points = np.array([self.point(n, shape) for n in shape.items(first + 1, Reference)])
+        weights = np.ones(len(points))
+        if 'RATIONAL_B_SPLINE_CURVE' in records:
+            weights = np.array(records['RATIONAL_B_SPLINE_CURVE'].items(0, float))
+        knots, degree = knot_vector(tail, then, shape.get(first, float), len(points))
+        if weights.shape != (len(points),) or not weights.min() > 0.0:
+            raise tail.fault('each control point must have a positive weight')
+        net = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
+        breaks = np.unique(knots[degree : len(points) + 1])
+        at = np.interp(
+            np.arange(SPAN * (len(breaks) - 1) + 1) / SPAN, np.arange(len(breaks)), breaks
+        )
+        values = BSpline(knots, net, degree)(at)
+        points = values[:, :3] / values[:, 3:]
+        a, b = (int(norm(points - vertex).argmin()) for vertex in (start, end))
+        # Backward only on a closed curve, through the point where it closes.
+        between = points[a : b + 1] if a < b else np.concatenate([points[a:], points[: b + 1]])
+        return np.concatenate([start[None], between[1:-1], end[None]])
+
     def _vector(self, number: int, wanted_by: Record, keyword: str) -> FloatArray:
         """Read three numbers."""
         record = self.record(number, wanted_by, keyword)
@@ -163,3 +200,44 @@ class Geometry:
         if len(values) != 3:
             raise record.fault(f'{keyword} must have three numbers')
         return np.array(values)
+
+
+def knot_vector(
+    record: Record, index: int, degree: float, count: int, axis: str = '', directions: int = 1
+) -> tuple[FloatArray, int]:
+    """
+    Read knots with their multiplicities.
+
+    Parameters
+    ----------
+    record : Record
+        Has the multiplicities at ``index``, the knots ``directions`` further.
+    index : int
+        Where the multiplicities are.
+    degree : float
+        The degree as written.
+    count : int
+        Number of control points.
+    axis : str
+        Name of the direction, for errors.
+    directions : int
+        How many knot vectors the record has.
+
+    Returns
+    -------
+    (ndarray, int)
+        The knot vector, of length count + degree + 1, and the degree.
+
+    """
+    k = int(degree)
+    counts = np.array(record.items(index, float))
+    values = np.array(record.items(index + directions, float))
+    sound = len(counts) == len(values) and np.all(counts >= 1.0)
+    if k < 1 or not sound or np.sum(counts) != count + k + 1:
+        raise record.fault(
+            f'degree, knots and multiplicities{axis} do not fit {count} control points'
+        )
+    knots = np.repeat(values, counts.astype(int))
+    if np.any(np.diff(knots) < 0.0) or not knots[k] < knots[count]:
+        raise record.fault(f'the knots{axis} must not fall')
+    return knots, k

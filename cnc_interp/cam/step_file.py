@@ -14,7 +14,7 @@ import numpy as np
 
 from cnc_interp.cam.part21 import Enumeration, Record, Reference, StepFile
 from cnc_interp.cam.shapes import Cylinder, Placed, Plane, RationalSurface, Torus
-from cnc_interp.cam.step_boundary import Geometry
+from cnc_interp.cam.step_boundary import Geometry, knot_vector
 from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
 from cnc_interp.cam.vectors import norm
 from cnc_interp.program.blocks import FloatArray
@@ -162,16 +162,10 @@ class _Face:
         net = np.concatenate([points * weights[..., None], weights[..., None]], axis=2)
         knots, degree = [], []
         for axis in (0, 1):
-            k = int(shape.get(first + axis, float))
-            counts = np.array(tail.items(then + axis, float))
-            values = np.array(tail.items(then + 2 + axis, float))
-            sound = len(counts) == len(values) and np.all(counts >= 1.0)
-            if k < 1 or not sound or np.sum(counts) != net.shape[axis] + k + 1:
-                raise tail.fault(
-                    f'degree, knots and multiplicities in {"uv"[axis]} do not fit '
-                    f'{net.shape[axis]} control points'
-                )
-            t = np.repeat(values, counts.astype(int))
+            t, k = knot_vector(
+                tail, then + axis, shape.get(first + axis, float), net.shape[axis],
+                f' in {"uv"[axis]}', 2,
+            )  # fmt: skip
             if k == 1 and net.shape[axis] == 2:  # a straight line is a parabola too
                 net = np.insert(net, 1, net.mean(axis=axis), axis=axis)
                 k, t = 2, np.repeat(t[1:3], 3)

@@ -217,15 +217,15 @@ def rounded_face(kind, u, v, sense):
         far, height = (radius, b) if kind == 'CYLINDRICAL' else (
             ring + radius * np.cos(b), radius * np.sin(b))  # fmt: skip
         circle = part.frame(ORIGIN + height * AXES[2], AXES[2], AXES[1])
-        sense_of = 'TF'[k // 2]
-        edges.append(part.circle(ends[k], ends[k + 1], circle, float(far), sense_of))
+        # The second edge of each kind is written from its end, as where another face uses it.
+        order = (ends[0], ends[1], 'T', 'T') if k == 0 else (ends[3], ends[2], 'T', 'F')
+        edges.append(part.circle(*order[:2], circle, float(far), *order[2:]))
         a = u[1 - k // 2]
         if kind == 'CYLINDRICAL':
             edges.append(part.line(ends[k + 1], ends[(k + 2) % 4]))
             continue
         out = np.cos(a) * AXES[0] + np.sin(a) * AXES[1]
         meridian = part.frame(ORIGIN + ring * out, np.cross(out, AXES[2]), out)
-        # The second meridian is written from its end, as where another face uses it.
         order = (ends[1], ends[2], 'T', 'T') if k == 0 else (ends[0], ends[3], 'T', 'F')
         edges.append(part.circle(*order[:2], meridian, radius, *order[2:]))
     numbers = f'{ring!r},{radius!r}' if ring else f'{radius!r}'
@@ -279,6 +279,33 @@ def test_disc_is_its_square_and_says_so(tmp_path):
     np.testing.assert_allclose(found.domain, [[-7 * MM, 7 * MM]] * 2, atol=1e-15)
     np.testing.assert_allclose(found.at(*found.grid(2, 2)).normal[..., 2], -1.0)
     assert len(notes) == 1 and '14 x 14 mm' in notes[0]
+
+
+SQUARE = [(0, 0, 0), (8, 0, 0), (8, 6, 0), (0, 6, 0), (0, 0, 0)]
+
+
+@pytest.mark.parametrize('form', ['{}', "TRIMMED_CURVE('',{},(),(),.F.,.CARTESIAN.)", 'rational'])
+@pytest.mark.parametrize(('sense', 'highest'), [('T', 0.0), ('F', 6.0)])
+def test_spline_edges_run_with_or_against_their_curve(form, sense, highest, tmp_path):
+    """From (0, 0) to (8, 0) along the first side of a closed curve, or the long way round."""
+    part = Part()
+    points = part.all(part.point(p) for p in SQUARE)
+    shape, tail = f'1,{points},.UNSPECIFIED.,.T.,.F.', '(2,1,1,1,2),(0.,1.,2.,3.,4.),.UNSPECIFIED.'
+    curve = f"B_SPLINE_CURVE_WITH_KNOTS('',{shape},{tail})"
+    if form == 'rational':
+        curve = (
+            f'(BOUNDED_CURVE()B_SPLINE_CURVE({shape})B_SPLINE_CURVE_WITH_KNOTS({tail})'
+            'RATIONAL_B_SPLINE_CURVE((1.,0.5,1.,0.7,1.)))'
+        )
+    elif form != '{}':
+        curve = form.format(part.add(curve))
+        sense = {'T': 'F', 'F': 'T'}[sense]
+    ends = [part.vertex(p) for p in ((0, 0, 0), (8, 0, 0), (4, -2, 0))]
+    edges = [part.edge(*ends[:2], part.add(curve), sense), part.line(*ends[1:]),
+             part.line(ends[2], ends[0])]  # fmt: skip
+    part.face(part.add(f"PLANE('',{part.frame()})"), part.bound(*edges))
+    found = read_surface(part.write(tmp_path / 'a.step'))
+    np.testing.assert_allclose(found.domain, np.array([[0, 8], [-2, highest]]) * MM, atol=1e-15)
 
 
 def two_faces():
@@ -369,16 +396,13 @@ def oblique_cylinder(part):
     part.face(part.add(f"CYLINDRICAL_SURFACE('',{part.frame()},5.)"), part.bound(edge))
 
 
-SQUARE = [(0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 0)]
-
-
 @pytest.mark.parametrize(
     ('make', 'says'),
     [
-        (face_of("CONICAL_SURFACE('',{},1.,0.5)", SQUARE), 'CONICAL_SURFACE is not read'),
+        (face_of("CONICAL_SURFACE('',{},1.,0.5)", SQUARE[:4]), 'CONICAL_SURFACE is not read'),
         (face_of("PLANE('',{})", SQUARE[:2]), 'spans no rectangle'),
         (whole_cylinder, 'goes all the way round'),
-        (oblique_cylinder, 'is a ELLIPSE and must be a LINE or CIRCLE'),
+        (oblique_cylinder, 'is a ELLIPSE and must be a LINE or CIRCLE or B_SPLINE'),
         (lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")), 'no bound'),
     ],
 )

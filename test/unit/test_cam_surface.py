@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, Torus
+from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, RationalSurface, Torus
 from cnc_interp.cam.surface import BSplineSurface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.units import MM
@@ -22,6 +22,12 @@ def wavy(rows=9, columns=7):
     return np.stack([x, y, z], axis=-1)
 
 
+def rational():
+    spline = BSplineSurface.through(wavy()).spline
+    weights = np.random.default_rng(8).uniform(0.9, 1.1, spline.c.shape[:2])
+    return spline.t, spline.c, weights
+
+
 TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
 SURFACES = {
     'plane': Plane((0.05, 0.04)),
@@ -32,6 +38,7 @@ SURFACES = {
     'torus': Torus(0.05, 0.02, 1.0, 1.0),
     'sphere': Torus(0.0, 0.02, 1.0, 1.0),
     'bspline': BSplineSurface.through(wavy()),
+    'rational': RationalSurface(*rational()),
     'placed': Placed(Torus(0.05, 0.02, 1.0, 1.0), TURN, np.array([0.01, 0.02, 0.03])),
 }
 

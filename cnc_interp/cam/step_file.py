@@ -129,7 +129,8 @@ class _Face:
         try:
             return f'{self.kind}, {_extent(self.surface()[0])}'
         except SurfaceError as error:
-            return f'{self.kind}, cannot be taken: {str(error).rpartition("#")[2]}'
+            reason = str(error).removeprefix(f'{self.geometry.file.path}:')
+            return f'{self.kind}, cannot be taken: line {reason}'
 
     def surface(self) -> tuple[Surface, bool]:
         """Return the surface, and whether its border is the boundary of the face."""

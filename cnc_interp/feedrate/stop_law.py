@@ -222,7 +222,7 @@ def quick_stop(
         return None
     kept = np.flatnonzero(duration > 1e-9)
     ends = state[0] + states[np.r_[kept, 3], 0]
-    if (np.diff(ends) <= 1e-13).any():
+    if not len(kept) or (np.diff(ends) <= 1e-13).any():
         return None
     part = between(path, float(ends[0]), float(ends[-1]), ends)
     nodes = np.searchsorted(part.s, ends).astype(np.int64)

@@ -10,10 +10,13 @@ import gc
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import feedrate_node, lookahead_node, machine_node, program_node
-from cnc_interp.nodes.warming import warm_all
+from cnc_interp.nodes.warming import warm_all, warm_lookahead
+from cnc_interp.smoothing.compression import Compression
 
 __all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 
-warm_all(Transform.of(Machine.load('xyzac')), 1e-3)
+TRANSFORM = Transform.of(Machine.load('xyzac'))
+warm_lookahead(TRANSFORM, Compression())
+warm_all(TRANSFORM, 1e-3)
 gc.collect()
 gc.freeze()  # lives as long as the nodes: no collection walks over it, its memory stays shared

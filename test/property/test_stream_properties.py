@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from programs import pyramid, zigzag
 
+from cnc_interp.feedrate.limits import limit_table
+from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -97,6 +99,18 @@ def test_every_chunk_can_be_stopped_behind(name):
     assert chunks[-1].wait is Wait.END and len(chunks[-1].tail) == 0
     assert stops > 0.9 * len(chunks)
     assert max(len(chunk.tail) for chunk in chunks) < 3.5 / T
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('speed', [1e-20, 1e-18, 1e-16, 1e-12, 1e-6])
+def test_a_stop_from_all_but_rest_is_one_or_none(name, speed):
+    path = path_of(name)
+    state = (0.5 * (path.s[0] + path.s[1]), speed, 0.0)
+    stop = stop_law(path, state, limit_table(MACHINE), 0.0, thorough=True)
+    assert stop is not None or speed < 1e-12
+    if stop is not None:
+        s, v, a, _ = stop.law.evaluate(np.array([0.0, stop.law.end_time]))
+        assert (s[0], v[0], a[0]) == state and s[1] >= s[0] and max(abs(v[1]), abs(a[1])) < 1e-9
 
 
 @pytest.mark.parametrize('seed', range(3))

@@ -107,7 +107,7 @@ def arcs_of(
     half = 0.5 * np.hypot(chord[:, a], chord[:, b])
     fault = np.where(by_radius & (half <= _SAME_POINT), 5, fault)
     # By the radius: the centre lies beside the chord's middle, left of it for the short way of G3.
-    with np.errstate(invalid='ignore', divide='ignore'):
+    with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
         short = half - np.abs(radius)
         height = np.sqrt(np.maximum(radius**2 - half**2, 0.0))
         side = np.where(counter_clockwise, 1.0, -1.0) * np.sign(radius) * height / half

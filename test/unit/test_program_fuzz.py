@@ -23,6 +23,8 @@ from cnc_interp.program.source import Source
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 COUNT = int(os.environ.get('CNC_INTERP_FUZZ', '3000'))
+#: Seeds of faults that were found.
+FOUND = (151688,)
 #: Programs are read for one of these machines.
 GEOMETRIES = [Transform.of(Machine.load(name)) for name in ('xyzac', 'xyzbc', 'xyz')]
 #: Nothing that is read here is longer than some hundred lines.
@@ -187,7 +189,7 @@ def test_mutated_programs_are_read_or_refused():
         answer(text)  # kernels are compiled, without an alarm
     assert not answer(GCODE.encode())[1] and not answer(CL.encode())[1]
     try:
-        for seed in range(COUNT):
+        for seed in (*FOUND, *range(COUNT)):
             text = mutated(random.Random(seed), texts)
             signal.alarm(MOST_SECONDS)
             try:

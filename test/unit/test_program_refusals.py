@@ -27,6 +27,7 @@ SYNTAX = [
     ('G0 X1 I2', 'I2', 'no meaning'),
     ('G2 X1 I0.5 Q2 F9', 'Q2', 'no meaning'),
     ('G2 X1 R' + '9' * 200 + ' F9', 'G2', '1000 km'),
+    ('G2 X' + '9' * 170 + ' R5 F9', 'G2', 'half the way'),
     ('G3 X1 Y1 I' + '9' * 200 + ' F9', 'G3', '1000 km'),
     ('G0 U5', 'U5', 'axis'),
     ('G0 B5', 'B5', 'no axis B'),

@@ -122,9 +122,10 @@ class Client:
 
         """
         if request.out is not None or request.record is not None:
-            self._node.create_subscription(
+            executed = self._node.create_subscription(
                 SetpointChunk, 'executed_setpoints', self.received.append, STREAM
             )
+            self._spin(lambda: executed.get_publisher_count() > 0, START_TIMEOUT)
         self._attended = attended
         recorder = Recorder(self._node, request.record) if request.record is not None else None
         try:

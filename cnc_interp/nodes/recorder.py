@@ -27,6 +27,8 @@ ASKED = {
 }
 #: Topics that a run cannot do without; a recorder that hears them hears the run.
 STREAMS = ('blocks', 'segments', 'setpoints', 'executed_setpoints')
+#: A publisher that is found finds the recorder within this time [s].
+MUTUAL = 0.5
 
 
 class Recorder:
@@ -53,6 +55,7 @@ class Recorder:
         }
         self._asked: dict[str, Any] = {}
         self._known: set[str] = set()
+        self._found = time.monotonic()  # when a stream was missing last
 
     def _taking(self, topic: str) -> Callable[[bytes], None]:
         return lambda data: self._bag.write(topic, data, time.time_ns())
@@ -74,7 +77,9 @@ class Recorder:
                 names = [parameter.name for parameter in ASKED[node]]
                 self._bag.note(node, dict(zip(names, values, strict=True)))
                 self._known.add(node)
-        heard = all(self._subscriptions[t].get_publisher_count() > 0 for t in STREAMS)
+        if any(self._subscriptions[t].get_publisher_count() == 0 for t in STREAMS):
+            self._found = time.monotonic()
+        heard = time.monotonic() - self._found > MUTUAL
         return heard and len(self._known) == len(ASKED)
 
     def close(self) -> None:

@@ -163,15 +163,8 @@ def test_recorded_faults_come_again():
     assert any('checksum' in text for text in expected)
     running = NodesUnderTest(PARAMETERS)
     try:
-        heard = []
-        running.node.create_subscription(
-            TOPICS['/diagnostics'][0], '/diagnostics', heard.append, TOPICS['/diagnostics'][1]
-        )
-        executed = []
-        running.node.create_subscription(
-            TOPICS['executed_setpoints'][0], 'executed_setpoints', executed.append,
-            TOPICS['executed_setpoints'][1],
-        )  # fmt: skip
+        heard = running.listen('/diagnostics', *TOPICS['/diagnostics'])
+        executed = running.listen('executed_setpoints', *TOPICS['executed_setpoints'])
         for data in blocks:
             running.blocks.publish(data)
         running.spin_until(lambda: running.peers.state.completed)

@@ -66,6 +66,15 @@ class NodesUnderTest:
             if status.hardware_id == self.namespace
         ]
 
+    def listen(self, topic, kind, profile):
+        """Messages of a topic from here on; returns when they cannot be missed any more."""
+        heard = []
+        subscription = self.node.create_subscription(kind, topic, heard.append, profile)
+        self.spin_until(lambda: subscription.get_publisher_count() > 0)
+        found = time.monotonic()  # the publisher finds the listener at about the same time
+        self.spin_until(lambda: time.monotonic() > found + 1.0)
+        return heard
+
     def spin_until(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience
         while not done():

@@ -58,10 +58,7 @@ class Bench(NodesUnderTest):
 
     def __init__(self, parameters=None, arguments=None):
         super().__init__(parameters, arguments)
-        self.executed = []
-        self.node.create_subscription(
-            SetpointChunk, 'executed_setpoints', self.executed.append, qos.STREAM
-        )
+        self.executed = self.listen('executed_setpoints', SetpointChunk, qos.STREAM)
         self.switches = {
             name: self.node.create_client(SetBool, name)
             for name in ('single_block', 'optional_stop')

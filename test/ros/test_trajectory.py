@@ -17,8 +17,7 @@ TOPIC = 'controller/joint_trajectory'
 def test_every_trajectory_ends_at_rest_on_the_path():
     bench = Bench({'machine_node': {'trajectory_topic': TOPIC}})
     try:
-        heard = []
-        bench.node.create_subscription(JointTrajectory, TOPIC, heard.append, qos.TRAJECTORY)
+        heard = bench.listen(TOPIC, JointTrajectory, qos.TRAJECTORY)
         handle = bench.begin()
         bench.until_at(0.03)
         assert bench.press('feed_hold').success

@@ -26,8 +26,8 @@ sys.path.insert(0, str(HERE.parent / 'test' / 'ros'))
 from browser import Browser, Tab  # noqa: E402  the driver that the tests use
 
 SIZE, SHOWN = (1366, 768), (956, 538)
-#: The animation: so many frames, so far apart in the run and on the page [s].
-FRAMES, STEP, SHOWN_STEP = 40, 0.5, 0.125
+#: The animation: at most so many frames, so far apart in the run and on the page [s].
+FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
 COLOURS = 96
 
 
@@ -41,8 +41,8 @@ def frames_of(tab: Tab, folder: Path) -> list[Image.Image]:
     tab.wait(lambda: tab.text('status') == 'planned')
     tab.click('cycle start')
     tab.wait(lambda: tab.text('state') == 'running')
-    seen = []
-    for _ in range(FRAMES):
+    seen: list[Image.Image] = []
+    while tab.text('state') == 'running' and len(seen) < FRAMES:
         tab.screenshot(folder / 'frame.png')
         seen.append(Image.open(io.BytesIO((folder / 'frame.png').read_bytes())).convert('RGB'))
         time.sleep(STEP)

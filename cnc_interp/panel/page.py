@@ -27,6 +27,12 @@ def marked(element: Any, name: str) -> Any:
     return element.props(f'data-mark="{name}"')
 
 
+class HeldSlider(ui.slider):
+    """A slider that stays where its user puts it, and does not wait for the server's answer."""
+
+    LOOPBACK = False
+
+
 class Page:
     """
     One page in one browser tab.
@@ -170,12 +176,11 @@ class Page:
         self._stop.classes('wide')
         with ui.element('div').classes('slide'):
             ui.label('override')
-            self._slider = ui.slider(
-                min=0, max=MOST_OVERRIDE, step=5, value=100,
-                on_change=self._set_override,
-            ).props('dense')  # fmt: skip
+            self._slider = HeldSlider(min=0, max=MOST_OVERRIDE, step=5, value=100).props('dense')
+            # what the user does, not what is shown of others
+            self._slider.on('update:model-value', self._set_override, [None], throttle=0.05)
             marked(self._slider, 'override slider')
-            self._slid = ui.label('100 %').classes('value')
+            self._slid = ui.label('100%').classes('value')
 
     def _key(self, text: str, colour: str, act: Callable[[], Awaitable[None]]) -> Any:
         key = ui.button(text, on_click=act, color=colour).props('unelevated no-caps')
@@ -224,13 +229,9 @@ class Page:
         if event.value != self._desk.single_block:
             await self._command(lambda: self._desk.set_single_block(event.value))
 
-    async def _set_override(self, event: events.ValueChangeEventArguments) -> None:
-        self._slid.set_text(f'{event.value:.0f} %')
-        if round(event.value) == round(100 * self._desk.nodes.override):
-            return
-
+    async def _set_override(self, event: events.GenericEventArguments) -> None:
         def publish() -> Answer:
-            self._desk.nodes.set_override(event.value / 100)
+            self._desk.nodes.set_override(event.args / 100)
             return Answer(True, '')
 
         await self._command(self._answer(publish))
@@ -295,6 +296,7 @@ class Page:
             self._single.set_value(self._desk.single_block)
         if self._changed('override set', self._desk.nodes.override):
             self._slider.set_value(round(100 * self._desk.nodes.override))
+            self._slid.set_text(f'{self._desk.nodes.override:.0%}')
 
     def _show_lists(self) -> None:
         """Show program text, progress and alarms."""

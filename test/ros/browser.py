@@ -66,7 +66,9 @@ class Tab:
 
     def __init__(self, url):
         self._open = ExitStack()
-        self._socket = self._open.enter_context(connect(url, max_size=None))
+        # nothing is read while a test waits for the machine: no full queue, no questions for life
+        socket = connect(url, max_size=None, max_queue=None, ping_interval=None)
+        self._socket = self._open.enter_context(socket)
         self._number = 0
         self.faults = []
         self.send('Runtime.enable')

@@ -39,7 +39,7 @@ def waves(count):
     return '\n'.join([*lines, 'M30', ''])
 
 
-PROGRAM = waves(6)
+PROGRAM = waves(12)
 
 
 def blocks_of(text):

@@ -222,7 +222,7 @@ def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):
 
 
 def test_a_run_that_nobody_knows_any_more_asks_for_reset(bench):
-    bench.begin()
+    bench.begin(waves(60))  # not over before both are dead
     bench.until_at(0.01)
     bench.kill('program_node')
     bench.kill('feedrate_node')

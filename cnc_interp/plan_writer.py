@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 from zipfile import ZipFile
 
@@ -202,12 +201,7 @@ class PlanWriter:
     def __enter__(self) -> PlanWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        problem: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         for archive in self._archives.values():
             archive.drop()
         self._spool.cleanup()

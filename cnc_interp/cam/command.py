@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-Number = Callable[[str], float]
+from cnc_interp.options import command, number, positive
 
 
-def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
-    """Declare `cam` and its commands with the command line's own ways to do it."""
+def add_cam_commands(commands: Any) -> None:
+    """Declare `cam` and its commands."""
     cam = commands.add_parser(
         'cam',
         help='5-axis iso-scallop programs from surfaces, and the simulated surface',
@@ -28,20 +27,20 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
     )
     _face(make)
     make.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
-    _mill(make, positive)
+    _mill(make)
     make.add_argument(
         '--strategy', choices=('planes', 'classical'), default='planes',
         help='along parallel planes with a variable tilt, or, to compare, the classical '
         'iso-scallop path: constant tilt, a ball mill keeps its axis (planes)',
     )  # fmt: skip
-    _value(make, '--scallop', 10.0, 'UM', 'scallop height', positive)
+    number(make, '--scallop', 10.0, 'scallop height', 'UM')
     make.add_argument(
         '--stepover', type=positive, metavar='MM',
         help='distance of the guiding planes; without it the largest that --tilt allows, pass '
         'by pass',
     )  # fmt: skip
-    _value(make, '--tilt', 3.0, 'DEG', 'tilt of a constant start, and the smallest for the '
-           'largest stepover', positive)  # fmt: skip
+    number(make, '--tilt', 3.0, 'tilt of a constant start, and the smallest for the largest '
+           'stepover', 'DEG')  # fmt: skip
     make.add_argument(
         '--tilt-limits', type=positive, nargs=2, default=(0.5, 60.0), metavar=('LOW', 'HIGH'),
         help='smallest and largest tilt (0.5 60 deg)',
@@ -69,10 +68,10 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
         '--format', choices=('spline', 'cl', 'gcode'), default='spline',
         help='native B-splines of tip and axis, CL data, or G-code with rotary words (spline)',
     )  # fmt: skip
-    _value(make, '--chord', 0.2, 'UM', 'chord tolerance of cl and gcode', positive)
-    _value(make, '--overrun', 0.5, 'MM', 'length of the passes beyond the border', positive)
-    _value(make, '--clearance', 2.0, 'MM', 'lift between passes', positive)
-    _value(make, '--feed', 3000.0, 'MM_PER_MIN', 'feedrate', positive)
+    number(make, '--chord', 0.2, 'chord tolerance of cl and gcode', 'UM')
+    number(make, '--overrun', 0.5, 'length of the passes beyond the border')
+    number(make, '--clearance', 2.0, 'lift between passes')
+    number(make, '--feed', 3000.0, 'feedrate', 'MM_PER_MIN')
     make.add_argument(
         '--simulate', action='store_true', help='cut the surface with the program (N-buffer)'
     )
@@ -80,7 +79,7 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
         '--run', action='store_true',
         help='plan the program, execute it on the simulated machine and cut with that too',
     )  # fmt: skip
-    _cutting(make, positive)
+    _cutting(make)
     make.add_argument('--json', action='store_true', help='print the summary as JSON')
 
     simulate = command(
@@ -96,20 +95,20 @@ def add_cam_commands(commands: Any, command: Any, positive: Number) -> None:
         help='surface file (JSON), or STEP (.step, .stp)',
     )  # fmt: skip
     _face(simulate)
-    _mill(simulate, positive)
-    _value(simulate, '--scallop', 10.0, 'UM', 'scallop height of the colour scale', positive)
+    _mill(simulate)
+    number(simulate, '--scallop', 10.0, 'scallop height of the colour scale', 'UM')
     simulate.add_argument(
         '--executed', action='store_true', help='take the motion of the drives, not the setpoints'
     )
     simulate.add_argument('--html', type=Path, metavar='FILE', help='page to write')
-    _cutting(simulate, positive)
+    _cutting(simulate)
     simulate.add_argument('--json', action='store_true', help='print the figures as JSON')
 
 
-def _mill(added: argparse.ArgumentParser, positive: Number) -> None:
+def _mill(added: argparse.ArgumentParser) -> None:
     """Add the options of the mill; the defaults are those of the paper."""
-    _value(added, '--tool-diameter', 13.0, 'MM', 'diameter of the mill, 2 (R + r_c)', positive)
-    _value(added, '--corner-radius', 1.5, 'MM', 'corner radius r_c', positive)
+    number(added, '--tool-diameter', 13.0, 'diameter of the mill, 2 (R + r_c)')
+    number(added, '--corner-radius', 1.5, 'corner radius r_c')
 
 
 def _face(added: argparse.ArgumentParser) -> None:
@@ -120,26 +119,17 @@ def _face(added: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _cutting(added: argparse.ArgumentParser, positive: Number) -> None:
+def _cutting(added: argparse.ArgumentParser) -> None:
     """Add the feed direction and the options of the N-buffer and of the machine."""
     added.add_argument(
         '--direction', type=float, default=0.0, metavar='DEG',
         help='feed direction on the surface, from its u lines (0 deg)',
     )  # fmt: skip
-    _value(added, '--spacing', 0.1, 'MM', 'distance of the needles', positive)
-    _value(added, '--margin', 2.0, 'MM', 'distance from the border for the figures', positive)
+    number(added, '--spacing', 0.1, 'distance of the needles')
+    number(added, '--margin', 2.0, 'distance from the border for the figures')
     added.add_argument(
         '--machine', default='xyzac', metavar='M', help='bundled machine or YAML file (xyzac)'
     )
-
-
-def _value(
-    added: argparse.ArgumentParser, name: str, default: float, unit: str, meaning: str,
-    positive: Number,
-) -> None:  # fmt: skip
-    """Add a positive number."""
-    text = f'{meaning} ({default:g})'
-    added.add_argument(name, type=positive, default=default, metavar=unit, help=text)
 
 
 def _iso_scallop(options: argparse.Namespace) -> int:

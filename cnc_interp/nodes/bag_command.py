@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.options import command, positive
 
 if TYPE_CHECKING:
     from cnc_interp.nodes.recorded import RecordedRun
@@ -21,9 +21,7 @@ def is_bag(path: Path) -> bool:
     return (path / 'metadata.yaml').is_file() or path.suffix == '.mcap'
 
 
-def add_bag_commands(
-    commands: Any, command: Callable[..., Any], positive: Callable[[str], float]
-) -> None:
+def add_bag_commands(commands: Any) -> None:
     """Add `record` and `replay`."""
     record = command(
         commands, 'record', record_command,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import fields
-from types import TracebackType
 
 import numpy as np
 
@@ -65,10 +64,5 @@ class BlockSpool:
     def __enter__(self) -> BlockSpool:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        problem: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -28,6 +28,7 @@ FLOW = (
     'proof',
     'verify',
     'pipeline',
+    'options',
     'convert',
     'report',
     'description',

@@ -13,9 +13,10 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import MachineState
 
-from cnc_interp.cli import main, parser, read_options
+from cnc_interp.cli import main, parser
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.operating import Alarm
+from cnc_interp.options import read_options
 from cnc_interp.panel.access import Access
 from cnc_interp.panel.preview import DRAWN, Choices, Preview, thinned
 from cnc_interp.panel.readings import axis_words, clock, program_html, progress_words

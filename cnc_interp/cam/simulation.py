@@ -15,7 +15,7 @@ from cnc_interp.cam.vectors import norm
 from cnc_interp.convert import with_chords
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine import SimulatedMachine
+from cnc_interp.machine.simulated import SimulatedMachine
 from cnc_interp.plan_files import PlanFiles
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import FloatArray

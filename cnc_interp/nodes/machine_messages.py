@@ -10,7 +10,8 @@ from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine import Feedback, State
+from cnc_interp.machine.simulated import Feedback
+from cnc_interp.machine.states import State
 from cnc_interp.nodes.messages import packed
 from cnc_interp.nodes.playback import Executed, Playback
 

@@ -15,7 +15,9 @@ from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine import Drives, Event, SimulatedMachine, State
+from cnc_interp.machine.drives import Drives
+from cnc_interp.machine.simulated import SimulatedMachine
+from cnc_interp.machine.states import Event, State
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.chunk_messages import chunk_from
 from cnc_interp.nodes.controls import Controls

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.errors import StreamError
-from cnc_interp.machine import FOLLOWING, Event, Feedback, SimulatedMachine, State
+from cnc_interp.machine.simulated import Feedback, SimulatedMachine
+from cnc_interp.machine.states import FOLLOWING, Event, State
 from cnc_interp.nodes.buffer import Buffer, Held, Row
 from cnc_interp.nodes.streams import same_run
 from cnc_interp.stream.chunk import Chunk, Wait

@@ -9,7 +9,7 @@ from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine import refuse_setpoints
+from cnc_interp.machine.checks import refuse_setpoints
 from cnc_interp.nodes.messages import (
     CONNECTION_POINTS,
     CURVES,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +13,15 @@ from scipy.integrate import solve_ivp
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine import TRANSITIONS, Drives, Event, SimulatedMachine, State
+from cnc_interp.machine.drives import Drives
+from cnc_interp.machine.simulated import SimulatedMachine
+from cnc_interp.machine.states import TRANSITIONS, Event, State
 from cnc_interp.units import DEG, MM
 
 MACHINE = Machine.load('xyzac')
 PERIOD = 1e-3
 HOME = np.zeros(5)
+STATE_WORDS = {state.value for state in State}
 
 
 def running(drives=None, period=PERIOD, position=HOME):
@@ -164,6 +168,32 @@ def test_every_pair_of_state_and_event(state, event):
         with pytest.raises(StreamError, match=refusal):
             machine.handle(event)
         assert machine.state is state
+
+
+def test_the_table_in_the_docs_is_that_of_the_code():
+    """A row for each state, a column for each event but the switching of the drives."""
+    text = (Path(__file__).parents[2] / 'docs' / 'operation.md').read_text(encoding='utf-8')
+    rows = [
+        [cell.strip() for cell in line.strip('|').split('|')]
+        for line in text.splitlines()
+        if line.startswith('| state |') or line.split(':')[0].strip('| ') in STATE_WORDS
+    ]
+    events = [Event(word) for word in rows[0][1:]]
+    told = {
+        (State(row[0].split(':')[0]), event): State(cell)
+        for row in rows[1:]
+        for event, cell in zip(events, row[1:], strict=True)
+        if cell
+    }
+    assert len(rows) == 1 + len(State)
+    switching = {Event.ACTIVATE, Event.DEACTIVATE}
+    assert {*events} | switching == set(Event)
+    assert told == {pair: to for pair, to in TRANSITIONS.items() if pair[1] not in switching}
+    assert {pair: to for pair, to in TRANSITIONS.items() if pair[1] in switching} == {
+        (State.INACTIVE, Event.ACTIVATE): State.IDLE,
+        (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
+        (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
+    }
 
 
 def test_the_table_by_its_meaning():

@@ -12,7 +12,9 @@ from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine import Event, SimulatedMachine, State, refuse_setpoints
+from cnc_interp.machine.checks import refuse_setpoints
+from cnc_interp.machine.simulated import SimulatedMachine
+from cnc_interp.machine.states import Event, State
 from cnc_interp.nodes.machine_messages import executed_setpoints
 from cnc_interp.nodes.playback import Playback
 from cnc_interp.stream.approach import approach

@@ -1,150 +1,30 @@
 """
-The simulated machine: drives with following error, soft limits and a small state machine.
+The simulated machine: drives with following error, soft limits and the states of a machine tool.
 
-Every axis is a position loop with velocity feed-forward around a velocity loop that answers as a
-first-order lag,
-
-    x' = v,    tau v' = kv (r - x) + f r' - v,
-
-so X/R = (f s + kv) / (tau s^2 + s + kv): stable for all kv, tau > 0, damping 1 / (2 sqrt(kv tau)).
-On a ramp of speed V it lags by (1 - f) V / kv, under constant acceleration a by tau a / kv more.
-Between two setpoints the drive interpolates r and r' linearly (first-order hold). The step over
-one period is then exact, by the matrix exponential, whatever the period. No clock, no ROS.
+It steps one period at a time, or through a whole motion at once. No clock, no ROS.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
 from numba import njit
-from scipy.linalg import expm
 
 from cnc_interp.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine.checks import beyond_travel
+from cnc_interp.machine.drives import Drives, drive
+from cnc_interp.machine.states import FOLLOWING, Event, State, state_after
 from cnc_interp.program.blocks import FloatArray
 
 # A step this many times faster than an axis can go is no setpoint but a fault of the sender.
 GROSS = 1.5
-# Differences of sound setpoints pass a limit by rounding only.
-ROUNDING = 1.01
-# Soft limits forgive rounding [m, rad].
-TRAVEL_SLACK = 1e-9
 # The path on which the contour error is measured reaches back by this many lags of the drives.
 LAGS_REMEMBERED = 5.0
 LONGEST_MEMORY = 1000
-
-
-class State(Enum):
-    """What the machine is doing."""
-
-    INACTIVE = 'inactive'  # drives off
-    IDLE = 'idle'  # drives on, at rest, no program
-    RUNNING = 'running'  # following setpoints
-    HOLDING = 'holding'  # feed hold or program stop: at rest on the path, or on the way to it
-    STARVED = 'starved'  # setpoints did not come in time: at rest on the path, or on the way
-    STOPPING = 'stopping'  # emergency stop or fault: on the way to rest on the path
-    FAULT = 'fault'  # at rest after an emergency stop, or a setpoint was refused
-
-
-class Event(Enum):
-    """What changes the state."""
-
-    ACTIVATE = 'activate'
-    DEACTIVATE = 'deactivate'
-    START = 'start'
-    FINISH = 'finish'
-    HOLD = 'hold'
-    STARVE = 'starve'
-    RESUME = 'resume'
-    RESET = 'reset'
-    STOP = 'stop'
-    FAIL = 'fail'
-
-
-# docs/operation.md has this table in words.
-TRANSITIONS: dict[tuple[State, Event], State] = {
-    (State.INACTIVE, Event.ACTIVATE): State.IDLE,
-    (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
-    (State.IDLE, Event.START): State.RUNNING,
-    (State.IDLE, Event.RESET): State.IDLE,
-    (State.IDLE, Event.STOP): State.STOPPING,
-    (State.IDLE, Event.FAIL): State.FAULT,
-    (State.RUNNING, Event.FINISH): State.IDLE,
-    (State.RUNNING, Event.HOLD): State.HOLDING,
-    (State.RUNNING, Event.STARVE): State.STARVED,
-    (State.RUNNING, Event.STOP): State.STOPPING,
-    (State.RUNNING, Event.FAIL): State.FAULT,
-    (State.HOLDING, Event.HOLD): State.HOLDING,
-    (State.HOLDING, Event.RESUME): State.RUNNING,
-    (State.HOLDING, Event.RESET): State.IDLE,
-    (State.HOLDING, Event.STOP): State.STOPPING,
-    (State.HOLDING, Event.FAIL): State.FAULT,
-    (State.STARVED, Event.HOLD): State.HOLDING,
-    (State.STARVED, Event.RESUME): State.RUNNING,
-    (State.STARVED, Event.RESET): State.IDLE,
-    (State.STARVED, Event.STOP): State.STOPPING,
-    (State.STARVED, Event.FAIL): State.FAULT,
-    (State.STOPPING, Event.STOP): State.STOPPING,
-    (State.STOPPING, Event.FAIL): State.FAULT,
-    (State.FAULT, Event.RESET): State.IDLE,
-    (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
-    (State.FAULT, Event.STOP): State.FAULT,
-    (State.FAULT, Event.FAIL): State.FAULT,
-}
-
-# Setpoints are followed in these states; in all but RUNNING they are those of a stop.
-FOLLOWING = frozenset({State.RUNNING, State.HOLDING, State.STARVED, State.STOPPING})
-
-
-@dataclass(frozen=True)
-class Drives:
-    """
-    Parameters of the drives, the same for all axes.
-
-    Parameters
-    ----------
-    position_gain : float
-        ``kv`` [1/s].
-    feed_forward : float
-        Share ``f`` of the setpoint's velocity that is fed forward, 0 to 1.
-    time_constant : float
-        Lag ``tau`` of the velocity loop [s].
-
-    """
-
-    position_gain: float = 100.0
-    feed_forward: float = 1.0
-    time_constant: float = 2e-3
-
-    def __post_init__(self) -> None:
-        for name in ('position_gain', 'time_constant'):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise StreamError(f'{name} of the drives must be positive')
-        if not 0.0 <= self.feed_forward <= 1.0:
-            raise StreamError('feed_forward of the drives must lie between 0 and 1')
-
-    def discretise(self, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """
-        Solve one period exactly for inputs (r, r') that run linearly.
-
-        Returns
-        -------
-        transition, held, rising : ndarray, shape (2, 2)
-            ``z+ = transition z + held u + rising (u+ - u)`` with ``z = (x, v)``.
-
-        """
-        kv, f, tau = self.position_gain, self.feed_forward, self.time_constant
-        # z' = A z + B u, u' = constant: one exponential of the three stacked.
-        stacked = np.zeros((6, 6))
-        stacked[0, 1] = 1.0
-        stacked[1, :4] = np.array([-kv, -1.0, kv, f]) / tau
-        stacked[2:4, 4:6] = np.eye(2) / period
-        step = expm(stacked * period)
-        return step[:2, :2].copy(), step[:2, 2:4].copy(), step[:2, 4:6].copy()
 
 
 @dataclass(frozen=True)
@@ -269,12 +149,7 @@ class SimulatedMachine:
             If the event is not possible in this state; the state stays.
 
         """
-        following = TRANSITIONS.get((self.state, event))
-        if following is None:
-            possible = ', '.join(e.value for s, e in TRANSITIONS if s is self.state)
-            raise StreamError(
-                f'{event.value} is not possible while {self.state.value}; possible: {possible}'
-            )
+        following = state_after(self.state, event)
         if event is Event.FAIL:
             self.message = message or self.message or 'fault; reset to go on'
         elif message or event not in (Event.HOLD, Event.STOP):
@@ -321,7 +196,7 @@ class SimulatedMachine:
         rate = np.gradient(r, self.period, axis=0) if velocities is None else velocities
         rate = np.ascontiguousarray(rate, dtype=float)
         at_rest = np.stack([r[0], np.zeros_like(r[0])])
-        x, v = _drive(*self._model, at_rest, r[0], np.zeros_like(r[0]), r, rate)
+        x, v = drive(*self._model, at_rest, r[0], np.zeros_like(r[0]), r, rate)
         commanded = self._transform.forward(r)[0]
         tip, axis = self._transform.forward(x)
         trail = np.concatenate([np.tile(commanded[:1], (self._memory - 1, 1)), commanded])
@@ -332,7 +207,7 @@ class SimulatedMachine:
         return Recording(x, v, r - x, tip, axis, lag, error, np.stack(largest) / self._limits)
 
     def _advance(self, setpoint: FloatArray, velocity: FloatArray) -> Feedback:
-        x, v = _drive(
+        x, v = drive(
             *self._model, self._axes, self.setpoints[-1], self._velocity, setpoint[None, :],
             velocity[None, :],
         )  # fmt: skip
@@ -360,17 +235,11 @@ class SimulatedMachine:
         return recent
 
     def _fault_of_position(self, wanted: FloatArray) -> str:
-        names, travel = self.machine.axis_names, self.machine.travel
+        names = self.machine.axis_names
         if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
             return f'setpoint must be {len(names)} finite numbers, not {wanted.tolist()}'
-        outside = (wanted < travel[:, 0] - TRAVEL_SLACK) | (wanted > travel[:, 1] + TRAVEL_SLACK)
-        if outside.any():
-            k = int(np.argmax(outside))
-            return (
-                f'soft limit: {names[k]} to {wanted[k]:.6g}, travel is '
-                f'{travel[k, 0]:.6g} to {travel[k, 1]:.6g} (m, rad); reset and move inside'
-            )
-        return ''
+        beyond = beyond_travel(self.machine, wanted[None, :])
+        return f'{beyond}; reset and move inside' if beyond else ''
 
     def _fault_of_step(self, wanted: FloatArray, velocity: FloatArray) -> str:
         fault = self._fault_of_position(wanted)
@@ -386,76 +255,6 @@ class SimulatedMachine:
                 'velocity; setpoints lost or out of order, reset and restart the program'
             )
         return ''
-
-
-def refuse_setpoints(
-    machine: Machine, period: float, before: FloatArray, positions: FloatArray, at_rest: bool
-) -> None:
-    """
-    Refuse setpoints that leave the travel or break a limit, before they are executed.
-
-    Parameters
-    ----------
-    machine : Machine
-        Axes, limits and travel.
-    period : float
-        Interpolation period [s].
-    before : ndarray, shape (3, n_axes)
-        Setpoints before them [m, rad].
-    positions : ndarray, shape (K, n_axes)
-        The setpoints [m, rad].
-    at_rest : bool
-        True when they must end at rest.
-
-    Raises
-    ------
-    StreamError
-        With axis, value and limit.
-
-    """
-    travel, names = machine.travel, machine.axis_names
-    outside = (positions < travel[:, 0] - TRAVEL_SLACK) | (positions > travel[:, 1] + TRAVEL_SLACK)
-    if outside.any():
-        row, k = (int(x[0]) for x in np.nonzero(outside))
-        raise StreamError(
-            f'soft limit: {names[k]} to {positions[row, k]:.6g}, travel is {travel[k, 0]:.6g} to '
-            f'{travel[k, 1]:.6g} (m, rad); move the workpiece or the program'
-        )
-    parts = [before, positions] + ([np.tile(positions[-1:], (3, 1))] if at_rest else [])
-    course = np.concatenate(parts)
-    limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
-    for order, limit in enumerate(limits, start=1):
-        use = np.abs(np.diff(course, order, axis=0)) / (limit * period**order)
-        if not use.max() <= ROUNDING:
-            k = int(np.argmax(use.max(axis=0)))
-            what = ('velocity', 'acceleration', 'jerk')[order - 1]
-            raise StreamError(
-                f'{names[k]} asked for {use.max():.4g} times its largest {what}; setpoints were '
-                'spoilt on their way, lost, or made for another machine'
-            )
-
-
-@njit(cache=True, nogil=True)
-def _drive(transition: Any, held: Any, rising: Any, axes: Any, setpoint: Any, velocity: Any,
-           setpoints: Any, velocities: Any) -> Any:  # fmt: skip
-    """Advance the drives from (x, v) ``axes`` over rows of setpoints; all axes are alike."""
-    x, v = np.empty_like(setpoints), np.empty_like(setpoints)
-    for j in range(setpoints.shape[1]):
-        x0, v0, r0, f0 = axes[0, j], axes[1, j], setpoint[j], velocity[j]
-        for i in range(len(setpoints)):
-            dr, df = setpoints[i, j] - r0, velocities[i, j] - f0
-            # Relative to the last setpoint, so that rounding does not depend on where the axis is.
-            gap = x0 - r0
-            x[i, j] = (
-                r0 + transition[0, 0] * gap + transition[0, 1] * v0
-                + held[0, 1] * f0 + rising[0, 0] * dr + rising[0, 1] * df
-            )  # fmt: skip
-            v[i, j] = (
-                transition[1, 0] * gap + transition[1, 1] * v0
-                + held[1, 1] * f0 + rising[1, 0] * dr + rising[1, 1] * df
-            )  # fmt: skip
-            x0, v0, r0, f0 = x[i, j], v[i, j], setpoints[i, j], velocities[i, j]
-    return x, v
 
 
 @njit(cache=True, nogil=True)

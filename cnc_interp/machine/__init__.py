@@ -1,0 +1,1 @@
+"""The simulated machine: states, drives, soft limits; no clock, no ROS."""

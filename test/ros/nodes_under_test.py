@@ -10,6 +10,7 @@ from cnc_interp_msgs.msg import G1Block, LoadedProgram, MachineState
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from cnc_interp.nodes import qos
@@ -109,8 +110,11 @@ class NodesUnderTest:
 
     def next_state(self):
         """A machine state sent after this call."""
+        asked = self.node.get_clock().now()
         self.states.clear()
-        self.spin_until(lambda: len(self.states) > 1)
+        self.spin_until(
+            lambda: self.states and Time.from_msg(self.states[-1].header.stamp) > asked
+        )
         return self.states[-1]
 
     def close(self):

@@ -162,6 +162,8 @@ class MachineNode(LifecycleNode):
         with self._lock:
             if chunk.first_sample == 0:
                 self._playback.begin_plan(chunk.program_id, chunk.plan)
+                if not self._playback.played:  # a new run, and its figures
+                    self._lateness = Lateness(self._period)
             elif self._playback.left:
                 return
             self._playback.push(
@@ -200,7 +202,7 @@ class MachineNode(LifecycleNode):
             self._tell_state()
 
     def _tell_clock(self) -> None:
-        """Say how punctual the drives are stepped, and how they are scheduled."""
+        """Say how punctual the drives are stepped in this run, and how they are scheduled."""
         late = self._lateness
         figures = {
             'periods': late.count,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import sys
 import time
@@ -177,6 +178,7 @@ def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
     from cnc_interp.kinematics.machine import Machine
     from cnc_interp.kinematics.transform import Transform
+    from cnc_interp.nodes.showing import redraws
     from cnc_interp.pipeline import describe, plan_to_files
     from cnc_interp.program import open_program
 
@@ -184,7 +186,8 @@ def plan_command(options: argparse.Namespace) -> int:
     chain = chain_options(options)
     geometry = Transform.of(machine)
     stream = open_program(options.program, geometry, read_options(options))
-    progress = Progress('planning') if sys.stderr.isatty() and not options.json else None
+    shown = redraws(sys.stderr) and not options.json
+    progress = Progress('planning') if shown else None
     try:
         summary = plan_to_files(stream, machine, options.out, chain, progress)
     finally:
@@ -205,7 +208,7 @@ def sketch(directory: Path) -> str:
 
     try:
         EIGHTHS.encode(sys.stdout.encoding or 'ascii')
-        unicode = True
+        unicode = os.environ.get('TERM') != 'dumb'
     except UnicodeEncodeError:
         unicode = False
     return feed_sketch(directory, min(shutil.get_terminal_size().columns, WIDEST), unicode)

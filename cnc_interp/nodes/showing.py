@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from typing import Any, TextIO
 
 BAR = 30
 #: A check that takes no longer is not told; how often it is told in a log [s].
 CHECK_SHOWN, CHECK_LOGGED = 1.0, 10.0
+
+
+def redraws(stream: TextIO) -> bool:
+    """Tell whether a line can be written over: a terminal, and none inside an editor."""
+    return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
 class Progress:
@@ -24,7 +30,7 @@ class Progress:
 
     def __init__(self, stream: TextIO | None):
         self._stream = stream
-        self._terminal = stream is not None and stream.isatty()
+        self._terminal = stream is not None and redraws(stream)
         self._shown = -1
         self._began = self._said_at = time.monotonic()
 

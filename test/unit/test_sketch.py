@@ -39,7 +39,8 @@ def test_a_tool_that_stands_still_is_drawn(tmp_path):
     assert feed_sketch(tmp_path, 60, unicode=True).splitlines()[0].endswith('0')
 
 
-def test_plan_shows_it_when_asked(tmp_path, capsys):
+def test_plan_shows_it_when_asked(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv('TERM', 'xterm')
     program = tmp_path / 'line.ngc'
     program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nM30\n')
     words = ['plan', str(program), '--out', str(tmp_path / 'plan')]
@@ -47,3 +48,7 @@ def test_plan_shows_it_when_asked(tmp_path, capsys):
     assert '█' not in capsys.readouterr().out  # plain text in a log
     assert main([*words, '--look']) == 0
     assert '█' in capsys.readouterr().out
+    monkeypatch.setenv('TERM', 'dumb')  # inside an editor
+    assert main([*words, '--look']) == 0
+    shown = capsys.readouterr().out
+    assert '####' in shown and shown.isascii()

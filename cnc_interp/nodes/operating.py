@@ -247,6 +247,7 @@ class Operating:
             if handle is None:
                 return False
             key = bytes(handle.goal_id.uuid)
+            self._ahead.setdefault(key, len(self._goals))  # until its first feedback
             self._goals[key] = handle
             wanted.set_result(Answer(True, 'started'))
             handle.get_result_async().add_done_callback(lambda end: self._see_result(key, end))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from cnc_interp.panel.desk import SPAN, Desk, Moment
@@ -15,7 +16,8 @@ FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
 AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0')
 #: Shares of the limit are shown.
 KINDS = ('velocity', 'acceleration', 'jerk')
-#: The limit may be endless on straight lines: the chart ends this much above the feed.
+#: Limits on straight lines and rapids are far above the rest: the chart ends this much above
+#: the feed and what is mostly programmed.
 HEADROOM = 1.5
 
 
@@ -40,10 +42,9 @@ class Charts:
         """Draw the last half minute."""
         now = time.monotonic()
         moments = list(desk.history)
-        ceiling = HEADROOM * max(
-            [m.feed for m in moments] + [m.programmed for m in moments if m.programmed < 1e3],
-            default=0.0,
-        )
+        asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
+        usual = float(np.median(asked)) if asked else 0.0
+        ceiling = HEADROOM * max([usual, *(m.feed for m in moments)])
         columns = (
             [m.feed for m in moments],
             [min(m.programmed, ceiling) for m in moments],

@@ -28,6 +28,7 @@ from cnc_interp.nodes.asking import AskedGoal
 from cnc_interp.nodes.diagnostics import WAITING
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, STATE
+from cnc_interp.nodes.shared_value import SharedValue
 
 __all__ = [
     'STATE_NAMES',
@@ -42,8 +43,8 @@ __all__ = [
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
-#: So long a wish counts as granted: what is heard meanwhile may be the echo of an older one [s].
-ECHO = 1.0
+#: So long an override of this end may be on its way [s].
+ECHO = 10.0
 #: How soon commands of other threads are seen [s].
 SPIN = 0.01
 ALARMS_KEPT = 200
@@ -121,7 +122,7 @@ class Operating:
         self._ahead: dict[bytes, int] = {}  # programs that come before each of them
         self.waiting = ''
         self.program: LoadedProgram | None = None
-        self._heard, self._wished, self._wished_at = 1.0, 1.0, -ECHO
+        self._override = SharedValue(1.0, ECHO)
         self.machine = ''
         node = self._node
         node.create_subscription(MachineState, 'machine_state', on_state, STATE)
@@ -172,11 +173,11 @@ class Operating:
 
     @property
     def override(self) -> float:
-        """The feed override: the last one heard, but right behind a wish from here that wish."""
-        return self._wished if time.monotonic() < self._wished_at + ECHO else self._heard
+        """The feed override: the last one heard, or the wish from here that is on its way."""
+        return self._override.at(time.monotonic())
 
     def _see_override(self, message: Float64) -> None:
-        self._heard = message.data
+        self._override.hear(message.data)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
         """Note what became worse; the same words again are no news."""
@@ -216,7 +217,7 @@ class Operating:
 
     def set_override(self, share: float) -> None:
         """Set the feed override [-]."""
-        self._wished, self._wished_at = share, time.monotonic()
+        self._override.wish(share, time.monotonic())
         self._todo.append(lambda: self._set_override.publish(Float64(data=share)))
 
     def run(self, program: Path, options: Mapping[str, Any]) -> Future[Answer]:

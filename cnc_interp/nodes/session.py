@@ -18,6 +18,7 @@ from cnc_interp.units import DEG, MM, MM_PER_MIN, MS, UM
 
 #: Domains that are safe on Linux whatever the ports of other programs.
 DOMAINS = range(1, 102)
+ALL_DOMAINS = range(233)
 
 
 @dataclass(frozen=True)
@@ -286,6 +287,30 @@ def chosen_domain() -> int:
     """Return the user's ROS domain; one of one's own keeps parallel runs apart."""
     chosen = os.environ.get('ROS_DOMAIN_ID', '')
     return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
+
+
+def check_place(namespace: str, domain: int) -> None:
+    """
+    Refuse a place that ROS 2 does not know.
+
+    Raises
+    ------
+    InterpError
+        For a wrong namespace or domain.
+
+    """
+    from rclpy.exceptions import InvalidNamespaceException
+    from rclpy.validate_namespace import validate_namespace
+
+    if domain not in ALL_DOMAINS:
+        last = ALL_DOMAINS.stop - 1
+        raise InterpError(f'domain {domain}: the domains of ROS 2 are 0 to {last}')
+    try:
+        validate_namespace(f'/{namespace.lstrip("/")}')
+    except InvalidNamespaceException:
+        raise InterpError(
+            f'namespace {namespace!r}: letters, digits and _ between slashes, no digit first'
+        ) from None
 
 
 def nodes_file() -> Path:

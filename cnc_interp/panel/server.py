@@ -23,6 +23,7 @@ STYLE = Path(__file__).with_name('style.css')
 WATCH = 0.2
 #: A page that was cut off finds its place again within this time [s].
 RECONNECT = 20.0
+PORTS = range(65536)
 
 
 @dataclass(frozen=True)
@@ -33,32 +34,38 @@ class Served:
     Parameters
     ----------
     host, port
-        Address; port 0 takes a free one.
+        Address; see ``prepare``.
     token : str
         Needed for commands; a random one when empty.
-    program : Path, optional
-        Laid on the desk at start.
+    name, text : str, optional
+        A program that is laid on the desk at start.
 
     """
 
     host: str = '127.0.0.1'
     port: int = 8650
     token: str = ''
-    program: Path | None = None
+    name: str = ''
+    text: str | None = None
+
+    @staticmethod
+    def prepare(host: str, port: int, token: str, program: Path | None) -> Served:
+        """
+        Take an address and read the program; before any node is started.
+
+        Raises
+        ------
+        InterpError
+            When the address cannot be used or the program cannot be read.
+
+        """
+        text = read(program) if program is not None else None
+        return Served(host, free_port(host, port), token, program.name if program else '', text)
 
 
 def serve(served: Served, namespace: str, domain: int) -> None:
-    """
-    Serve the page until the process is asked to end.
-
-    Raises
-    ------
-    InterpError
-        When the address cannot be used or the program cannot be read.
-
-    """
-    port = free_port(served.host, served.port)
-    text = read(served.program) if served.program is not None else None
+    """Serve the page until the process is asked to end."""
+    text = served.text
     access = Access(served.token)
     desk = Desk(namespace, domain)
 
@@ -67,8 +74,8 @@ def serve(served: Served, namespace: str, domain: int) -> None:
         if int(os.environ.get(PARENT, '0')) not in (0, os.getppid()):
             app.shutdown()  # the run that started the page is gone
         await desk.watch()
-        if text is not None and served.program is not None and desk.machine is not None:
-            desk.load(served.program.name, text)
+        if text is not None and desk.machine is not None:
+            desk.load(served.name, text)
             text = None
 
     @ui.page('/')
@@ -90,12 +97,12 @@ def serve(served: Served, namespace: str, domain: int) -> None:
     # Names that point to this computer by an attacker's choice are not served.
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOOPBACK, served.host])
     app.timer(WATCH, watch)
-    app.on_startup(lambda: announce(served.host, port, access.token))
+    app.on_startup(lambda: announce(served.host, served.port, access.token))
     app.on_shutdown(desk.close)
     ui.run(
-        host=served.host, port=port, title='cnc_interp', dark=True, reload=False, show=False,
-        show_welcome_message=False, reconnect_timeout=RECONNECT, binding_refresh_interval=None,
-        tailwind=False, uvicorn_logging_level='critical',
+        host=served.host, port=served.port, title='cnc_interp', dark=True, reload=False,
+        show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
+        binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
     )  # fmt: skip
 
 
@@ -118,6 +125,8 @@ def announce(host: str, port: int, token: str) -> None:
 
 def free_port(host: str, port: int) -> int:
     """Return the port, or a free one for 0; refuse one that is taken."""
+    if port not in PORTS:
+        raise InterpError(f'--port {port}: ports are {PORTS.start} to {PORTS.stop - 1}')
     family = socket.AF_INET6 if ':' in host else socket.AF_INET
     with socket.socket(family) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

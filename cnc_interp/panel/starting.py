@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.children import Children
-from cnc_interp.nodes.session import RunResult, chosen_domain, nodes_file
+from cnc_interp.nodes.session import RunResult, check_place, chosen_domain, nodes_file
 
 if TYPE_CHECKING:
     from cnc_interp.panel.server import Served
@@ -86,19 +86,23 @@ def run_panel(request: PanelRequest) -> None:
     need_library()
     from cnc_interp.panel.server import Served
 
-    served = Served(request.host, request.port, request.token, request.program)
+    served = Served.prepare(request.host, request.port, request.token, request.program)
     if request.host not in LOOPBACK:
         print(
             f'cnc-interp: {request.host} is seen by others; page and token go unencrypted',
             file=sys.stderr,
         )
+    domain = request.domain
+    if domain is None and request.attach:
+        unset = os.environ.get('ROS_DOMAIN_ID', '')
+        domain = int(unset) if unset.isdigit() else 0
+    elif domain is None:
+        domain = chosen_domain()
+    check_place(request.namespace, domain)
     if request.attach:
-        unset = int(os.environ.get('ROS_DOMAIN_ID') or 0)
-        domain = unset if request.domain is None else request.domain
         until_asked(served, request.namespace, domain)
         return
     Machine.load(request.machine)  # a wrong name is told before anything starts
-    domain = chosen_domain() if request.domain is None else request.domain
     parameters: dict[str, dict[str, object]] = {
         name: {'machine': f"'{request.machine}'"}
         for name in ('program_node', 'lookahead_node', 'feedrate_node', 'machine_node')

@@ -16,6 +16,7 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp.cli import main, parser
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.operating import Alarm
+from cnc_interp.nodes.shared_value import SharedValue
 from cnc_interp.options import read_options
 from cnc_interp.panel.access import Access
 from cnc_interp.panel.preview import DRAWN, Choices, Preview, thinned
@@ -160,3 +161,36 @@ def test_an_address_in_use_is_one_clear_line(capsys):
         assert main(['panel', '--attach', '--port', str(port)]) == 2
     said = capsys.readouterr().err
     assert said.count('\n') == 1 and f'127.0.0.1:{port}' in said and '--port' in said
+
+
+@pytest.mark.parametrize(
+    ('words', 'named'),
+    [
+        (['--port', '99999'], '65535'),
+        (['--domain', '9999'], '232'),
+        (['--namespace', 'bad name!'], "'bad name!'"),
+        (['nosuch.ngc'], 'nosuch.ngc'),
+        (['--machine', 'nosuch'], 'xyzac'),
+    ],
+)
+def test_what_cannot_be_served_is_one_clear_line(words, named, capsys):
+    assert main(['panel', '--port', '0', *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1 and named in said
+
+
+def test_a_late_echo_of_an_older_wish_does_not_count():
+    override = SharedValue(1.0, patience=10.0)
+    for k, value in enumerate((0.95, 0.9, 0.95, 0.5)):
+        override.wish(value, now=float(k))
+        assert override.at(float(k)) == value
+    for value in (0.95, 0.9):  # the computer is slow
+        override.hear(value)
+        assert override.at(9.0) == 0.5
+    override.hear(0.5)
+    assert override.at(9.0) == 0.5
+    override.hear(1.2)  # of another page
+    assert override.at(9.0) == 1.2
+    override.wish(0.7, now=20.0)  # never heard: theirs came behind it
+    override.hear(1.1)
+    assert (override.at(29.0), override.at(31.0)) == (0.7, 1.1)

@@ -84,7 +84,7 @@ def jumps(segments, height):
     Jumps of value, first and second derivative at joins where the tool does not rest.
 
     Of the tip and of the point at flank height; derivatives are made lengths by the shorter of
-    both segments.
+    both segments. NaN where a derivative is none, because a segment does not advance at its end.
     """
     worst = np.zeros(3)
     ways = np.linalg.norm(np.diff(sampled(segments, 9)[0], axis=1), axis=2).sum(axis=1)
@@ -95,7 +95,7 @@ def jumps(segments, height):
         size = min(ways[i], ways[i + 1])
         for order in range(3):
             length = np.abs(gap[0, order]).max() + height * np.abs(gap[1, order]).max()
-            worst[order] = max(worst[order], length * size**order)
+            worst[order] = np.maximum(worst[order], length * size**order)  # keeps a NaN
     return worst
 
 

@@ -15,6 +15,9 @@ import numpy as np
 
 from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 
+UNSEEN = 1e-12
+"""A step of an axis that no limit notices: at 1 ms its third difference is 0.002 m/s3 [m, rad]."""
+
 
 @dataclass(frozen=True)
 class AxisPath:
@@ -88,6 +91,7 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
     value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. A misfit off the smoothest course by less
     than the rounding of q and s is rounding; on short cells it would be blown up by up to 210/h^3
     in q_sss although no emitted position can show it. It is taken from the smoothest course then.
+    Where axes move far while s hardly does, misfits of more than ``UNSEEN`` are true ones.
     """
     h2, h3 = h * h, h * h * h
     q0, q1, q2, q3 = left[0], left[1] * h, left[2] * h2 / 2, left[3] * h3 / 6
@@ -95,7 +99,7 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
     d2 = right[2] * h2 - 2 * q2 - 6 * q3
     d3 = right[3] * h3 - 6 * q3
     d0 = right[0] - q0 - q1 - q2 - q3
-    rounding = 2e-15 * (abs(q0) + abs(right[0])) + 1e-14 * abs(left[1])
+    rounding = 2e-15 * (abs(q0) + abs(right[0])) + min(1e-14 * abs(left[1]), UNSEEN)
     if abs(d2 - d3 / 2) <= rounding:
         d2 = d3 / 2
     if abs(d1 - (d2 / 2 - d3 / 12)) <= rounding:

@@ -8,7 +8,7 @@ from feedrate_paths import XYZAC, line_path, polyline_path
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import plan_path
-from cnc_interp.kinematics.axis_path import evaluate, refine
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 
 CORNER = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.015, 0], [0.035, 0.02, 0.01]], dtype=float)
 
@@ -99,3 +99,18 @@ def test_tiny_cells_of_a_straight_line_have_no_third_derivative():
     fine = refine(path, 0.2 + 1e-8 * np.arange(1, 6))
     at = 0.2 + 1e-8 * (np.arange(1, 5) + 0.37)
     assert np.max(np.abs(evaluate(fine, at)[3])) < 1e-6
+
+
+def test_axes_that_move_far_in_nanometres_meet_from_cell_to_cell():
+    """A tip that hardly moves while the tool turns: 1 mm of an axis in 0.3 um of s."""
+    wave, h = 1e7, 2.0**-24  # half a radian of the wave a cell
+    s = h * np.arange(9)
+    jet = np.stack([np.sin(wave * s + k * np.pi / 2) * 1e-3 * wave**k for k in range(4)])
+    jet = jet[..., None]
+    steady = np.tile([[0.0, 0.0, 1.0]], (9, 1))
+    path = AxisPath(
+        s, jet[:, :-1].copy(), jet[:, 1:].copy(), 0.0 * steady, steady,
+        np.ones(8), np.zeros(8, np.int64), np.zeros(9, bool),
+    )  # fmt: skip
+    just_before = evaluate(path, s[1:] - 1e-9 * h, np.arange(8))[0]
+    assert np.abs(just_before - jet[0, 1:]).max() < 3e-12

@@ -161,7 +161,8 @@ def pieces(points, knots, u, feed, row):  # type: ignore[no-untyped-def]
     count, k = 0, 0
     for s in range(n):
         start, end = knots[s], knots[s + 1]
-        while k < len(feed) - 1 and u[k + 1] <= start:
+        least_piece = 1e-9 * (end - start)  # a knot may lie on a vertex but for rounding
+        while k < len(feed) - 1 and u[k + 1] <= start + least_piece:
             k += 1
         a = start
         while a < end:
@@ -175,7 +176,7 @@ def pieces(points, knots, u, feed, row):  # type: ignore[no-untyped-def]
                 least, most_feed = low, high
                 k += 1
                 b = min(u[k + 1], end)
-            if end - b < 1e-9 * (end - start) or k == len(feed) - 1:
+            if end - b < least_piece or k == len(feed) - 1:
                 b = end
             source[count], speed[count] = s, least
             piece(points[s], (a - start) / (end - start), (b - start) / (end - start), cut[count])

@@ -21,8 +21,8 @@ from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 SAMPLES = 96
 """Points at which a cell to be subdivided is looked at."""
 
-GROWTH = 0.15
-"""Growth of cells in steady cruise, per cell."""
+GROWTH, LONGEST = 0.3, 16.0
+"""Growth of cells in steady cruise, per cell, and the longest over those elsewhere."""
 
 RAMP_CELLS, SHORTEST = 8, 2e-5
 """Cells in a ramp between rest and cruise, and the shortest of them [s]."""
@@ -65,12 +65,36 @@ class PlanGrid:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
+def cell_times(
+    s: FloatArray, feed: FloatArray, bounds: FloatArray, v: FloatArray, tau: float
+) -> FloatArray:
+    """
+    Wanted time of a cell at every grid point: it grows where the feed alone limits.
+
+    The guess brakes earlier and accelerates later than the law, so the law cruises wherever the
+    guess does.
+    """
+    n = len(bounds)
+    wanted, growth = np.full(n + 1, tau), np.empty(n)
+    for i in range(n):
+        h = s[i + 1] - s[i]
+        speed, cruise = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])
+        cruise = cruise and bounds[i, 1] >= feed[i] and min(v[i], v[i + 1]) >= speed
+        growth[i] = GROWTH * h / speed if cruise else -np.inf
+        wanted[i + 1] = min(max(wanted[i] + growth[i], tau), LONGEST * tau)
+    for i in range(n - 1, -1, -1):
+        wanted[i] = min(wanted[i], max(wanted[i + 1] + growth[i], tau))
+    return wanted
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def cell_nodes(
     h: float,
     v0: float,
     v1: float,
     bound: FloatArray,
-    tau: float,
+    start: float,
+    end: float,
     least: float,
     out: FloatArray,
 ) -> int:
@@ -89,12 +113,11 @@ def cell_nodes(
     for p in range(SAMPLES + 1):
         if cruise[p]:
             first, last = min(first, p), max(last, p)
-    start, end = tau, tau
     # a short ramp between rest and slow cruise is given cells of its own scale
     if last > first and v0 == 0.0:
-        start = min(tau, max(time[first] / RAMP_CELLS, SHORTEST))
+        start = min(start, max(time[first] / RAMP_CELLS, SHORTEST))
     if last > first and v1 == 0.0:
-        end = min(tau, max((time[SAMPLES] - time[last]) / RAMP_CELLS, SHORTEST))
+        end = min(end, max((time[SAMPLES] - time[last]) / RAMP_CELLS, SHORTEST))
     for p in range(SAMPLES):
         middle = (time[p] + time[p + 1]) / 2
         after, before = max(0.0, middle - time[first]), max(0.0, time[last] - middle)
@@ -149,7 +172,7 @@ def grid_nodes(
     table: FloatArray,
     bounds: FloatArray,
     v: FloatArray,
-    tau: float,
+    wanted: FloatArray,
     most_bend: float,
     whole: int,
 ) -> FloatArray:
@@ -160,6 +183,7 @@ def grid_nodes(
     inner = np.empty(2048)
     for i in range(whole, n):
         h = s[i + 1] - s[i]
+        start, end = wanted[i], wanted[i + 1]
         slowest = min(v[i], v[i + 1])
         # the guess is slower than the law by up to 2^(2/3) on ramps
         fastest = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
@@ -168,9 +192,9 @@ def grid_nodes(
         new = 0
         if h < TINY * fastest:
             continue
-        if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * tau):
+        if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * min(start, end)):
             least = by_bend if by_bend > 1.0 else 0.0
-            new = cell_nodes(h, v[i], v[i + 1], bounds[i], tau, least, inner)
+            new = cell_nodes(h, v[i], v[i + 1], bounds[i], start, end, least, inner)
         if total + new > MOST_NODES:
             break
         if total + new > len(found):
@@ -218,7 +242,7 @@ def group_cells(
     table: FloatArray,
     bounds: FloatArray,
     v: FloatArray,
-    tau: float,
+    wanted: FloatArray,
     most_bend: float,
     given: BoolArray,
 ) -> IntArray:
@@ -239,7 +263,9 @@ def group_cells(
             time = h / middle
             fastest = max(fastest, min(1.5 * max(middle, max(v[i], v[i + 1])), bounds[i, 1]))
             if i > start and time > TINY and spent > TINY:
-                if spent + time > tau or feed[i] != feed[start] or not given[i]:
+                if feed[i] != feed[start] or not given[i]:
+                    break
+                if spent + time > min(wanted[start], wanted[i + 1]):
                     break
                 if not lies_on_line(start, i, s, left, right, table, fastest, most_bend):
                     break
@@ -297,13 +323,14 @@ def planning_grid(
         # later rounds see what the first guess was too coarse for, not its own rounding up
         ease = 1.0 if attempt == 0 else 1.6
         curve = path.s, path.cell_left, path.cell_right
-        new = grid_nodes(*curve, table, bounds, v, ease * tau, ease**2 * most_bend, whole)
+        wanted = cell_times(path.s, path.cell_feed, bounds, v, tau)
+        new = grid_nodes(*curve, table, bounds, v, ease * wanted, ease**2 * most_bend, whole)
         if len(new) == 0 or attempt == ROUNDS or len(path.s) + len(new) > MOST_NODES:
             break
         path = refine(path, new)
     given = np.isin(path.s, coarse)
     groups = group_cells(
-        whole, *curve, path.cell_feed, table, bounds, v, tau, most_bend / 3, given
+        whole, *curve, path.cell_feed, table, bounds, v, wanted, most_bend / 3, given
     )
     older = np.searchsorted(path.s, kept).astype(np.int64)
     nodes = np.concatenate([np.zeros(1, dtype=np.int64), older, groups[1:]])

@@ -148,6 +148,14 @@ def test_relaxing_limits_never_costs_time(relaxed):
     assert plan_path(path, scaled(XYZAC, *relaxed)).law.end_time <= 1.001 * strict
 
 
+def test_steady_cruise_takes_few_cells():
+    """Where the feed alone limits, longer cells lose nothing: the time is still ruckig's."""
+    path = line_path(5.0, 0.05, 500)
+    law = plan_path(path, XYZAC).law
+    assert law.end_time <= 1.0003 * stroke_time(5.0, 0.05)
+    assert len(law) < 5 * 500
+
+
 def test_some_limit_is_always_at_work():
     piece = plan_path(polyline_path(CORNER, 0.05), XYZAC)
     law, path = piece.law, piece.path

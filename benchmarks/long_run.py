@@ -3,8 +3,9 @@ A long run through the real nodes while another core is busy: nothing lost, memo
 
 ``PYTHONPATH=.:test/ros python benchmarks/long_run.py --minutes 60`` runs corners and turns for
 about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length`` and
-``--feed`` say how short and how fast). Every executed setpoint is measured as it is told: numbers
-without a gap, velocity, acceleration and jerk by differences.
+``--feed`` say how short and how fast); ``--priority 80 --lock-memory`` asks for real time. Every
+executed setpoint is measured as it is told: numbers without a gap, velocity, acceleration and jerk
+by differences.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from cnc_interp.nodes import qos
 from cnc_interp.nodes.streams import same_run
 
 #: Corners and turns that take a minute.
-WAVES_A_MINUTE = 120
-#: Times that memory is looked at on the way.
-LOOKS = 20
+WAVES_A_MINUTE = 90
+#: Times that memory is looked at on the way, and the share of the way after which it must be flat.
+LOOKS, SETTLED = 20, 0.2
 #: A turn of the program of short blocks: its radius [mm].
 RADIUS = 60.0
 TICKS = os.sysconf('SC_CLK_TCK')
@@ -79,9 +80,10 @@ class Usage:
 class LongRun(NodesUnderTest):
     """The nodes, and figures of what goes over their topics; memory of its own stays flat."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, parameters: dict[str, dict[str, object]]) -> None:
+        super().__init__(parameters)
         self.run = ''
+        self._looks: list[tuple[float, dict[str, float]]] = []
         self.clock: dict[str, str] = {}
         self.scheduling = ''
         self._received: dict[int, int] = {}
@@ -148,7 +150,8 @@ class LongRun(NodesUnderTest):
             share = state.path_position / length if same_run(state.program_id, self.run) else 0.0
             if share * LOOKS >= shown:
                 shown += 1
-                tell_memory(share, usage.memory())
+                self._looks.append((share, usage.memory()))
+                tell_memory(*self._looks[-1])
             return bool(wanted.done())
 
         self.run = self.loaded[-1].program_id
@@ -189,9 +192,22 @@ class LongRun(NodesUnderTest):
             f'{self.clock["missed_periods"]} of {self.clock["periods"]} a period late '
             f'({self.scheduling})'
         )
+        slopes = self.slopes(result.blocks_executed)
         for name, share in cpu.items():
             print(f'{name:<15}{share:5.0%} of a core, {memory[name]:.0f} MB at the start, '
-                  f'{after[name]:.0f} MB at the end', flush=True)  # fmt: skip
+                  f'{after[name]:.0f} MB at the end; {slopes.get(name, np.nan):+.3f} MB per 1000 '
+                  f'blocks behind {SETTLED:.0%} of the way', flush=True)  # fmt: skip
+
+    def slopes(self, blocks: int) -> dict[str, float]:
+        """Fit how the memory of each process grows once it has settled [MB per 1000 blocks]."""
+        settled = [look for look in self._looks if look[0] >= SETTLED]
+        if len(settled) < 3 or not blocks:
+            return {}
+        done = np.array([share for share, _ in settled]) * blocks / 1000.0
+        return {
+            name: float(np.polyfit(done, [memory[name] for _, memory in settled], 1)[0])
+            for name in settled[0][1]
+        }
 
 
 def tell_memory(share: float, memory: dict[str, float]) -> None:
@@ -207,12 +223,15 @@ def main() -> int:
     asked.add_argument('--length', type=float, default=0.2, help='of a short block [mm]')
     asked.add_argument('--feed', type=float, default=6000.0, help='of short blocks [mm/min]')
     asked.add_argument('--busy', type=int, default=1, help='busy processes beside it')
+    asked.add_argument('--priority', type=int, default=0, help='SCHED_FIFO of the clock')
+    asked.add_argument('--lock-memory', action='store_true', help='of the machine node')
     options = asked.parse_args()
     if options.blocks:
         text = short_blocks(options.blocks, options.length, options.feed)
     else:
         text = waves(max(2, round(options.minutes * WAVES_A_MINUTE)))
-    run = LongRun()
+    clock = {'realtime_priority': options.priority, 'lock_memory': options.lock_memory}
+    run = LongRun({'machine_node': clock})
     busy = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(options.busy)]
     try:
         with tempfile.TemporaryDirectory() as folder:

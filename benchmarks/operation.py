@@ -11,6 +11,8 @@ first setpoint that differs from the motion before it.
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import sys
 import time
 from typing import Any
@@ -27,7 +29,8 @@ from std_srvs.srv import Trigger
 WAVES = 120
 #: A line at constant speed, for reaction times [mm], and its feedrate [mm/min].
 LINE, FEED = 150, 1200
-KILLED = ('feedrate_node', 'lookahead_node')
+#: Nodes that are killed and frozen: all but the machine.
+LOST = ('feedrate_node', 'lookahead_node', 'program_node')
 
 
 def straight() -> str:
@@ -96,36 +99,64 @@ class Trial:
             say('override changes', done, runs, starved)
 
     def kills(self, count: int) -> None:
-        """Kill a node at random moments, start it again, go on."""
-        bench, done, runs = self.bench, 0, 0
+        """Kill or freeze a node at random moments, bring it back, go on."""
+        bench, done, runs, starved = self.bench, 0, 0, 0
+        ways = [(what, node) for what in (self.kill, self.freeze) for node in LOST]
         while done < count:
             handle = bench.begin(waves(WAVES))
             bench.spin_until(lambda: not bench.state.completed)
-            while done < count and self.wait_in_program():
+            known = True
+            while done < count and known and self.wait_in_program():
                 self.pause(1.5)
-                node = KILLED[int(self.random.integers(len(KILLED)))]
-                bench.kill(node)
-                if node == 'lookahead_node':  # what it has sent would be executed first
-                    bench.press('feed_hold')
-                bench.spin_until(lambda: bench.state.completed or bench.state.plan_over)
-                bench.children.revive()
-                bench.watching = True
+                lose, node = ways[int(self.random.integers(len(ways)))]
+                known = lose(node)
                 done += 1
-                if bench.state.completed:
-                    break
-                bench.diagnostics.clear()
-                self.restarted()
-                assert bench.press('cycle_start').success
-                say('kills', done, runs, 0)
-            bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))
-            self.finish(handle)
+                say(f'{lose.__name__} {node}', done, runs, starved)
+            if known:
+                bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))
+                starved += self.finish(handle).starvations
             runs += 1
-            say('kills', done, runs, 0)
+            say('kills', done, runs, starved)
 
-    def restarted(self) -> None:
-        """Wait until the restart was noticed."""
-        said = self.bench.diagnostics
-        self.bench.spin_until(lambda: any('was restarted' in text for _, text in said))
+    def freeze(self, node: str) -> bool:
+        """Stop a process for a while; the cycle must go on by itself."""
+        process = self.bench.children.process_ids[node]
+        assert process is not None
+        os.kill(process, signal.SIGSTOP)
+        self.pause(2.5)
+        os.kill(process, signal.SIGCONT)
+        return self.moves_on()
+
+    def kill(self, node: str) -> bool:
+        """Kill a process, start it again, go on; False where nobody knows the run any more."""
+        bench = self.bench
+        bench.kill(node)
+        # Without a hold what is on its way would be executed first, here to the end.
+        if node != 'feedrate_node' and self.random.uniform() < 0.8:
+            bench.press('feed_hold')
+        bench.spin_until(lambda: bench.state.completed or bench.state.plan_over)
+        if node == 'program_node':
+            bench.recorded()
+        bench.diagnostics.clear()
+        bench.children.revive()
+        bench.watching = True
+        if node == 'program_node':
+            if not bench.state.completed:
+                assert bench.press('reset').success
+            bench.until_state(MachineState.IDLE)
+            return False
+        if not bench.state.completed:
+            said = bench.diagnostics
+            bench.spin_until(lambda: any('was restarted' in text for _, text in said))
+            assert bench.press('cycle_start').success
+        return self.moves_on()
+
+    def moves_on(self) -> bool:
+        """Wait until the tool advances on the path, or has reached its end."""
+        bench = self.bench
+        at = bench.next_state().path_position
+        bench.spin_until(lambda: bench.state.completed or bench.state.path_position > at)
+        return True
 
     def finish(self, handle: Any) -> Any:
         """Wait for the end; prove what was executed."""
@@ -186,7 +217,7 @@ def messages(count: int, seed: int) -> None:
 
 def say(what: str, done: int, runs: int, starved: int) -> None:
     """Tell how far it has come."""
-    print(f'{what:<17}{done} in {runs} proven runs, {starved} times starved', flush=True)
+    print(f'{what:<24}{done} in {runs} proven runs, {starved} times starved', flush=True)
 
 
 def main() -> int:

@@ -20,14 +20,15 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.chunk_messages import chunk_message
-from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.endpoints import Inlet, Outlet, stream_of
 from cnc_interp.nodes.messages import segments_from
+from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.planning import RunPlanner
 from cnc_interp.nodes.qos import STATE
 from cnc_interp.nodes.running import run_node, start_lifecycle, transition
 from cnc_interp.nodes.soundness import check_segment
-from cnc_interp.nodes.streams import GOES_ON, WindowedReceiver
+from cnc_interp.nodes.streams import GOES_ON, WindowedReceiver, same_run
 from cnc_interp.nodes.warming import warm_all
 from cnc_interp.nodes.wishes import Wishes
 from cnc_interp.stream.chunk import Chunk, Wait
@@ -59,7 +60,7 @@ class FeedrateNode(LifecycleNode):
         self._job: Future[Any] | None = None
         self._done: Callable[[Any], None] = self._queue
         self._end_wanted = self._ended = self._end_sent = False
-        self._heard = self._tried = self._submitted = 0.0
+        self._tried = self._submitted = 0.0
         self._ready = self._longest = 0.0  # motion at hand; longest step since the last word [s]
         self._period: float = self._values['interpolation_period']
         if self._values['autostart']:
@@ -76,6 +77,10 @@ class FeedrateNode(LifecycleNode):
         # Its imports take half a second; nobody needs it before a window is tried again.
         self._worker.submit(import_module, 'cnc_interp.feedrate.toppra_stage')
         self._diagnostics = Diagnostics(self)
+        self._watch = SenderWatch(
+            self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
+            heartbeat='blocks',
+        )  # fmt: skip
         self._outlet = Outlet(
             self, 'setpoints', SetpointChunk, values['resend_after'], self._encode
         )
@@ -121,7 +126,7 @@ class FeedrateNode(LifecycleNode):
             self._outlet.paused = False
         self._segments.append(segment)
         self._end_wanted = self._end_wanted or segment.end_of_program
-        self._heard = time.monotonic()
+        self._watch.hear()
 
     def _end(self) -> None:
         """Bring the motion to rest at the end of the path known so far."""
@@ -160,11 +165,17 @@ class FeedrateNode(LifecycleNode):
             return
         first = self._segments[0]
         goes_on = GOES_ON in self._run
-        rests = state.state == MachineState.IDLE or (state.state in ON_HOLD and state.plan_over)
-        if rests and (goes_on or state.state != MachineState.HELD):
+        rests = state.state == MachineState.IDLE or (
+            state.plan_over if state.state == MachineState.STARVED
+            else goes_on and state.state == MachineState.HELD
+        )  # fmt: skip
+        if rests:
+            # It may have executed something since the rest of the program was asked for.
+            mine = goes_on and same_run(state.program_id, self._run)
             self._planner = RunPlanner(
                 self._transform, first.flank_height, self._period, self._values['chunk_size'],
-                np.array(state.commanded_positions), first.continue_at,
+                np.array(state.commanded_positions),
+                state.path_position if mine else first.continue_at,
             )  # fmt: skip
             self._wishes.tell(self._planner.stream)
 
@@ -222,9 +233,11 @@ class FeedrateNode(LifecycleNode):
         state = self._state
         mine = state is not None and state.program_id == self._run
         executed = state.path_position if state is not None and mine else -math.inf
+        wants = ahead and not stream.has_path
+        self._watch.look(wants and not self._segments and self._inlet.receiver.active)
         if sample or (ahead and stream.can_plan):
             self._submit(self._queue, planner.work, sample, executed)
-        elif ahead and self._segments:
+        elif wants and self._segments:
             batch = [self._segments.popleft() for _ in range(min(BATCH, len(self._segments)))]
             pauses = {int(s.last_block) for s in batch if self._wishes.pauses_behind(s)}
             self._submit(
@@ -234,8 +247,6 @@ class FeedrateNode(LifecycleNode):
         elif self._end_wanted and not self._ended and not self._segments:
             self._ended = True
             self._submit(lambda _: None, planner.finish)
-        elif self._inlet.receiver.active:
-            self._watch_sender()
 
     def _submit(self, done: Callable[[Any], None], work: Callable[..., Any], *values: Any) -> None:
         """Have something done by the planning thread."""
@@ -265,13 +276,6 @@ class FeedrateNode(LifecycleNode):
             setpoints_sent=self._sent_before + self._outlet.sender.sent,
         )  # fmt: skip
         self._longest = 0.0
-
-    def _watch_sender(self) -> None:
-        """Say that segments stopped coming although the window is open."""
-        silence = time.monotonic() - self._heard
-        if silence > self._values['peer_timeout']:
-            reason = f'no segments for {silence:.0f} s; lookahead_node is lost, start it again'
-            self._diagnostics.say('segments', WARN, reason)
 
     def _queue(self, chunks: list[Chunk]) -> None:
         """Give chunks to the sender."""

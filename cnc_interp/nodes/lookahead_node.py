@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections import deque
 
 from cnc_interp_msgs.msg import G1Block, PathSegment
@@ -13,9 +12,10 @@ from cnc_interp.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import WARN, Diagnostics
+from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.endpoints import Inlet, Outlet
 from cnc_interp.nodes.messages import blocks_from, segment_messages
+from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.running import run_node
 from cnc_interp.nodes.soundness import check_block
 from cnc_interp.nodes.streams import WindowedReceiver
@@ -35,8 +35,6 @@ class LookaheadNode(Node):
         super().__init__('lookahead_node')
         self._values = values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
-        self._peer_timeout = values['peer_timeout']
-        self._heard = 0.0
         chain = parameters.chain_options(values)
         smoothing_options(self._transform, chain)  # refuses wrong values
         warm_lookahead(self._transform, chain.compression)
@@ -45,6 +43,9 @@ class LookaheadNode(Node):
         self._blocks: deque[G1Block] = deque()
         self._last: PathSegments | None = None
         self._diagnostics = Diagnostics(self)
+        self._watch = SenderWatch(
+            self, self._diagnostics, 'blocks', 'program_node', values['peer_timeout']
+        )
         self._outlet = Outlet(
             self, 'segments', PathSegment, values['resend_after'], lambda message, _: message
         )
@@ -61,7 +62,7 @@ class LookaheadNode(Node):
         self._blocks.append(block)
         if block.program_stop:
             self._program_stops[block.sequence] = block.program_stop
-        self._heard = time.monotonic()
+        self._watch.hear()
         if len(self._blocks) >= BATCH:
             self._work()
 
@@ -82,17 +83,9 @@ class LookaheadNode(Node):
         if self._outlet.refusal and self._inlet.receiver.active:
             program = self._inlet.receiver.program_id
             self._inlet.refuse(program, self._outlet.refusal)
-        if not self._blocks:
-            self._watch_sender()
-        elif self._lookahead is not None and self._outlet.sender.unsent <= QUEUE:
+        self._watch.look(self._inlet.receiver.active and not self._blocks)
+        if self._blocks and self._lookahead is not None and self._outlet.sender.unsent <= QUEUE:
             self._smooth()
-
-    def _watch_sender(self) -> None:
-        """Say that blocks stopped coming although the window is open."""
-        silence = time.monotonic() - self._heard
-        if self._inlet.receiver.active and silence > self._peer_timeout:
-            reason = f'no blocks for {silence:.0f} s; program_node is lost, start it again'
-            self._diagnostics.say('blocks', WARN, reason)
 
     def _smooth(self) -> None:
         """Smooth the next batch."""

@@ -148,6 +148,7 @@ class MachineNode(LifecycleNode):
                 raise TooLateError(self._left())
             if chunk.first_sample == 0:
                 playback.refuse_beginning(chunk.program_id, chunk.plan)
+                before = playback.at_rest  # what is in the buffer will never be executed
         if state in (State.INACTIVE, State.STOPPING, State.FAULT):
             reason = self._machine.message or 'activate it'
             raise StreamError(f'the machine is {state.value}: {reason}')

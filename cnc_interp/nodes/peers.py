@@ -1,4 +1,4 @@
-"""What the other nodes say, kept for the one that watches over the run."""
+"""What the other nodes say, kept for those that watch over them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 
+from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
+from cnc_interp.nodes.streams import Silence
 
 #: Each stream with the node that receives it.
 RECEIVERS = {
@@ -83,3 +85,59 @@ class Peers:
         """Tell whether the receiver of a stream is on a program."""
         status = self._status.get(stream)
         return status is not None and status.program_id == program_id
+
+
+class SenderWatch:
+    """
+    Names the sender of a stream when it is lost, and takes that back when it is heard again.
+
+    Parameters
+    ----------
+    node : Node
+        The node that receives.
+    diagnostics : Diagnostics
+        Its diagnostics.
+    stream : str
+        What it receives.
+    sender : str
+        The node that sends it.
+    timeout : float
+        Silence after which that counts as lost [s].
+    heartbeat : str
+        Stream that the sender receives itself, where it does: its acknowledgements show that it
+        lives, though it may have nothing to send.
+
+    """
+
+    def __init__(
+        self, node: Any, diagnostics: Diagnostics, stream: str, sender: str, timeout: float,
+        heartbeat: str = '',
+    ):  # fmt: skip
+        self._diagnostics, self._stream, self._sender = diagnostics, stream, sender
+        self._timeout, self._heartbeat = timeout, heartbeat
+        self._silence, self._lost = Silence(), False
+        if heartbeat:
+            node.create_subscription(StreamStatus, 'stream_status', self._see_status, STATUS)
+
+    def _see_status(self, status: StreamStatus) -> None:
+        if status.stream == self._heartbeat:
+            self.hear()
+
+    def hear(self) -> None:
+        """Take note of a word of the sender."""
+        self._silence.hear(time.monotonic())
+        if self._lost:
+            self._lost = False
+            self._diagnostics.say(self._part, OK, f'{self._sender} is there again')
+
+    def look(self, waits: bool) -> None:
+        """Say so when the sender is silent for too long though something is wanted of it."""
+        silence = self._silence.waited(waits, time.monotonic())
+        if silence > self._timeout and not self._lost:
+            self._lost = True
+            text = f'no {self._stream} for {silence:.0f} s; {self._sender} is lost, start it again'
+            self._diagnostics.say(self._part, WARN, text)
+
+    @property
+    def _part(self) -> str:
+        return f'sender of {self._stream}'

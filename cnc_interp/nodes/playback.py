@@ -18,6 +18,7 @@ from cnc_interp.machine.simulated import Feedback, SimulatedMachine
 from cnc_interp.machine.states import FOLLOWING, Event, State
 from cnc_interp.nodes.buffer import Buffer, Held, Row
 from cnc_interp.nodes.streams import same_run
+from cnc_interp.program.blocks import FloatArray
 from cnc_interp.stream.chunk import Chunk, Wait
 
 #: States from which the machine starts by itself when setpoints are there.
@@ -104,6 +105,11 @@ class Playback:
         self._clear()
         self.program_id, self.plan, self.start_wanted = program_id, plan, wanted
         self.plan_over, self.played_of_plan = False, 0
+
+    @property
+    def at_rest(self) -> FloatArray:
+        """The last three setpoints of a machine that has come to rest, shape (3, n_axes)."""
+        return np.tile(self.machine.setpoints[-1], (3, 1))
 
     def _clear(self) -> None:
         """Empty the buffer."""

@@ -121,10 +121,11 @@ class ProgramNode(Node):
             self._outlet.pump()
             outcome = run.watch(self._peers, now, self._values['peer_timeout'])
             self._tell_progress(run, now)
-            self._help(run)
         self._tell_programs(run)
         if outcome is not None:
             self._finish(run, *outcome)
+        elif run.started:
+            self._help(run)
 
     def _see_unknown_run(self) -> None:
         """Say what to do where cycle_start was asked for a run that this node has not begun."""

@@ -178,13 +178,17 @@ class ProgramRun:
         return f'{self.lost} was restarted; cycle_start goes on from here' if self.lost else ''
 
     def may_go_on(self) -> bool:
-        """Tell whether the operator wants to go on behind a loss, and all nodes are there."""
+        """
+        Tell whether the rest of the program may be sent again behind a loss.
+
+        On hold it waits in the machine for cycle_start; elsewhere that must have come before.
+        """
         return bool(
             self.lost
             and not self.missing
             and self.rests
             and self._state is not None
-            and self._state.start_wanted
+            and (self._state.start_wanted or self._state.state == MachineState.HELD)
         )
 
     def begin_again(self, sender: WindowedSender[int]) -> None:

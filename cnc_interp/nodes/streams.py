@@ -249,3 +249,24 @@ class WindowedReceiver:
     def consume(self, count: int) -> None:
         """Open the window by items that were worked off."""
         self.consumed += count
+
+
+class Silence:
+    """
+    Time spent waiting for somebody; no clock of its own.
+
+    Work of one's own does not count, nor the time in which nothing was wanted.
+    """
+
+    def __init__(self) -> None:
+        self._heard = -math.inf
+        self._waits_since = math.inf
+
+    def hear(self, now: float) -> None:
+        """Take note of a word."""
+        self._heard = now
+
+    def waited(self, waits: bool, now: float) -> float:
+        """Return how long the others have been silent while something was wanted of them [s]."""
+        self._waits_since = min(self._waits_since, now) if waits else math.inf
+        return now - max(self._heard, self._waits_since) if waits else 0.0

@@ -17,6 +17,9 @@ from cnc_interp.stream.chunk import Wait
 PORTION = 500
 """Cells of the path planned at a time."""
 
+FINE = 64
+"""Cells planned at a time where the drives wait for the first of them."""
+
 AHEAD = 4000
 """Cells of the path looked at for a stop."""
 
@@ -46,8 +49,7 @@ class Course:
 
     def push(self, path: AxisPath) -> list[AxisPath]:
         """Take a part of the path; returns it in portions."""
-        borders = [*range(0, len(path.s) - 1, PORTION), len(path.s) - 1]
-        portions = [cut(path, a, b) for a, b in pairwise(borders)]
+        portions = portions_of(path, PORTION)
         self.items.extend(portions)
         return portions
 
@@ -104,6 +106,25 @@ class Course:
                 passed = True
                 rest.append(item if item.s[0] > s - SAME else from_place(item, s))
         return rest
+
+
+def portions_of(path: AxisPath, cells: int) -> list[AxisPath]:
+    """Cut a path into portions of so many cells; the last may have fewer."""
+    borders = [*range(0, len(path.s) - 1, cells), len(path.s) - 1]
+    return [cut(path, a, b) for a, b in pairwise(borders)]
+
+
+def finely(items: deque[AxisPath | LegEnd]) -> deque[AxisPath | LegEnd]:
+    """Cut the first parts into small portions: the first motion is there after few of them."""
+    rest: deque[AxisPath | LegEnd] = deque()
+    cells = 0
+    for item in items:
+        if isinstance(item, LegEnd) or cells >= PORTION:
+            rest.append(item)
+        else:
+            rest.extend(portions_of(item, FINE))
+            cells += len(item.s) - 1
+    return rest
 
 
 def from_place(path: AxisPath, s: float) -> AxisPath:

@@ -25,7 +25,7 @@ from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.stream.chunk import Chunk, Wait, part_of
-from cnc_interp.stream.course import Course, LegEnd, slowed
+from cnc_interp.stream.course import Course, LegEnd, finely, slowed
 from cnc_interp.stream.leg import Leg
 
 STOP_EVERY = 0.02
@@ -107,9 +107,14 @@ class MotionStream:
         return sum(leg.planned for leg in self._legs)
 
     @property
+    def has_path(self) -> bool:
+        """Tell whether there is path that is not planned."""
+        return bool(self._todo)
+
+    @property
     def can_plan(self) -> bool:
         """Tell whether there is path to plan."""
-        return bool(self._todo) and self.override > 0.0
+        return self.has_path and self.override > 0.0
 
     @property
     def can_sample(self) -> bool:
@@ -290,7 +295,7 @@ class MotionStream:
         assert leg.number_of_zero is not None
         begun = number - leg.number_of_zero + 1
         new = Leg(self._limits, self.period, begun, (v, a)) if v > 0.0 else None
-        self._begin(self._course.after(s), new, number + 1)
+        self._begin(finely(self._course.after(s)), new, number + 1)
         self._history = history
         self.override, self.single_block = override, single_block
         if stop is not None and new is not None:

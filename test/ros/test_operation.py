@@ -164,6 +164,28 @@ def test_a_killed_node_is_restarted_and_cycle_start_goes_on_from_the_stopped_poi
     bench.finish(handle)
 
 
+def test_behind_a_hold_the_whole_rest_waits_for_cycle_start():
+    """Not only what the planner still had when the look-ahead was killed."""
+    bench = Bench({'feedrate_node': {'segment_window': 24, 'plan_ahead': 2.0}})
+    try:
+        handle = bench.begin(waves(24))
+        bench.until_at(0.01)
+        bench.kill('lookahead_node')
+        assert bench.press('feed_hold').success
+        bench.until_state(MachineState.HELD)
+        run, place = bench.state.program_id, bench.state.path_position
+        bench.children.revive()
+        bench.spin_until(
+            lambda: bench.state.program_id == f'{run}+1' and bench.state.buffered_time > 0.1
+        )
+        assert bench.state.state == MachineState.HELD and bench.state.path_position == place
+        assert bench.press('cycle_start').success
+        bench.finish(handle)
+        assert bench.state.program_id == f'{run}+1'
+    finally:
+        bench.close()
+
+
 def test_what_a_killed_program_node_has_sent_is_executed(bench):
     bench.begin()
     bench.until_at(0.01)
@@ -206,6 +228,35 @@ def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
     bench.children.revive()
     bench.spin_until(lambda: bench.peers.knows('blocks', ''))
     bench.finish(bench.begin())
+
+
+def test_only_a_node_that_is_lost_is_called_so_and_no_longer_than_it_is():
+    patience = {'peer_timeout': 0.5}
+    bench = Bench(dict.fromkeys(('lookahead_node', 'feedrate_node'), patience))
+    try:
+        # An operator far away feeds the blocks: the look-ahead lives but has nothing to send.
+        first, rest = blocks_of(PROGRAM)[:12], blocks_of(PROGRAM)[12:]
+        for message in block_messages(first, 'by_hand', 0, 0.03, end=False):
+            bench.blocks.publish(message)
+        program, lookahead = (
+            'lookahead_node: sender of blocks',
+            'feedrate_node: sender of segments',
+        )
+        bench.spin_until(lambda: 'is lost' in dict(bench.diagnostics).get(program, ''))
+        silent_for_another = time.monotonic() + 2.0
+        bench.spin_until(lambda: time.monotonic() > silent_for_another)
+        assert lookahead not in dict(bench.diagnostics)
+        process = bench.children.process_ids['lookahead_node']
+        os.kill(process, signal.SIGSTOP)
+        bench.spin_until(lambda: 'is lost' in dict(bench.diagnostics).get(lookahead, ''))
+        os.kill(process, signal.SIGCONT)
+        bench.spin_until(lambda: 'there again' in dict(bench.diagnostics)[lookahead])
+        for message in block_messages(rest, 'by_hand', 12, 0.03, end=True):
+            bench.blocks.publish(message)
+        bench.spin_until(lambda: 'there again' in dict(bench.diagnostics)[program])
+        bench.spin_until(lambda: bench.state.program_id == 'by_hand' and bench.state.completed)
+    finally:
+        bench.close()
 
 
 def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cnc_interp.errors import StreamError
-from cnc_interp.nodes.streams import WindowedReceiver, WindowedSender
+from cnc_interp.nodes.streams import Silence, WindowedReceiver, WindowedSender
 
 RESEND = 0.5
 
@@ -209,3 +209,17 @@ def test_after_a_refusal_nothing_of_the_program_gets_in_but_another_may_begin():
     assert receiver.limit == 1
     assert receive(receiver, 'q', 0)
     assert receiver.refusal == ''
+
+
+def test_silence_counts_from_where_something_was_wanted_and_not_heard():
+    silence = Silence()
+    silence.hear(1.0)
+    # The window was full, or one's own work took its time: the sender could not say anything.
+    assert silence.waited(False, 60.0) == 0.0
+    assert silence.waited(True, 61.0) == 0.0
+    assert silence.waited(True, 63.0) == 2.0
+    silence.hear(63.5)
+    assert silence.waited(True, 64.0) == 0.5
+    assert silence.waited(False, 65.0) == 0.0
+    assert silence.waited(True, 70.0) == 0.0
+    assert silence.waited(True, 71.5) == 1.5

@@ -130,6 +130,7 @@ class Trial:
     def kill(self, node: str) -> bool:
         """Kill a process, start it again, go on; False where nobody knows the run any more."""
         bench = self.bench
+        run = bench.state.program_id
         bench.kill(node)
         # Without a hold what is on its way would be executed first, here to the end.
         if node != 'feedrate_node' and self.random.uniform() < 0.8:
@@ -147,7 +148,12 @@ class Trial:
             return False
         if not bench.state.completed:
             said = bench.diagnostics
-            bench.spin_until(lambda: any('was restarted' in text for _, text in said))
+            bench.spin_until(
+                lambda: (
+                    any('was restarted' in text for _, text in said)
+                    or bench.state.program_id != run
+                )
+            )
             assert bench.press('cycle_start').success
         return self.moves_on()
 

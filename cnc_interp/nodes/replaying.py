@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Iterator
@@ -117,10 +118,12 @@ def _compare_run(
     blocks = blocks_of(bag, program_id)
     period = plans[min(plans)][0].period
     overrides = _overrides(bag, program_id)
+    # Behind a loss the run went on from where the machine stood when planning began again.
+    goes_on = blocks[0].continue_at > 0.0
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
         int(bag.parameters.get('feedrate_node.chunk_size', 10)), told[0].position[0],
-        blocks[0].continue_at,
+        float(told[0].s[0]) if goes_on else math.nan,
     )  # fmt: skip
     planner.stream.override = overrides[0]
     options = chain_options(bag.parameters, blocks[0].flank_height, period)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 import zlib
 from collections.abc import Callable
@@ -21,6 +22,9 @@ from cnc_interp.nodes.streams import PLAN, WindowedReceiver, WindowedSender
 HEARTBEAT = 0.1
 #: Bytes of a checksum.
 CHECKSUM = 4
+#: Of refusals of one kind that follow each other sooner only the first is named at once [s].
+BURST = 1.0
+NUMBER = re.compile(r'\d+')
 
 
 class TooLateError(StreamError):
@@ -108,6 +112,7 @@ class Inlet:
         self._told: tuple[Any, ...] = ()
         self._told_at = -math.inf
         self._refused = 0
+        self._named, self._named_at = '', -math.inf
         self.buffered_time = math.nan
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
         self._kind, self._gap = kind, False
@@ -167,8 +172,12 @@ class Inlet:
         self._on_refusal()
 
     def _name(self, level: bytes, reason: str) -> None:
-        """Put a refusal into the diagnostics."""
+        """Put a refusal into the diagnostics; to say each of a burst would keep from receiving."""
         self._refused += 1
+        kind, now = NUMBER.sub('#', reason), time.monotonic()
+        if kind == self._named and now - self._named_at < BURST:
+            return
+        self._named, self._named_at = kind, now
         self._diagnostics.say(self.receiver.stream, level, reason, refused=self._refused)
 
     def _tick(self) -> None:

@@ -165,11 +165,10 @@ class FeedrateNode(LifecycleNode):
             return
         first = self._segments[0]
         goes_on = GOES_ON in self._run
-        rests = state.state == MachineState.IDLE or (
-            state.plan_over if state.state == MachineState.STARVED
-            else goes_on and state.state == MachineState.HELD
-        )  # fmt: skip
-        if rests:
+        # With cycle_start pressed it would have left the hold, had it enough of the old plan.
+        held = state.state == MachineState.HELD and (state.plan_over or state.start_wanted)
+        starved = state.state == MachineState.STARVED and state.plan_over
+        if state.state == MachineState.IDLE or starved or (held and goes_on):
             # It may have executed something since the rest of the program was asked for.
             mine = goes_on and same_run(state.program_id, self._run)
             self._planner = RunPlanner(

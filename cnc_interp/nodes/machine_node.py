@@ -142,13 +142,13 @@ class MachineNode(LifecycleNode):
         """Let in what fits the machine, its state, and where it stands."""
         playback = self._playback
         with self._lock:
-            before, state = playback.buffer.newest, self._machine.state
+            state = self._machine.state
             mine = (chunk.program_id, chunk.plan) == (playback.program_id, playback.plan)
             if mine and playback.left:
                 raise TooLateError(self._left())
             if chunk.first_sample == 0:
-                playback.refuse_beginning(chunk.program_id, chunk.plan)
-                before = playback.at_rest  # what is in the buffer will never be executed
+                playback.make_room(chunk.program_id, chunk.plan)
+            before = playback.buffer.newest
         if state in (State.INACTIVE, State.STOPPING, State.FAULT):
             reason = self._machine.message or 'activate it'
             raise StreamError(f'the machine is {state.value}: {reason}')

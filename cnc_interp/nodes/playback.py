@@ -18,7 +18,6 @@ from cnc_interp.machine.simulated import Feedback, SimulatedMachine
 from cnc_interp.machine.states import FOLLOWING, Event, State
 from cnc_interp.nodes.buffer import Buffer, Held, Row
 from cnc_interp.nodes.streams import same_run
-from cnc_interp.program.blocks import FloatArray
 from cnc_interp.stream.chunk import Chunk, Wait
 
 #: States from which the machine starts by itself when setpoints are there.
@@ -71,9 +70,11 @@ class Playback:
         self.plan, self.plan_over, self.played_of_plan = 0, False, 0
         self._forget_figures()
 
-    def refuse_beginning(self, program_id: str, plan: int) -> None:
+    def make_room(self, program_id: str, plan: int) -> None:
         """
-        Refuse a plan that cannot begin now.
+        Refuse a plan that cannot begin now; else drop what waits in the buffer.
+
+        So the machine rests until the plan does begin: it cannot start with the old one.
 
         Raises
         ------
@@ -94,6 +95,7 @@ class Playback:
             )
         if state is State.HOLDING and not goes_on:
             raise StreamError(f'{self.program_id} is on hold; cycle_start or reset first')
+        self.buffer.clear(self.machine.setpoints[-1])
 
     def begin_plan(self, program_id: str, plan: int) -> None:
         """Get ready for a new run, or for another plan of the run from where the machine rests."""
@@ -105,11 +107,6 @@ class Playback:
         self._clear()
         self.program_id, self.plan, self.start_wanted = program_id, plan, wanted
         self.plan_over, self.played_of_plan = False, 0
-
-    @property
-    def at_rest(self) -> FloatArray:
-        """The last three setpoints of a machine that has come to rest, shape (3, n_axes)."""
-        return np.tile(self.machine.setpoints[-1], (3, 1))
 
     def _clear(self) -> None:
         """Empty the buffer."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import uuid
 from concurrent.futures import Future
@@ -10,6 +11,7 @@ from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram, MachineState
+from rclpy.time import Time
 
 from cnc_interp.errors import BlockError, InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
@@ -20,6 +22,8 @@ Result = RunProgram.Result
 Outcome = tuple[int, str]
 #: How long the first motion may take to reach the machine when all nodes answer [s].
 PATIENCE = 10.0
+#: A machine that rests for so long after cycle_start has nothing to execute [s].
+SETTLED = 0.1
 CHECKING = 'checking the program'
 
 
@@ -48,6 +52,8 @@ class ProgramRun:
         self._state: MachineState | None = None  # the last one of this run
         self._known_by: set[str] = set()
         self._taken = False  # by look-ahead and planner
+        self._resumed = False  # by the operator, since a node was restarted
+        self._wants_since, self._waits_for_more = math.inf, -math.inf  # by the machine's clock [s]
         self._asked_at = time.monotonic()
 
     def take_turn(self) -> None:
@@ -123,7 +129,7 @@ class ProgramRun:
         """Tell when the run is over, and how; a lost node alone does not end it."""
         state = peers.state
         if state is not None and same_run(state.program_id, self.program_id):
-            self._state = state
+            self._note(state)
             if state.state == MachineState.FAULT:
                 return Result.STOPPED, state.message
             if state.completed:
@@ -152,6 +158,17 @@ class ProgramRun:
             )
         return None
 
+    def _note(self, state: MachineState) -> None:
+        """Take a state of this run; note since when it rests though the operator went on."""
+        before, self._state = self._state, state
+        held = before is not None and before.state == MachineState.HELD
+        if self.lost and held and state.state == MachineState.RUNNING:
+            self._resumed = True
+        wants = state.start_wanted or (self._resumed and state.state == MachineState.STARVED)
+        now = Time.from_msg(state.header.stamp).nanoseconds * 1e-9
+        self._wants_since = min(self._wants_since, now) if wants and self.rests else math.inf
+        self._waits_for_more = now - self._wants_since
+
     def _moves(self, state: MachineState | None) -> bool:
         """Tell whether the machine is still on its way."""
         mine = self._state is state
@@ -179,16 +196,17 @@ class ProgramRun:
 
     def may_go_on(self) -> bool:
         """
-        Tell whether the rest of the program may be sent again behind a loss.
+        Tell whether the operator wants to go on behind a loss, and all nodes are there.
 
-        On hold it waits in the machine for cycle_start; elsewhere that must have come before.
+        A machine that still has something to execute starts at once. Only where it goes on
+        resting is the rest of the program sent again: it must not move meanwhile.
         """
         return bool(
             self.lost
             and not self.missing
             and self.rests
             and self._state is not None
-            and (self._state.start_wanted or self._state.state == MachineState.HELD)
+            and self._waits_for_more >= SETTLED
         )
 
     def begin_again(self, sender: WindowedSender[int]) -> None:
@@ -201,7 +219,8 @@ class ProgramRun:
         self._times += 1
         self.continue_at = self._state.path_position
         self.program_id = f'{self.program_id.partition(GOES_ON)[0]}{GOES_ON}{self._times}'
-        self.lost, self._queued = '', 0
+        self.lost, self._queued, self._resumed = '', 0, False
+        self._wants_since, self._waits_for_more = math.inf, -math.inf
         self._known_by.clear()
         sender.begin(self.program_id)
 

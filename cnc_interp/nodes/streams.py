@@ -23,6 +23,8 @@ REMEMBERED = 64
 GOES_ON, PLAN = '+', '#'
 #: Time that a repetition asked for may take to arrive [s].
 SETTLE = 0.05
+#: A sender waits no longer than this many times its first patience.
+MOST_PATIENT = 16.0
 
 
 def same_run(program_id: str, other: str) -> bool:
@@ -58,12 +60,13 @@ class WindowedSender(Generic[Item]):
     Parameters
     ----------
     resend_after : float
-        Time without an acknowledgement after which sending starts again [s].
+        Time without an acknowledgement after which sending starts again [s]; twice as long after
+        each time that was in vain, so that a receiver that is only slow is not buried in repeats.
 
     """
 
     def __init__(self, resend_after: float):
-        self.resend_after = resend_after
+        self.resend_after = self._patience = resend_after
         self.program_id = ''
         self._begin()
 
@@ -76,6 +79,7 @@ class WindowedSender(Generic[Item]):
         self.sent = 0  # number after the last item that was ever sent
         self._since = 0.0
         self._again = -math.inf
+        self._patience = self.resend_after
 
     def begin(self, program_id: str) -> None:
         """Start a new program; what is left of the old one is dropped."""
@@ -108,8 +112,9 @@ class WindowedSender(Generic[Item]):
 
         The very first item may always go: only with it does the receiver learn of the program.
         """
-        if self._in_flight and now - self._since > self.resend_after:
+        if self._in_flight and now - self._since > self._patience:
             self._in_flight = 0
+            self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)
         found = []
         while self._in_flight < len(self._items):
             item = self._items[self._in_flight]
@@ -141,7 +146,7 @@ class WindowedSender(Generic[Item]):
         while self._items and self._items[0].after <= next_number:
             self._items.popleft()
             self._in_flight = max(0, self._in_flight - 1)
-            self._since = now
+            self._since, self._patience = now, self.resend_after
         self.acknowledged = max(self.acknowledged, next_number)
         self.limit = max(self.limit, window_limit)
 

@@ -1,6 +1,7 @@
 """Windowed streams over a line that loses, repeats and reorders."""
 
 import random
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -223,3 +224,19 @@ def test_silence_counts_from_where_something_was_wanted_and_not_heard():
     assert silence.waited(False, 65.0) == 0.0
     assert silence.waited(True, 70.0) == 0.0
     assert silence.waited(True, 71.5) == 1.5
+
+
+def test_a_receiver_that_answers_late_is_not_buried_in_repeats():
+    """It takes a second for what it has; a sender that repeats all four times a second adds up."""
+    sender = WindowedSender(RESEND)
+    sender.begin('p')
+    for i in range(10):
+        sender.put(i)
+    sender.due(0.0)
+    sender.acknowledge('p', 1, 20, 0.1)
+    sent = [now for now in (k * 0.01 for k in range(11, 6000)) if sender.due(now)]
+    pauses = [later - now for now, later in pairwise(sent)]
+    assert pauses[:4] == pytest.approx([0.5, 1.0, 2.0, 4.0], abs=0.05)
+    assert max(pauses) < 16 * RESEND + 0.05
+    sender.acknowledge('p', 2, 20, 60.0)
+    assert [item.item for item in sender.due(60.0 + RESEND + 0.01)] == list(range(2, 10))

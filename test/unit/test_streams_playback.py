@@ -130,7 +130,7 @@ def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
     assert f'no setpoints after {10 * given}' in play.machine.message
     assert use_of(heard) <= 1.001
     assert np.array_equal(heard[-1], chunks[given - 1].tail.position[-1])
-    play.refuse_beginning('p', 1)
+    play.make_room('p', 1)
     play.begin_plan('p', 1)
     feed(play, chunks_to(target, start=heard[-1]))
     more = step_until(play, lambda: play.completed)
@@ -216,15 +216,28 @@ def test_what_cannot_begin_is_refused():
     for _ in range(100):
         play.step()
     with pytest.raises(StreamError, match='while the machine moves'):
-        play.refuse_beginning('q', 0)
+        play.make_room('q', 0)
     play.hold()
     step_until(play, lambda: play.resting)
     with pytest.raises(StreamError, match='plan 3 cannot follow plan 0'):
-        play.refuse_beginning('p', 3)
+        play.make_room('p', 3)
     with pytest.raises(StreamError, match='p is on hold'):
-        play.refuse_beginning('q', 0)
-    play.refuse_beginning('p', 1)
-    play.refuse_beginning('p+1', 0)
+        play.make_room('q', 0)
+    play.make_room('p', 1)
+    play.make_room('p+1', 0)
+
+
+def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():
+    play, move = playback(50), chunks_to([0.02, 0.0, 0.0, 0.1, 0.0])
+    play.begin('p')
+    feed(play, move)  # enough to start with
+    play.make_room('p+1', 0)
+    for _ in range(100):
+        assert np.array_equal(play.step().setpoint, HOME)
+    play.begin_plan('p+1', 0)
+    feed(play, move)
+    heard = step_until(play, lambda: play.completed)
+    assert use_of(heard) <= 1.001 and np.array_equal(heard[-1], [0.02, 0.0, 0.0, 0.1, 0.0])
 
 
 def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
@@ -241,8 +254,8 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     assert (told.program_id, told.first_sample, len(told.sequences)) == ('p', 0, played)
     for late in (('p', 1), ('p+1', 0)):  # they were on their way
         with pytest.raises(StreamError, match='given up by reset'):
-            play.refuse_beginning(*late)
-    play.refuse_beginning('q', 0)
+            play.make_room(*late)
+    play.make_room('q', 0)
 
 
 def test_figures_of_the_program_leave_the_approach_out():

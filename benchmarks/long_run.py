@@ -136,7 +136,11 @@ class LongRun(NodesUnderTest):
         usage = Usage(self.children.process_ids)
         handle = self.start(program=str(program))
         wanted = handle.get_result_async()
-        self.spin_until(lambda: self.executed > 0 or wanted.done())
+        self.spin_until(lambda: self.executed > 0 or wanted.done(), patience)
+        if not self.executed:
+            unmoved: RunProgram.Result = wanted.result().result
+            print(f'nothing moved: {unmoved.message}')
+            return unmoved
         memory, began = usage.memory(), time.monotonic()
         usage = Usage(self.children.process_ids)
         print('progress  ' + '  '.join(f'{name:>14}' for name in memory) + '  resident MB')

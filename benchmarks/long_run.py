@@ -136,7 +136,7 @@ class LongRun(NodesUnderTest):
         usage = Usage(self.children.process_ids)
         handle = self.start(program=str(program))
         wanted = handle.get_result_async()
-        self.spin_until(lambda: self.executed > 0 or wanted.done(), patience)
+        self.spin_until(lambda: (self.executed > 0 and self.loaded) or wanted.done(), patience)
         if not self.executed:
             unmoved: RunProgram.Result = wanted.result().result
             print(f'nothing moved: {unmoved.message}')

@@ -11,6 +11,7 @@ first setpoint that differs from the motion before it.
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import signal
 import sys
@@ -130,15 +131,19 @@ class Trial:
     def kill(self, node: str) -> bool:
         """Kill a process, start it again, go on; False where nobody knows the run any more."""
         bench = self.bench
-        run = bench.state.program_id
         bench.kill(node)
         # Without a hold what is on its way would be executed first, here to the end.
         if node != 'feedrate_node' and self.random.uniform() < 0.8:
             bench.press('feed_hold')
-        bench.spin_until(lambda: bench.state.completed or bench.state.plan_over)
+        bench.spin_until(
+            lambda: (
+                bench.state.completed
+                or bench.state.plan_over
+                or bench.state.state == MachineState.HELD
+            )
+        )
         if node == 'program_node':
             bench.recorded()
-        bench.diagnostics.clear()
         bench.children.revive()
         bench.watching = True
         if node == 'program_node':
@@ -146,22 +151,26 @@ class Trial:
                 assert bench.press('reset').success
             bench.until_state(MachineState.IDLE)
             return False
-        if not bench.state.completed:
-            said = bench.diagnostics
-            bench.spin_until(
-                lambda: (
-                    any('was restarted' in text for _, text in said)
-                    or bench.state.program_id != run
-                )
-            )
-            assert bench.press('cycle_start').success
-        return self.moves_on()
+        return self.moves_on(press=True)
 
-    def moves_on(self) -> bool:
-        """Wait until the tool advances on the path, or has reached its end."""
+    def moves_on(self, press: bool = False) -> bool:
+        """Wait until the tool advances, or has reached the end; press cycle_start as needed."""
         bench = self.bench
-        at = bench.next_state().path_position
-        bench.spin_until(lambda: bench.state.completed or bench.state.path_position > at)
+        bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))
+        at, pressed = bench.next_state().path_position, -math.inf
+
+        def moves() -> bool:
+            nonlocal pressed
+            state = bench.state
+            rests = state.state == MachineState.HELD or (
+                state.state == MachineState.STARVED and state.plan_over
+            )
+            if press and rests and not state.start_wanted and time.monotonic() - pressed > 1.0:
+                bench.press('cycle_start')
+                pressed = time.monotonic()
+            return bool(state.completed or state.path_position > at)
+
+        bench.spin_until(moves)
         return True
 
     def finish(self, handle: Any) -> Any:

@@ -11,7 +11,6 @@ from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram, MachineState
-from rclpy.time import Time
 
 from cnc_interp.errors import BlockError, InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
@@ -165,7 +164,7 @@ class ProgramRun:
         if self.lost and held and state.state == MachineState.RUNNING:
             self._resumed = True
         wants = state.start_wanted or (self._resumed and state.state == MachineState.STARVED)
-        now = Time.from_msg(state.header.stamp).nanoseconds * 1e-9
+        now = state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
         self._wants_since = min(self._wants_since, now) if wants and self.rests else math.inf
         self._waits_for_more = now - self._wants_since
 

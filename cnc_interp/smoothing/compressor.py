@@ -351,9 +351,9 @@ class Compressor:
         chain = self._chain
         widest = float(chain.tolerance[-1].max())
         kept = int(np.searchsorted(chain.u, chain.u[self._corners.turned - 1] - 20.0 * widest))
-        first = min(self._at - 1, kept - 1, self._corners.decided - 1)
-        if self._run is not None:
-            first = min(first, self._start - 1)
+        # a run that has begun never comes back to where it started, however long it gets
+        needed = self._start if self._run is not None and self._run.begun else self._at
+        first = min(needed - 1, kept - 1, self._corners.decided - 1)
         if first < KEPT:
             return
         self._builder.chain = chain.after(first)

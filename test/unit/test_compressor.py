@@ -1,5 +1,6 @@
 """Curves through dense blocks: tolerances, joins, what stays as it is; by independent geometry."""
 
+import tracemalloc
 from dataclasses import fields, replace
 
 import numpy as np
@@ -98,6 +99,21 @@ def test_delay_is_bounded():
         part = lookahead.push(blocks[i : i + 50])
         sent = max(sent, int(part.block.max(initial=0)))
         assert i + 50 - sent < 300  # 60 spans of at most 1 mm, blocks of 0.5 mm, one batch
+
+
+def test_memory_does_not_grow_with_a_curve_that_never_ends():
+    count = 24_000
+    angle = np.linspace(0.0, 80.0, count)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0.01 * angle], axis=1) * 60 * MM
+    blocks = replace(Blocks.concatenate([dome()[:1]] * count), tip=circle)
+    lookahead = LookAhead(SmoothingOptions(HEIGHT, compression=CURVES))
+    held = []
+    tracemalloc.start()
+    for first in range(0, count, 500):
+        assert not (lookahead.push(blocks[first : first + 500]).kind == LINE).any()
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert max(held) < max(held[:16]) + 0.5e6  # bytes; 16,000 blocks would be 8e6
 
 
 def test_a_sharp_turn_of_dense_blocks_keeps_its_corner():

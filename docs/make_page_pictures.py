@@ -4,8 +4,9 @@ Take pictures of the operator page while the nodes run a program.
     python docs/make_page_pictures.py
 
 makes a program of constant scallop height from ``examples/bumps.json``, runs it with
-``cnc-interp panel`` in a real browser, and writes ``docs/pictures/page.png`` and the animation
-``docs/pictures/page.gif``. Needs Chromium, requirements/panel.txt and Pillow.
+``cnc-interp panel`` in a real browser, and writes ``docs/pictures/page.png`` for docs/operation.md
+and the animation ``docs/pictures/page.gif`` for the README. Needs Chromium,
+requirements/panel.txt and Pillow.
 """
 
 from __future__ import annotations

@@ -70,6 +70,7 @@ class Page:
             with ui.element('div').classes('charts'):
                 self._charts = Charts(desk.machine.axis_names if desk.machine else ())
         ui.timer(PACE, self._show)
+        ui.context.client.on_connect(self._show_override_again)
 
     # Building -----------------------------------------------------------------------------------
 
@@ -179,6 +180,7 @@ class Page:
             self._slider = HeldSlider(min=0, max=MOST_OVERRIDE, step=5, value=100).props('dense')
             # what the user does, not what is shown of others
             self._slider.on('update:model-value', self._set_override, [None], throttle=0.05)
+            self._slider.on('change', self._set_override, [None])  # let go: never held back
             marked(self._slider, 'override slider')
             self._slid = ui.label('100%').classes('value')
 
@@ -297,6 +299,11 @@ class Page:
         if self._changed('override set', self._desk.nodes.override):
             self._slider.set_value(round(100 * self._desk.nodes.override))
             self._slid.set_text(f'{self._desk.nodes.override:.0%}')
+
+    def _show_override_again(self) -> None:
+        """Show what counts: what the user did while the page was cut off is lost."""
+        self._shown.pop('override set', None)
+        self._slider.update()
 
     def _show_lists(self) -> None:
         """Show program text, progress and alarms."""

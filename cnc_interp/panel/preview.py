@@ -155,7 +155,8 @@ class Planner:
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
         _, said = await self._run([*words, *choices.words()])
         notes = [line.removeprefix('note: ') for line in said if line.startswith('note: ')]
-        return Preview.read(self._plan, tuple(notes))
+        # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
+        return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))
 
     async def check(self) -> dict[str, Any]:
         """Prove the plan; returns the proof as `check --json` prints it."""

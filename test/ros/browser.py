@@ -13,12 +13,16 @@ from pathlib import Path
 from websockets.sync.client import connect
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome')
-PATIENCE = 60.0
+PATIENCE = 300.0  # [s]; a bound for slow and busy computers, not a timing
 
 
 def found():
     """Path of a browser, or None."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
+
+
+class DevToolsError(Exception):
+    """What the browser refused, and why."""
 
 
 class Browser:
@@ -27,7 +31,7 @@ class Browser:
     def __init__(self):
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_browser_')
         profile = Path(self._folder.name)
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             [
                 found(), '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
                 '--remote-debugging-port=0', f'--user-data-dir={profile}', '--no-first-run',
@@ -56,8 +60,8 @@ class Browser:
         return tab
 
     def close(self):
-        self._process.terminate()
-        self._process.wait()
+        self.process.terminate()
+        self.process.wait()
         shutil.rmtree(self._folder.name, ignore_errors=True)
 
 
@@ -82,7 +86,8 @@ class Tab:
             if message.get('method') == 'Runtime.exceptionThrown':
                 self.faults.append(message['params']['exceptionDetails'])
             if message.get('id') == self._number:
-                assert 'error' not in message, message
+                if 'error' in message:
+                    raise DevToolsError(message['error']['message'])
                 return message['result']
 
     def size(self, width, height, mobile=False):
@@ -105,14 +110,26 @@ class Tab:
         """Text of the element that carries a mark."""
         return self.run(f'document.querySelector(`[data-mark="{name}"]`)?.textContent')
 
+    def texts(self):
+        """Texts of all elements that carry a mark, by their marks."""
+        return self.run(
+            'Object.fromEntries([...document.querySelectorAll("[data-mark]")]'
+            '.map(e => [e.dataset.mark, e.textContent]))'
+        )
+
     def click(self, name):
+        self.wait_until_heard()
         self.wait(lambda: self.run(f'!!document.querySelector(`[data-mark="{name}"]`)'))
         self.run(f'document.querySelector(`[data-mark="{name}"]`).click()')
+
+    def wait_until_heard(self):
+        """Wait until the server hears the page: what is done while it is cut off is lost."""
+        self.wait(lambda: self.run('!!window.socket?.connected && window.did_handshake'))
 
     def wait(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience
         while not done():
-            assert time.monotonic() < deadline, 'waited too long for the page'
+            assert time.monotonic() < deadline, f'waited too long; the page shows {self.texts()}'
             time.sleep(0.05)
 
     def choose_file(self, selector, path):
@@ -124,12 +141,23 @@ class Tab:
     def press_key(self, name, key, times=1):
         """Press a key on an element."""
         code = {'ArrowLeft': 37, 'ArrowRight': 39}[key]
+        self.wait_until_heard()
         self.run(f'document.querySelector(`[data-mark="{name}"] [tabindex]`).focus()')
         for kind in ('rawKeyDown', 'keyUp') * times:
             self.send('Input.dispatchKeyEvent', type=kind, key=key, windowsVirtualKeyCode=code)
 
     def reload(self):
+        """Refresh the page; returns when the old one is gone."""
+        self.run('window.isOld = true')
         self.send('Page.reload')
+
+        def is_new():
+            try:
+                return not self.run('window.isOld')
+            except DevToolsError:  # it leaves just now
+                return False
+
+        self.wait(is_new)
 
     def screenshot(self, path):
         image = self.send('Page.captureScreenshot', format='png')

@@ -177,10 +177,9 @@ class Page:
         self._stop.classes('wide')
         with ui.element('div').classes('slide'):
             ui.label('override')
-            self._slider = HeldSlider(min=0, max=MOST_OVERRIDE, step=5, value=100).props('dense')
-            # what the user does, not what is shown of others
-            self._slider.on('update:model-value', self._set_override, [None], throttle=0.05)
-            self._slider.on('change', self._set_override, [None])  # let go: never held back
+            self._slider = HeldSlider(
+                min=0, max=MOST_OVERRIDE, step=5, value=100, on_change=self._set_override
+            ).props('dense')
             marked(self._slider, 'override slider')
             self._slid = ui.label('100%').classes('value')
 
@@ -196,12 +195,17 @@ class Page:
 
     async def _command(self, act: Callable[[], Awaitable[Answer]], stop: bool = False) -> None:
         """Do what was asked for, or say why not."""
-        if not (self._in_charge or (stop and self._access.may_stop(self._token))):
+        if self._allowed(stop):
+            answer = await act()
+            if not answer.ok:
+                ui.notify(answer.message, type='negative')
+
+    def _allowed(self, stop: bool = False) -> bool:
+        """Tell whether this page may command, or at least stop; say so where it may not."""
+        allowed = self._in_charge or (stop and self._access.may_stop(self._token))
+        if not allowed:
             ui.notify('view only: take over first, with the token', type='warning')
-            return
-        answer = await act()
-        if not answer.ok:
-            ui.notify(answer.message, type='negative')
+        return allowed
 
     def _trigger(self, name: str) -> Callable[[], Awaitable[Answer]]:
         return lambda: self._desk.trigger(name)
@@ -231,12 +235,18 @@ class Page:
         if event.value != self._desk.single_block:
             await self._command(lambda: self._desk.set_single_block(event.value))
 
-    async def _set_override(self, event: events.GenericEventArguments) -> None:
-        def publish() -> Answer:
-            self._desk.nodes.set_override(event.args / 100)
-            return Answer(True, '')
+    def _set_override(self, event: events.ValueChangeEventArguments) -> None:
+        """
+        Set the override where the user has moved the slider.
 
-        await self._command(self._answer(publish))
+        What was asked for here counts as shown: the slider is only moved for others.
+        """
+        if event.value == round(100 * self._shown.get('override set', -1.0)):
+            return  # moved by this program, to show what others have set
+        if self._allowed():
+            self._shown['override set'] = event.value / 100
+            self._slid.set_text(f'{event.value:.0f}%')
+            self._desk.nodes.set_override(event.value / 100)
 
     def _take_over(self) -> None:
         if not self._access.take_over(self._tab, self._token):

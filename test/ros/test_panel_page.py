@@ -26,12 +26,16 @@ pytestmark = pytest.mark.skipif(
 )
 
 TOKEN = 'a test knows it'
-SIDES = 12
-PROGRAM = (
-    '(ZIGZAG <of lines>)\nG21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n'
-    + ''.join(f'G1 X{30 * (k % 2)} Y{5 * k} F2000\n' for k in range(1, SIDES + 1))
-    + 'M30\n'
-)
+
+
+def zigzag(name, sides):
+    """A program of lines to and fro, each of 1.5 s."""
+    lines = ''.join(f'G1 X{30 * (k % 2)} Y{5 * (k % 8)} F2000\n' for k in range(1, sides + 1))
+    return f'({name} <of lines>)\nG21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n{lines}M30\n'
+
+
+#: Long enough that it has not ended before a test acts, on a slow machine.
+PROGRAM = zigzag('ZIGZAG', 30)
 
 
 class PanelUnderTest(NodesUnderTest):
@@ -70,7 +74,7 @@ class PanelUnderTest(NodesUnderTest):
         tab.wait(lambda: tab.text('program') == path.name and tab.text('status') == 'planned')
 
     def until(self, state):
-        self.spin_until(lambda: self.peers.state and self.peers.state.state == state, 60.0)
+        self.spin_until(lambda: self.peers.state and self.peers.state.state == state)
 
     def close(self):
         self.browser.close()
@@ -187,6 +191,7 @@ def test_only_one_page_with_the_token_commands(panel, program):
     assert stranger.text('rights') == 'view only'
 
     # Closing the page in charge neither stops the motion nor keeps the keys.
+    program.write_text(zigzag('ZIGZAG', 8))
     panel.load(second, program)
     second.click('cycle start')
     panel.until(MachineState.RUNNING)
@@ -199,7 +204,7 @@ def test_only_one_page_with_the_token_commands(panel, program):
 
 def test_a_program_waits_behind_the_one_that_runs(panel, program, tmp_path):
     tab, second = panel.open_in_charge(), tmp_path / 'second.ngc'
-    second.write_text(PROGRAM.replace('ZIGZAG', 'SECOND'))
+    second.write_text(zigzag('SECOND', 4))
     panel.load(tab, program)
     tab.click('cycle start')
     panel.until(MachineState.RUNNING)

@@ -6,6 +6,7 @@ import math
 import re
 import time
 import zlib
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -22,9 +23,8 @@ from cnc_interp.nodes.streams import PLAN, WindowedReceiver, WindowedSender
 HEARTBEAT = 0.1
 #: Bytes of a checksum.
 CHECKSUM = 4
-#: Of refusals of one kind that follow each other sooner only the first is named at once [s].
-BURST = 1.0
-NUMBER = re.compile(r'\d+')
+#: What differs between refusals of one kind: numbers and names with numbers in them.
+NUMBER = re.compile(r'\S*\d\S*')
 
 
 class TooLateError(StreamError):
@@ -111,8 +111,8 @@ class Inlet:
         self._diagnostics = diagnostics
         self._told: tuple[Any, ...] = ()
         self._told_at = -math.inf
-        self._refused = 0
-        self._named, self._named_at = '', -math.inf
+        self._refused: Counter[str] = Counter()  # by kind
+        self._named = (OK, '')
         self.buffered_time = math.nan
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
         self._kind, self._gap = kind, False
@@ -151,7 +151,7 @@ class Inlet:
             self.refuse(stream, str(fault))
             return
         if receiver.program_id != stream:
-            self._refused = 0
+            self._refused.clear()
             self._diagnostics.say(receiver.stream, OK, 'no message refused')
         receiver.take(stream, count, message.end_of_program)
         self._gap = False
@@ -172,13 +172,17 @@ class Inlet:
         self._on_refusal()
 
     def _name(self, level: bytes, reason: str) -> None:
-        """Put a refusal into the diagnostics; to say each of a burst would keep from receiving."""
-        self._refused += 1
-        kind, now = NUMBER.sub('#', reason), time.monotonic()
-        if kind == self._named and now - self._named_at < BURST:
-            return
-        self._named, self._named_at = kind, now
-        self._diagnostics.say(self.receiver.stream, level, reason, refused=self._refused)
+        """
+        Put a refusal into the diagnostics.
+
+        All are counted, but of each kind the 1st, 2nd, 4th, 8th ... are named: to name each of a
+        burst would keep from receiving.
+        """
+        kind = NUMBER.sub('#', reason)
+        self._refused[kind] += 1
+        if self._refused[kind].bit_count() == 1:
+            self._named = level, reason
+        self._diagnostics.say(self.receiver.stream, *self._named, refused=self._refused.total())
 
     def _tick(self) -> None:
         """Acknowledge when there is news, else now and then."""

@@ -191,8 +191,11 @@ class Run:
             worst = int(np.argmax(excess))
             return float(0.5 * (found[worst] + found[worst + 1]))
         source, cut, speed, segment = polyline.pieces(points, found, line.u, line.feed, line.row)
-        if not self.begun:  # the motion starts in the first block, however short that is
+        # the motion starts in the first block and ends in the last, however short they are
+        if not self.begun:
             segment[0, 0] = 0
+        if last:
+            segment[-1, 1] = len(line.row) - 1
         bottom = np.ascontiguousarray(cut[:, :, :3])
         axis = line.axis[-1]
         if self.turning:

@@ -171,6 +171,11 @@ def test_blocks_keep_their_number_and_their_feed():
     assert (ways / segments.feed[:, 0]).sum() == pytest.approx(programmed, rel=1e-3)
 
 
+def test_the_motion_ends_in_the_last_block():
+    for count in range(300, 320):
+        assert smooth(dome()[:count]).block[-1, 1] == count - 1
+
+
 def test_programmed_durations_are_kept():
     duration = np.full(400, np.nan)
     duration[1:] = np.where(np.arange(1, 400) % 50 < 25, 0.02, 0.05)

@@ -96,10 +96,10 @@ class ProgramNode(Node):
 
     def _work(self) -> None:
         """Bring the run forward by one step."""
-        self._queue.watch()
         if self._run is None and (following := self._queue.next()) is not None:
             self._run, self._goal = following
             self._run.take_turn()
+        self._queue.watch()
         run = self._run
         if run is None:
             self._see_unknown_run()

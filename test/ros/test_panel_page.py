@@ -167,9 +167,11 @@ def test_a_program_is_operated_from_the_page(panel, program):
     tab.click('cycle start')
     panel.until(MachineState.RUNNING)
 
-    panel.press_until(tab, 'EMERGENCY STOP', MachineState.FAULT)
+    tab.click('EMERGENCY STOP')
+    panel.until(MachineState.FAULT)
     tab.wait(lambda: tab.text('state') == 'fault')
-    panel.press_until(tab, 'reset', MachineState.IDLE)
+    tab.click('reset')
+    panel.until(MachineState.IDLE)
     tab.press_key('override slider', 'ArrowRight', times=10)
     panel.spin_until(lambda: panel.overrides[-1] == 1.0)
 

@@ -41,7 +41,7 @@ class Session:
             self.nodes.namespace, self.nodes.domain, np.random.default_rng(seed), share, ['blocks']
         )
         self.recorder = Recorder(self.nodes.node, bag)
-        self.nodes.spin_until(self.recorder.ready)
+        self.nodes.spin_until(lambda: self.recorder.ready() and self.relay.heard_by(2))
 
     def run(self, hold=False):
         handle = self.nodes.start(text=PROGRAM)

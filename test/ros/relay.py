@@ -60,6 +60,10 @@ class Relay:
     def faults(self):
         return sum(self.counts.values())
 
+    def heard_by(self, count):
+        """Tell whether so many subscribers hear each stream."""
+        return all(p.get_subscription_count() >= count for p in self._publishers.values())
+
     def _pass(self, stream, data):
         publish = self._publishers[stream].publish
         late = self._late.pop(stream, None)

@@ -40,6 +40,8 @@ BATCH = 64
 SAMPLED = 0.6
 #: How long after a revision that failed the next is tried [s].
 TRY_AGAIN = 0.02
+#: The old plan goes on while a revision is still computed and the machine holds less [s].
+RESERVE = 0.1
 ON_HOLD = (MachineState.HELD, MachineState.STARVED)
 
 
@@ -61,6 +63,7 @@ class FeedrateNode(LifecycleNode):
         self._done: Callable[[Any], None] = self._queue
         self._end_wanted = self._ended = self._end_sent = False
         self._tried = self._submitted = 0.0
+        self._too_late = False  # the last revision
         self._ready = self._longest = 0.0  # motion at hand; longest step since the last word [s]
         self._period: float = self._values['interpolation_period']
         if self._values['autostart']:
@@ -138,6 +141,7 @@ class FeedrateNode(LifecycleNode):
         receiver, planner = self._inlet.receiver, self._planner
         if self._job is not None:
             self._collect()
+            self._keep_fed()
         elif reason := self._outlet.refusal or self._given_up():
             self._segments.clear()
             self._planner = None
@@ -199,25 +203,47 @@ class FeedrateNode(LifecycleNode):
         self._submit(self._queue, planner.resume, self._state.path_position)
 
     def _must_revise(self, planner: RunPlanner) -> bool:
-        """Tell whether override or single block have changed for setpoints that are not sent."""
+        """
+        Tell whether override or single block have changed for setpoints that are not sent.
+
+        The machine is given all that it may hold first, so that a revision has time.
+        """
+        sender, stream = self._outlet.sender, planner.stream
         return (
-            self._wishes.differ_from(planner.stream)
-            and self._outlet.sender.sent > 0
+            self._wishes.differ_from(stream)
+            and sender.sent > 0
+            and (sender.unsent > 0 or not (stream.can_sample or stream.can_plan))
             and not self._end_sent
             and time.monotonic() - self._tried > TRY_AGAIN
         )
 
     def _revise(self, planner: RunPlanner) -> None:
-        """Plan anew behind the last setpoint that was sent; until then nothing is sent."""
+        """
+        Plan anew behind the last setpoint that was sent; until then nothing is sent.
+
+        If that takes too long the old plan goes on, and the next revision is given all the time
+        that it needs.
+        """
         self._outlet.paused = True
         self._submit(
             self._revised, planner.stream.revise, self._outlet.sender.sent - 1,
             self._wishes.override, self._wishes.single_block,
         )  # fmt: skip
 
+    def _keep_fed(self) -> None:
+        """Let the old plan go on before the machine has nothing left."""
+        peer = self._outlet.peer
+        if self._outlet.paused and peer and peer.buffered_time < RESERVE and not self._too_late:
+            self._outlet.paused = False
+            self._outlet.pump()
+
     def _revised(self, accepted: bool) -> None:
-        if accepted:
+        went_on = not self._outlet.paused
+        if accepted and went_on and self._planner is not None:
+            self._planner.stream.take_back()
+        elif accepted:
             self._outlet.sender.drop_unsent()
+        self._too_late = accepted and went_on
         self._outlet.paused = False
         self._tried = time.monotonic()
         self._outlet.pump()

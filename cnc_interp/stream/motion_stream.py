@@ -5,8 +5,8 @@ Along every leg places are noted from which a fast stop along the path is known 
 few tens of milliseconds apart. The tail of a chunk goes on as planned to the next such place and
 stops there. Setpoints for which no tail is known yet are not handed out.
 
-``revise`` plans anew, with another override, behind a setpoint that was handed out; ``resume``
-plans anew from rest anywhere on the path. Both leave the path as it is.
+``revise`` plans anew, with another override, behind a setpoint that was handed out, and may be
+taken back; ``resume`` plans anew from rest anywhere on the path. All leave the path as it is.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,7 @@ class MotionStream:
         self.pause_blocks: set[int] = set()
         self._course = Course()
         self._last: Setpoints | None = None
+        self._before_revision: dict[str, Any] = {}
         self._begin(deque(), None, 0)
 
     def _begin(self, todo: deque[AxisPath | LegEnd], leg: Leg | None, number: int) -> None:
@@ -290,6 +292,7 @@ class MotionStream:
             stop = stop_law(self._course.ahead(s), (s, v, a), self._table, 0.0, thorough=True)
             if stop is None:
                 return False
+        self._before_revision = {}
         kept = dict(vars(self))
         history = deque(entry for entry in self._history)
         assert leg.number_of_zero is not None
@@ -298,6 +301,7 @@ class MotionStream:
         self._begin(finely(self._course.after(s)), new, number + 1)
         self._history = history
         self.override, self.single_block = override, single_block
+        self._before_revision = kept
         if stop is not None and new is not None:
             self._undivided = float(stop.path.s[-1]) * (1 + 1e-12) + 1e-9
             if override <= 0.0:
@@ -311,9 +315,13 @@ class MotionStream:
         except PlanningError:
             found = None
         if found is None or (new is not None and new.planner.stuck):
-            vars(self).update(kept)
+            self.take_back()
             return False
         return True
+
+    def take_back(self) -> None:
+        """Go on as if ``revise`` had not been called; to be called before anything else is."""
+        vars(self).update(self._before_revision)
 
     def resume(self, s: float) -> None:
         """Plan anew from rest at a place on the path; setpoints are numbered from 0 again."""

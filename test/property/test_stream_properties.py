@@ -158,6 +158,24 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     assert samples.s[-1] == path.s[-1]
 
 
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_a_revision_that_is_taken_back_leaves_no_trace(name):
+    rng, stream, chunks, revised = np.random.default_rng(7), stream_of(name), [], 0
+    while not chunks or chunks[-1].wait is not Wait.END:
+        chunks += drain(stream, until=int(rng.integers(20, 400)))
+        count = sum(len(chunk.samples) for chunk in chunks)
+        if stream.revise(
+            max(0, count - int(rng.integers(1, 200))), float(rng.choice([0.0, 0.4, 1.3])), True
+        ):
+            stream.take_back()
+            revised += 1
+    untouched = drain(stream_of(name))
+    assert revised > 3 and (stream.override, stream.single_block) == (1.0, False)
+    assert np.array_equal(joined(chunks).position, joined(untouched).position)
+    tails = [chunk.tail.position for chunk in chunks], [chunk.tail.position for chunk in untouched]
+    assert all(np.array_equal(*pair) for pair in zip(*tails, strict=True))
+
+
 def test_a_lower_override_slows_at_once_and_down_to_its_feed():
     path, stream = path_of('pyramid'), stream_of('pyramid')
     chunks = drain(stream, until=600)

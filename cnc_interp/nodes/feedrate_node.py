@@ -40,8 +40,9 @@ BATCH = 64
 SAMPLED = 0.6
 #: How long after a revision that failed the next is tried [s].
 TRY_AGAIN = 0.02
-#: The old plan goes on while a revision is still computed and the machine holds less [s].
-RESERVE = 0.1
+#: The old plan goes on while a revision is still computed and the machine holds less [s]; but
+#: behind so many in a row that came too late, the next is given all the time that it needs.
+RESERVE, MOST_LATE = 0.1, 5
 ON_HOLD = (MachineState.HELD, MachineState.STARVED)
 
 
@@ -63,7 +64,7 @@ class FeedrateNode(LifecycleNode):
         self._done: Callable[[Any], None] = self._queue
         self._end_wanted = self._ended = self._end_sent = False
         self._tried = self._submitted = 0.0
-        self._too_late = False  # the last revision
+        self._late = 0  # revisions in a row that came too late
         self._ready = self._longest = 0.0  # motion at hand; longest step since the last word [s]
         self._period: float = self._values['interpolation_period']
         if self._values['autostart']:
@@ -221,8 +222,7 @@ class FeedrateNode(LifecycleNode):
         """
         Plan anew behind the last setpoint that was sent; until then nothing is sent.
 
-        If that takes too long the old plan goes on, and the next revision is given all the time
-        that it needs.
+        If that takes too long the old plan goes on; from another place it is mostly faster.
         """
         self._outlet.paused = True
         self._submit(
@@ -233,17 +233,18 @@ class FeedrateNode(LifecycleNode):
     def _keep_fed(self) -> None:
         """Let the old plan go on before the machine has nothing left."""
         peer = self._outlet.peer
-        if self._outlet.paused and peer and peer.buffered_time < RESERVE and not self._too_late:
+        short = peer is not None and peer.buffered_time < RESERVE
+        if self._outlet.paused and short and self._late < MOST_LATE:
             self._outlet.paused = False
             self._outlet.pump()
 
     def _revised(self, accepted: bool) -> None:
-        went_on = not self._outlet.paused
-        if accepted and went_on and self._planner is not None:
+        late = not self._outlet.paused
+        if accepted and late and self._planner is not None:
             self._planner.stream.take_back()
         elif accepted:
             self._outlet.sender.drop_unsent()
-        self._too_late = accepted and went_on
+        self._late = self._late + 1 if late else 0
         self._outlet.paused = False
         self._tried = time.monotonic()
         self._outlet.pump()

@@ -20,8 +20,9 @@ from cnc_interp.nodes.buffer import Buffer, Held, Row
 from cnc_interp.nodes.streams import same_run
 from cnc_interp.stream.chunk import Chunk, Wait
 
-#: States from which the machine starts by itself when setpoints are there.
-SELF_STARTING = (State.IDLE, State.STARVED)
+#: States from which the machine starts by itself when setpoints are there; running, it rests
+#: for an override of 0.
+SELF_STARTING = (State.IDLE, State.STARVED, State.RUNNING)
 PROGRAM_STOP = 'program stop; cycle_start to go on'
 STOPPED_BY_HAND = 'emergency stop; reset to go on'
 
@@ -215,8 +216,6 @@ class Playback:
     def _may_start(self) -> bool:
         """Start with enough at hand."""
         state, buffer = self.machine.state, self.buffer
-        if state is State.RUNNING:  # rests for the override only
-            return bool(buffer.chunks)
         wanted = state in SELF_STARTING or (state is State.HOLDING and self.start_wanted)
         enough = buffer.count >= self._start_count or buffer.rests > 0
         return wanted and bool(buffer.chunks) and enough

@@ -180,7 +180,11 @@ def test_an_override_of_zero_rests_without_starving():
     step_until(play, lambda: play.resting and play.played > 0)
     for _ in range(50):
         assert play.step().state is State.RUNNING
-    feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
+    first, *others = chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0])
+    feed(play, [first])
+    for _ in range(50):
+        assert play.step().state is State.RUNNING and play.resting
+    feed(play, others)
     step_until(play, lambda: play.completed)
     assert play.starvations == 0
 

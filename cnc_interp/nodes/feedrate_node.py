@@ -231,10 +231,10 @@ class FeedrateNode(LifecycleNode):
         )  # fmt: skip
 
     def _keep_fed(self) -> None:
-        """Let the old plan go on before the machine has nothing left."""
-        peer = self._outlet.peer
+        """Let the old plan go on, if it does, before the machine has nothing left."""
+        peer, goes_on = self._outlet.peer, self._outlet.sender.unsent > 0
         short = peer is not None and peer.buffered_time < RESERVE
-        if self._outlet.paused and short and self._late < MOST_LATE:
+        if self._outlet.paused and short and goes_on and self._late < MOST_LATE:
             self._outlet.paused = False
             self._outlet.pump()
 

@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import re
+import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -63,6 +64,18 @@ def test_package_xml_declares_what_is_imported():
 def test_every_requirement_is_pinned(name):
     assert pins(name)
     assert all(re.fullmatch(r'[\w.-]+==[\w.]+', line) for line in pins(name))
+
+
+def test_what_is_not_python_is_installed_too(tmp_path):
+    command = [sys.executable, 'setup.py', '-q', 'build_py', '--build-lib', str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True)
+
+    def others(root):
+        found = (path.relative_to(root) for path in (root / 'cnc_interp').rglob('*.*'))
+        kept = (path for path in found if '__pycache__' not in path.parts)
+        return {path for path in kept if path.suffix != '.py'}
+
+    assert others(ROOT) == others(tmp_path) != set()
 
 
 def test_numpy_is_that_of_jazzy():

@@ -48,7 +48,7 @@ class MachineView:
         self._hidden: list[Any] = []
         self._joints: dict[str, tuple[Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
-        self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=20)
+        self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
         self._scene.classes('scene')
         with self._scene:
             self._root = self._scene.group()

@@ -15,6 +15,9 @@ import numpy as np
 from cnc_interp.program.blocks import FloatArray
 
 SIDES = 5
+#: What is not drawn changes the course by less than this share of the radius, and red, green
+#: and blue by less than this share of full.
+UNSEEN, INDISTINCT = 0.25, 0.04
 #: A carried vector of which less is left has turned into the tangent: a new one is taken.
 TURNED_INTO = 0.1
 #: Slow to fast, evenly spaced: legible on dark ground.
@@ -40,14 +43,39 @@ def tube(points: FloatArray, values: FloatArray, top: float, radius: float) -> b
         Radius of the tube.
 
     """
+    colours = colours_of(values, top)
+    kept = thinned(np.column_stack([points / (UNSEEN * radius), colours / (255.0 * INDISTINCT)]))
+    points, colours = points[kept], colours[kept]
     moved = np.concatenate([[True], np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0])
-    points, values = points[moved], values[moved]
+    points, colours = points[moved], colours[moved]
     if len(points) < 2:
         points = np.stack([points[0], points[0] + [0.0, 0.0, radius]])
-        values = np.repeat(values[:1], 2)
+        colours = np.repeat(colours[:1], 2, axis=0)
     vertices, normals = rings(points, radius)
-    colours = np.repeat(colours_of(values, top), SIDES, axis=0)
-    return glb(vertices.astype('<f4'), normals.astype('<f4'), colours, faces(len(points)))
+    shades = np.repeat(colours, SIDES, axis=0)
+    return glb(vertices.astype('<f4'), normals.astype('<f4'), shades, faces(len(points)))
+
+
+def thinned(points: FloatArray) -> Any:
+    """
+    Choose rows of a polyline so that no other row is farther than 1 from the chord over it.
+
+    Douglas and Peucker's way, in any number of dimensions; both ends are chosen.
+    """
+    kept = np.zeros(len(points), dtype=bool)
+    kept[[0, -1]] = True
+    waiting = [(0, len(points) - 1)]
+    while waiting:
+        first, last = waiting.pop()
+        off = points[first + 1 : last] - points[first]
+        chord = points[last] - points[first]
+        along = np.clip(off @ chord / max(chord @ chord, np.finfo(float).tiny), 0.0, 1.0)
+        square = ((off - along[:, None] * chord) ** 2).sum(axis=1)
+        if square.max(initial=0.0) > 1.0:
+            worst = first + 1 + int(square.argmax())
+            kept[worst] = True
+            waiting += [(first, worst), (worst, last)]
+    return np.flatnonzero(kept)
 
 
 def colours_of(values: FloatArray, top: float) -> Any:
@@ -60,10 +88,13 @@ def colours_of(values: FloatArray, top: float) -> Any:
 
 def rings(points: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     """Return vertices and normals of the rings around the points, shape (N * SIDES, 3)."""
-    tangent = np.gradient(points, axis=0)
-    length = np.linalg.norm(tangent, axis=1, keepdims=True)
-    tangent = np.divide(tangent, length, out=np.tile([1.0, 0.0, 0.0], (len(points), 1)),
-                        where=length > 0.0)  # fmt: skip
+    chord = np.diff(points, axis=0)
+    chord /= np.linalg.norm(chord, axis=1, keepdims=True)
+    before = np.concatenate([chord[:1], chord])
+    both = before + np.concatenate([chord, chord[-1:]])
+    length = np.linalg.norm(both, axis=1, keepdims=True)
+    # Where the path turns back on itself it has no middle direction.
+    tangent = np.divide(both, length, out=before, where=length > TURNED_INTO)
     across = carried(tangent)
     beside = np.cross(tangent, across)
     angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
@@ -135,7 +166,6 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
         'materials': [
             {
                 'pbrMetallicRoughness': {'metallicFactor': 0.0, 'roughnessFactor': 0.9},
-                'doubleSided': True,
             }
         ],
         'buffers': [{'byteLength': int(starts[-1])}],

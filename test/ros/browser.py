@@ -134,9 +134,15 @@ class Tab:
 
     def choose_file(self, selector, path):
         """Give a file to an input element."""
-        root = self.send('DOM.getDocument')['root']['nodeId']
-        found = self.send('DOM.querySelector', nodeId=root, selector=selector)['nodeId']
-        self.send('DOM.setFileInputFiles', nodeId=found, files=[str(path)])
+
+        def give():
+            root = self.send('DOM.getDocument')['root']['nodeId']
+            found = self.send('DOM.querySelector', nodeId=root, selector=selector)['nodeId']
+            if found:  # an upload that has just ended gives its input back a moment later
+                self.send('DOM.setFileInputFiles', nodeId=found, files=[str(path)])
+            return bool(found)
+
+        self.wait(give)
 
     def press_key(self, name, key, times=1):
         """Press a key on an element."""

@@ -21,7 +21,7 @@ from cnc_interp.options import read_options
 from cnc_interp.panel.access import Access
 from cnc_interp.panel.preview import DRAWN, Choices, Preview, thinned
 from cnc_interp.panel.readings import axis_words, clock, program_html, progress_words
-from cnc_interp.panel.tube import SCALE, SIDES, tube
+from cnc_interp.panel.tube import INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.plan_files import read_plan
 from cnc_interp.units import DEG, MM, MM_PER_MIN
 
@@ -75,8 +75,31 @@ def test_the_tube_lies_around_the_path_and_takes_its_colours():
     assert tuple(colours[0]) == SCALE[0] and tuple(colours[-1]) == SCALE[-1]
 
 
+def test_a_dense_path_is_drawn_with_what_can_be_seen():
+    angle = np.linspace(0.0, 20.0, 20_000)
+    points = np.c_[np.cos(angle), np.sin(angle), 0.02 * angle] * 50 * MM
+    values = 1.0 + np.sin(3.0 * angle)
+    mesh = next(iter(trimesh.load(
+        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)), file_type='glb'
+    ).geometry.values()))  # fmt: skip
+    drawn = mesh.vertices.reshape(-1, SIDES, 3).mean(axis=1)
+    colours = mesh.visual.vertex_attributes['color'][::SIDES, :3].astype(float)
+    assert len(drawn) < len(points) / 20
+    turned = np.unwrap(np.arctan2(drawn[:, 1], drawn[:, 0]))
+    course = np.stack([np.interp(angle, turned, column) for column in drawn.T], axis=1)
+    # Both are shares of one distance, and the course is compared at equal angles.
+    assert np.linalg.norm(course - points, axis=1).max() < 1.1 * UNSEEN * 0.5 * MM
+    shown = np.stack([np.interp(angle, turned, column) for column in colours.T], axis=1)
+    known = np.linspace(0.0, 2.0, len(SCALE))
+    true = np.stack([np.interp(values, known, column) for column in np.transpose(SCALE)], axis=1)
+    assert np.abs(shown - true).max() < 1.1 * 255 * INDISTINCT
+
+
 def test_a_path_that_stands_still_is_a_mesh_too():
     assert tube(np.zeros((3, 3)), np.ones(3), 1.0, 1e-3)[:4] == b'glTF'
+    to_and_fro = np.array([[0.0, 0.0, 0.0], [1e-6, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    with np.errstate(all='raise'):
+        assert tube(to_and_fro, np.ones(3), 1.0, 1e-3)[:4] == b'glTF'
 
 
 def test_read_outs_are_in_the_words_of_the_shop():

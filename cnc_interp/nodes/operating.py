@@ -41,8 +41,12 @@ __all__ = [
 
 #: Commands without a value; each is a service of that name.
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
+#: Those that may come twice, and late: they are sent again while no answer comes.
+STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
+#: Time without an answer after which a stop is sent again [s].
+AGAIN = 0.5
 #: So long an override of this end may be on its way [s].
 ECHO = 10.0
 #: How soon commands of other threads are seen [s].
@@ -280,16 +284,22 @@ class Operating:
             if not client.service_is_ready():
                 wanted.set_result(Answer(False, f'{name}: no node offers it; start the nodes'))
                 return
-            answer, until = client.call_async(request), time.monotonic() + ANSWER
-            self._pending.append(lambda: answered(answer, until))
+            sent, began = [client.call_async(request)], time.monotonic()
+            self._pending.append(lambda: answered(sent, began))
 
-        def answered(answer: Any, until: float) -> bool:
-            if answer.done():
+        def answered(sent: list[Any], began: float) -> bool:
+            waited = time.monotonic() - began
+            answer = next((answer for answer in sent if answer.done()), None)
+            if answer is not None:
                 response = answer.result()
                 wanted.set_result(Answer(response.success, f'{name}: {response.message}'))
-            elif time.monotonic() > until:  # not sent again by itself: it could come too late
-                client.remove_pending_request(answer)
+            elif waited > ANSWER:  # a start is not sent again by itself: it could come too late
                 wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
+            elif name in STOPS and waited > AGAIN * len(sent):
+                sent.append(client.call_async(request))
+            if wanted.done():
+                for answer in sent:
+                    client.remove_pending_request(answer)
             return wanted.done()
 
         self._todo.append(send)

@@ -10,6 +10,7 @@ from nicegui import events, ui
 from cnc_interp.nodes.operating import Answer
 from cnc_interp.panel.access import Access
 from cnc_interp.panel.charts import Charts
+from cnc_interp.panel.contact import BEHIND, LATE, Contact, pressing
 from cnc_interp.panel.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.panel.readings import NOTHING, alarms_html, program_html, progress, readings
 from cnc_interp.panel.scene import MachineView
@@ -57,6 +58,7 @@ class Page:
         self._count = 0
         self._waits = False
         access.enter(tab, token)
+        self._contact = Contact(self._stop_with)
         with ui.element('div').classes('panel'):
             self._build_head()
             with ui.element('div').classes('dro'):
@@ -83,6 +85,7 @@ class Page:
             ui.html('<b>cnc_interp</b>', sanitize=False)
             self._label('state', 'state')
             self._label('why', 'grow')
+            marked(ui.element('div').classes('contact'), 'contact')
             self._label('rights', '')
             self._take = ui.button('take over', on_click=self._take_over)
             marked(self._take.props('dense outline no-caps size=sm'), 'take over')
@@ -163,17 +166,16 @@ class Page:
     def _build_keys(self) -> None:
         desk = self._desk
         self._keys = [
-            self._key('cycle start', 'positive', lambda: self._command(desk.cycle_start)),
-            self._key('feed hold', 'warning', lambda: self._command(self._trigger('feed_hold'))),
-            self._key('reset', 'blue-grey-7', lambda: self._command(self._trigger('reset'))),
+            self._key('cycle start', 'positive', lambda: self._command_in_sight(desk.cycle_start)),
+            self._key('feed hold', 'warning').on(**pressing('feed_hold')),
+            self._key(
+                'reset', 'blue-grey-7', lambda: self._command_in_sight(self._trigger('reset'))
+            ),
         ]
         with ui.element('div').classes('flex items-center'):
             self._single = ui.switch('single block', on_change=self._set_single_block)
             marked(self._single.props('dense'), 'single block')
-        self._stop = self._key(
-            'EMERGENCY STOP', 'negative',
-            lambda: self._command(self._trigger('emergency_stop'), stop=True),
-        )  # fmt: skip
+        self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
         self._stop.classes('wide')
         with ui.element('div').classes('slide'):
             ui.label('override')
@@ -183,7 +185,8 @@ class Page:
             marked(self._slider, 'override slider')
             self._slid = ui.label('100%').classes('value')
 
-    def _key(self, text: str, colour: str, act: Callable[[], Awaitable[None]]) -> Any:
+    @staticmethod
+    def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
         key = ui.button(text, on_click=act, color=colour).props('unelevated no-caps')
         return marked(key, text)
 
@@ -193,19 +196,40 @@ class Page:
     def _in_charge(self) -> bool:
         return self._access.may_command(self._tab, self._token)
 
-    async def _command(self, act: Callable[[], Awaitable[Answer]], stop: bool = False) -> None:
+    async def _command(self, act: Callable[[], Awaitable[Answer]]) -> None:
         """Do what was asked for, or say why not."""
-        if self._allowed(stop):
-            answer = await act()
-            if not answer.ok:
-                ui.notify(answer.message, type='negative')
+        if self._allowed():
+            await self._do(act)
 
-    def _allowed(self, stop: bool = False) -> bool:
-        """Tell whether this page may command, or at least stop; say so where it may not."""
-        allowed = self._in_charge or (stop and self._access.may_stop(self._token))
-        if not allowed:
+    async def _command_in_sight(self, act: Callable[[], Awaitable[Answer]]) -> None:
+        """Do what must not come late."""
+        if self._in_sight():
+            await self._command(act)
+
+    def _in_sight(self) -> bool:
+        """Tell whether the page shows what the machine does; say so where it does not."""
+        if self._contact.age > LATE:
+            ui.notify('the page was cut off; look, and do it again', type='warning')
+            return False
+        return True
+
+    async def _stop_with(self, name: str) -> None:
+        """Stop, however late it was heard; the token is enough in an emergency."""
+        urgent = name == 'emergency_stop' and self._access.may_stop(self._token)
+        if urgent or self._allowed():
+            await self._do(self._trigger(name))
+
+    @staticmethod
+    async def _do(act: Callable[[], Awaitable[Answer]]) -> None:
+        answer = await act()
+        if not answer.ok:
+            ui.notify(answer.message, type='negative')
+
+    def _allowed(self) -> bool:
+        """Tell whether this page may command; say so where it may not."""
+        if not self._in_charge:
             ui.notify('view only: take over first, with the token', type='warning')
-        return allowed
+        return self._in_charge
 
     def _trigger(self, name: str) -> Callable[[], Awaitable[Answer]]:
         return lambda: self._desk.trigger(name)
@@ -234,6 +258,7 @@ class Page:
     async def _set_single_block(self, event: events.ValueChangeEventArguments) -> None:
         if event.value != self._desk.single_block:
             await self._command(lambda: self._desk.set_single_block(event.value))
+            self._single.set_value(self._desk.single_block)  # where it was refused
 
     def _set_override(self, event: events.ValueChangeEventArguments) -> None:
         """
@@ -243,10 +268,12 @@ class Page:
         """
         if event.value == round(100 * self._shown.get('override set', -1.0)):
             return  # moved by this program, to show what others have set
-        if self._allowed():
+        if self._allowed() and self._in_sight():
             self._shown['override set'] = event.value / 100
             self._slid.set_text(f'{event.value:.0f}%')
             self._desk.nodes.set_override(event.value / 100)
+        else:
+            self._show_override_again()
 
     def _take_over(self) -> None:
         if not self._access.take_over(self._tab, self._token):
@@ -266,7 +293,9 @@ class Page:
         return True
 
     def _show(self) -> None:
-        """Bring the page up to date; only what has changed is sent."""
+        """Bring the page up to date; only what has changed is sent, and what it can take."""
+        if self._contact.age > BEHIND:
+            return
         desk = self._desk
         state, job = desk.nodes.state, desk.job
         words = readings(desk)

@@ -14,6 +14,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from cnc_interp.errors import InterpError
 from cnc_interp.panel.access import Access
+from cnc_interp.panel.contact import Contact
 from cnc_interp.panel.desk import Desk
 from cnc_interp.panel.page import Page
 from cnc_interp.panel.starting import LOOPBACK, PARENT
@@ -81,6 +82,7 @@ def serve(served: Served, namespace: str, domain: int) -> None:
     @ui.page('/')
     async def page(token: str = '') -> None:
         ui.add_css(STYLE)
+        ui.add_head_html(Contact.script())
         ui.dark_mode(True)
         await ui.context.client.connected()
         await shown_when_known(desk)
@@ -116,8 +118,15 @@ async def shown_when_known(desk: Desk) -> None:
         waiting.delete()
 
 
-def announce(host: str, port: int, token: str) -> None:
-    """Print where the page is."""
+async def announce(host: str, port: int, token: str) -> None:
+    """Print where the page is, once it is there."""
+    while True:
+        try:
+            _, connection = await asyncio.open_connection(host, port)
+            break
+        except OSError:
+            await asyncio.sleep(WATCH)
+    connection.close()
     shown = f'[{host}]' if ':' in host else host
     print(f'operator page  http://{shown}:{port}/?token={token}', flush=True)
     print(f'view only      http://{shown}:{port}/', flush=True)

@@ -14,6 +14,8 @@ from websockets.sync.client import connect
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome')
 PATIENCE = 300.0  # [s]; a bound for slow and busy computers, not a timing
+#: What a page shows is fresh: its user would press a key now.
+IN_CONTACT = '!!(window.socket?.connected && window.did_handshake && contact.age() < 2500)'
 
 
 def found():
@@ -118,13 +120,9 @@ class Tab:
         )
 
     def click(self, name):
-        self.wait_until_heard()
-        self.wait(lambda: self.run(f'!!document.querySelector(`[data-mark="{name}"]`)'))
-        self.run(f'document.querySelector(`[data-mark="{name}"]`).click()')
-
-    def wait_until_heard(self):
-        """Wait until the server hears the page: what is done while it is cut off is lost."""
-        self.wait(lambda: self.run('!!window.socket?.connected && window.did_handshake'))
+        """Press a key that is there and may be pressed, on a page in contact with its server."""
+        key = f'document.querySelector(`[data-mark="{name}"]:not([disabled])`)'
+        self.wait(lambda: self.run(f'{IN_CONTACT} && !!{key} && ({key}.click(), true)'))
 
     def wait(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience
@@ -145,9 +143,13 @@ class Tab:
         self.wait(give)
 
     def press_key(self, name, key, times=1):
+        """Press a key on an element of a page in contact with its server."""
+        self.wait(lambda: self.run(IN_CONTACT))
+        self.press_key_at_once(name, key, times)
+
+    def press_key_at_once(self, name, key, times=1):
         """Press a key on an element."""
         code = {'ArrowLeft': 37, 'ArrowRight': 39}[key]
-        self.wait_until_heard()
         self.run(f'document.querySelector(`[data-mark="{name}"] [tabindex]`).focus()')
         for kind in ('rawKeyDown', 'keyUp') * times:
             self.send('Input.dispatchKeyEvent', type=kind, key=key, windowsVirtualKeyCode=code)

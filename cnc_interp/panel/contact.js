@@ -1,0 +1,52 @@
+// The page's end of contact.py: tells the server what it has heard, says when that is old,
+// and sends a stop again and again until it is answered, over a reload of the page too.
+window.contact = {
+  heard: performance.now(), // the last beat
+  before: 0, // age of what had been shown then [ms]
+  // Numbers of stops that are not answered yet: name and time of the press.
+  stops: JSON.parse(sessionStorage.stops || '{}'),
+
+  hear(beat, age) {
+    this.heard = performance.now();
+    this.before = 1000 * age;
+    emitEvent('heard', beat);
+  },
+  age() {
+    return performance.now() - this.heard + this.before;
+  },
+  stop(name) {
+    this.stops[createRandomUUID()] = [name, Date.now()];
+    this.keep();
+    this.send();
+  },
+  answered(number) {
+    delete this.stops[number];
+    this.keep();
+    this.say();
+  },
+  keep() {
+    sessionStorage.stops = JSON.stringify(this.stops);
+  },
+  send() {
+    // Not where there is no connection: it would pile up. It goes out with the next one.
+    if (!window.socket?.connected || !window.did_handshake) return;
+    for (const [number, [name]] of Object.entries(this.stops)) emitEvent('stop', { number, name });
+  },
+  say() {
+    const shown = document.querySelector('[data-mark="contact"]');
+    if (!shown) return;
+    const waiting = Object.values(this.stops).map(([name]) => name);
+    const words = [];
+    if (waiting.length) words.push(`${waiting.join(', ')}: sent until it is answered`);
+    if (this.age() > 3000) words.push(`no contact: what is shown is ${Math.floor(this.age() / 1000)} s old`);
+    shown.textContent = words.join('; ');
+  },
+  look() {
+    for (const [number, [, pressed]] of Object.entries(this.stops))
+      if (Date.now() - pressed > 60000) delete this.stops[number];
+    this.keep();
+    this.send();
+    this.say();
+  },
+};
+setInterval(() => window.contact.look(), 300);

@@ -1,0 +1,127 @@
+"""The operator page as a process of its own beside real nodes, and a browser that shows it."""
+
+import os
+import re
+import subprocess
+import sys
+
+from browser import Browser
+from cnc_interp_msgs.msg import MachineState
+from nodes_under_test import NodesUnderTest
+from std_msgs.msg import Float64
+
+from cnc_interp.nodes import qos
+
+TOKEN = 'a test knows it'
+#: The page has not done what was asked for.
+REFUSED = 'document.body.textContent.includes("the page was cut off")'
+
+
+def clean_environment():
+    """NiceGUI takes another way where pytest's variables are set."""
+    return {k: v for k, v in os.environ.items() if not k.startswith('PYTEST')}
+
+
+class PageUnderTest:
+    """The page beside nodes that run, and a browser."""
+
+    def __init__(self, namespace, domain):
+        command = [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--port', '0']
+        command += ['--namespace', namespace, '--domain', str(domain), '--token', TOKEN]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, env=clean_environment()
+        )
+        self.address = re.search(r'http://\S+/', self.process.stdout.readline())[0]
+        self.browser = Browser()
+        self.tabs = []
+
+    def open(self, token=TOKEN, **size):
+        """Open a page and wait until it shows who commands."""
+        tab = self.browser.open(f'{self.address}?token={token.replace(" ", "%20")}', **size)
+        self.tabs.append(tab)
+        tab.wait(lambda: tab.text('rights') in ('in charge', 'view only'))
+        return tab
+
+    def open_in_charge(self):
+        """Open a page and take the keys, which a closed page keeps for a while."""
+        tab = self.open()
+        if tab.text('rights') != 'in charge':
+            tab.click('take over')
+            tab.wait(lambda: tab.text('rights') == 'in charge')
+        return tab
+
+    def close_tab(self, tab):
+        self.tabs.remove(tab)
+        tab.close()
+
+    def close(self):
+        self.browser.close()
+        self.process.terminate()
+        self.process.wait()
+
+
+class PanelUnderTest(NodesUnderTest):
+    """The nodes, and the page beside them."""
+
+    def __init__(self):
+        super().__init__()
+        self.overrides = []
+        self.node.create_subscription(
+            Float64, 'feed_override', lambda m: self.overrides.append(m.data), qos.OVERRIDE
+        )
+        self.page = PageUnderTest(self.namespace, self.domain)
+        self.open, self.open_in_charge = self.page.open, self.page.open_in_charge
+
+    def until(self, state):
+        self.spin_until(lambda: self.peers.state and self.peers.state.state == state)
+
+    def load(self, tab, path):
+        """Load a program and wait until it is planned."""
+        tab.wait(lambda: tab.text('state') == 'idle')
+        tab.choose_file('input[type=file]', path)
+        tab.wait(lambda: tab.text('program') == path.name and tab.text('status') == 'planned')
+
+    def press_until(self, tab, key, done):
+        """Press a key until something is done; again only where the page says that it was late."""
+        while True:
+            tab.click(key)
+            self.spin_until(lambda: done() or tab.run(REFUSED))
+            if done():
+                return
+            tab.wait(lambda: not tab.run(REFUSED))
+
+    def begin(self, tab):
+        """Start the loaded program, and see the machine on its way along the path."""
+        before = len(self.loaded)
+        self.press_until(tab, 'cycle start', lambda: len(self.loaded) > before)
+        self.spin_until(self.is_on_its_way)
+
+    def is_on_its_way(self):
+        """Tell whether the machine has executed some of the program loaded last."""
+        state, program = self.peers.state, self.loaded[-1]
+        return state.program_id == program.program_id and state.path_position > 0.01
+
+    def go_on(self, tab):
+        """Go on where the page shows that the machine rests, and see it further on its path."""
+        tab.wait(lambda: tab.text('state') in ('held', 'starved'))
+        held = self.next_state().path_position
+        self.press_until(tab, 'cycle start', lambda: self.peers.state.path_position > held)
+
+    def reset(self, tab):
+        """Clear a fault, or give up what is left of the program."""
+        self.press_until(tab, 'reset', lambda: self.peers.state.state == MachineState.IDLE)
+        tab.wait(lambda: tab.text('state') == 'idle')
+
+    def tidy(self):
+        """Close all tabs and bring the machine to rest, for the next test."""
+        for tab in tuple(self.page.tabs):
+            self.page.close_tab(tab)
+        if self.peers.state.state != MachineState.IDLE:
+            self.press('emergency_stop')
+            self.until(MachineState.FAULT)
+            self.press('reset')
+            self.until(MachineState.IDLE)
+
+    def close(self):
+        self.page.close()
+        return super().close()

@@ -3,9 +3,9 @@ A long run through the real nodes while another core is busy: nothing lost, memo
 
 ``PYTHONPATH=.:test/ros python benchmarks/long_run.py --minutes 60`` runs corners and turns for
 about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length`` and
-``--feed`` say how short and how fast), ``--program`` any other; ``--priority 80 --lock-memory``
-asks for real time. Every executed setpoint is measured as it is told: numbers without a gap,
-velocity, acceleration and jerk by differences.
+``--feed`` say how short and how fast), ``--program`` any other; ``--priority 0``
+runs the clock without SCHED_FIFO, ``--lock-memory`` keeps its pages. Every executed setpoint is
+measured as it is told: numbers without a gap, velocity, acceleration and jerk by differences.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def main() -> int:
     asked.add_argument('--length', type=float, default=0.2, help='of a short block [mm]')
     asked.add_argument('--feed', type=float, default=6000.0, help='of short blocks [mm/min]')
     asked.add_argument('--busy', type=int, default=1, help='busy processes beside it')
-    asked.add_argument('--priority', type=int, default=0, help='SCHED_FIFO of the clock')
+    asked.add_argument('--priority', type=int, default=10, help='SCHED_FIFO of the clock')
     asked.add_argument('--lock-memory', action='store_true', help='of the machine node')
     asked.add_argument('--program', type=Path, help='a program instead')
     options = asked.parse_args()

@@ -4,9 +4,9 @@ Take pictures of the operator page while the nodes run a program.
     python docs/make_page_pictures.py
 
 makes a program of constant scallop height from ``examples/bumps.json``, runs it with
-``cnc-interp panel`` in a real browser, and writes ``docs/pictures/page.png`` for docs/operation.md
-and the animation ``docs/pictures/page.gif`` for the README. Needs Chromium,
-requirements/panel.txt and Pillow.
+``cnc-interp panel`` in a real browser, and writes the animation ``docs/pictures/page.gif`` for the
+README; then runs it again and writes ``page.png``, ``page_wide.png`` and ``page_phone.png`` for
+docs/operation.md. Needs Chromium, requirements/panel.txt and Pillow.
 """
 
 from __future__ import annotations
@@ -27,8 +27,16 @@ sys.path.insert(0, str(HERE.parent / 'test' / 'ros'))
 from browser import Browser, Tab  # noqa: E402  the driver that the tests use
 
 SIZE, SHOWN = (1366, 768), (956, 538)
+#: Width, height and whether it is a phone, of the single pictures.
+SCREENS = {
+    'page_phone': (390, 1980, True),
+    'page_wide': (1920, 1080, False),
+    'page': (*SIZE, False),
+}
 #: The animation: at most so many frames, so far apart in the run and on the page [s].
 FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
+#: A page that has got another size draws everything anew [s].
+SETTLE = 5.0
 COLOURS = 96
 
 
@@ -37,18 +45,38 @@ def interp(*words: str) -> list[str]:
     return [sys.executable, '-m', 'cnc_interp', *words]
 
 
-def frames_of(tab: Tab, folder: Path) -> list[Image.Image]:
-    """Run the program on the page; return what is seen, and leave the middle as ``page.png``."""
-    tab.wait(lambda: tab.text('status') == 'planned')
+def start(tab: Tab) -> None:
+    """Start the program, and see the machine run it."""
+    tab.wait(lambda: tab.text('status') == 'planned' and tab.text('state') == 'idle')
     tab.click('cycle start')
     tab.wait(lambda: tab.text('state') == 'running')
-    seen: list[Image.Image] = []
+
+
+def seen_on(tab: Tab, folder: Path) -> Image.Image:
+    """Return what the page shows."""
+    tab.screenshot(folder / 'seen.png')
+    return Image.open(io.BytesIO((folder / 'seen.png').read_bytes())).convert('RGB')
+
+
+def frames_of(tab: Tab, folder: Path) -> list[Image.Image]:
+    """Run the program on the page; return what is seen."""
+    start(tab)
+    seen = []
     while tab.text('state') == 'running' and len(seen) < FRAMES:
-        tab.screenshot(folder / 'frame.png')
-        seen.append(Image.open(io.BytesIO((folder / 'frame.png').read_bytes())).convert('RGB'))
+        seen.append(seen_on(tab, folder))
         time.sleep(STEP)
-    seen[len(seen) // 2].quantize(256).save(HERE / 'pictures' / 'page.png', optimize=True)
+    tab.wait(lambda: tab.text('state') == 'idle')
     return seen
+
+
+def write_screens(tab: Tab, folder: Path) -> None:
+    """Run the program again; write the page as screens of some sizes show it."""
+    start(tab)
+    for name, (width, height, phone) in SCREENS.items():
+        tab.size(width, height, phone)
+        time.sleep(SETTLE)
+        shown = seen_on(tab, folder).quantize(256)
+        shown.save(HERE / 'pictures' / f'{name}.png', optimize=True)
 
 
 def write_animation(seen: list[Image.Image]) -> None:
@@ -81,6 +109,7 @@ def main() -> None:
             assert address is not None
             tab = browser.open(f'{address[0]}?token=picture', *SIZE)
             write_animation(frames_of(tab, folder))
+            write_screens(tab, folder)
         finally:
             browser.close()
             page.terminate()

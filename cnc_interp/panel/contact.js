@@ -1,15 +1,23 @@
 // The page's end of contact.py: tells the server what it has heard, says when that is old,
 // and sends a stop again and again until it is answered, over a reload of the page too.
 window.contact = {
-  heard: performance.now(), // the last beat
+  heard: performance.now(), // when the last beat came
   before: 0, // age of what had been shown then [ms]
+  beat: 0,
   // Numbers of stops that are not answered yet: name and time of the press.
   stops: JSON.parse(sessionStorage.stops || '{}'),
 
+  connected() {
+    return window.socket?.connected && window.did_handshake;
+  },
   hear(beat, age) {
     this.heard = performance.now();
     this.before = 1000 * age;
-    emitEvent('heard', beat);
+    this.beat = beat;
+    this.answer();
+  },
+  answer() {
+    if (this.connected()) emitEvent('heard', this.beat, !document.hidden);
   },
   age() {
     return performance.now() - this.heard + this.before;
@@ -29,7 +37,7 @@ window.contact = {
   },
   send() {
     // Not where there is no connection: it would pile up. It goes out with the next one.
-    if (!window.socket?.connected || !window.did_handshake) return;
+    if (!this.connected()) return;
     for (const [number, [name]] of Object.entries(this.stops)) emitEvent('stop', { number, name });
   },
   say() {
@@ -49,4 +57,5 @@ window.contact = {
     this.say();
   },
 };
+document.addEventListener('visibilitychange', () => window.contact.answer());
 setInterval(() => window.contact.look(), 300);

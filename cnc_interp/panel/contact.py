@@ -4,7 +4,8 @@ Contact with a page: no stop is lost on the way, nothing else is done that was a
 What is sent into a connection that breaks is gone; what waits for the next one comes late. So a
 stop is sent by the page until it is answered (``contact.js``), and everything else is done only
 for a page that has lately heard the server: it answers each beat, and its words come in order.
-A browser too slow for all that is sent gets less of it, for what waits in between is old.
+A browser too slow for all that is sent gets less of it, for what waits in between is old, and a
+tab that nobody sees gets nothing but the beat.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ class Contact:
     def __init__(self, on_stop: Callable[[str], Awaitable[None]]):
         self._on_stop = on_stop
         self._heard = time.monotonic()
+        self._seen = True
         self._sent: deque[float] = deque(maxlen=REMEMBERED)
         self._done: dict[str, bool] = {}
         ui.on('heard', self._hear)
@@ -59,14 +61,20 @@ class Contact:
         """Age of what the page shows, as far as it has told [s]."""
         return time.monotonic() - self._heard
 
+    @property
+    def is_followed(self) -> bool:
+        """Tell whether somebody sees the page and it keeps up with what it is shown."""
+        return self._seen and self.age <= BEHIND
+
     def _beat(self) -> None:
         self._sent.append(time.monotonic())
         ui.run_javascript(f'contact.hear({self._sent[-1]!r}, {self.age!r})')
 
     def _hear(self, event: events.GenericEventArguments) -> None:
         """Only what was sent counts: nobody can answer it before."""
-        if event.args in self._sent:
-            self._heard = max(self._heard, event.args)
+        beat, seen = event.args
+        if beat in self._sent:
+            self._heard, self._seen = max(self._heard, beat), bool(seen)
 
     async def _stop(self, event: events.GenericEventArguments) -> None:
         """Do it the first time; answer as often as it is asked for once it is done."""

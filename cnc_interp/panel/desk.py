@@ -188,6 +188,8 @@ class Desk:
         self.tube = await asyncio.to_thread(tube, plan.tip, plan.feed, top, max(size, 0.02) / 250)
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
+        for notice in plan.notices:
+            self.nodes.warn('notice', job.name, notice)
 
     def check(self) -> Answer:
         """Prove the plan of the loaded program."""

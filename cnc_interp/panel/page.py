@@ -10,7 +10,7 @@ from nicegui import events, ui
 from cnc_interp.nodes.operating import Answer
 from cnc_interp.panel.access import Access
 from cnc_interp.panel.charts import Charts
-from cnc_interp.panel.contact import BEHIND, LATE, Contact, pressing
+from cnc_interp.panel.contact import LATE, Contact, pressing
 from cnc_interp.panel.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.panel.readings import NOTHING, alarms_html, program_html, progress, readings
 from cnc_interp.panel.scene import MachineView
@@ -294,7 +294,7 @@ class Page:
 
     def _show(self) -> None:
         """Bring the page up to date; only what has changed is sent, and what it can take."""
-        if self._contact.age > BEHIND:
+        if not self._contact.is_followed:
             return
         desk = self._desk
         state, job = desk.nodes.state, desk.job

@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 NAMES = ('chromium', 'chromium-browser', 'google-chrome')
 PATIENCE = 300.0  # [s]; a bound for slow and busy computers, not a timing
 #: What a page shows is fresh: its user would press a key now.
-IN_CONTACT = '!!(window.socket?.connected && window.did_handshake && contact.age() < 2500)'
+IN_CONTACT = '!!(window.contact?.connected() && contact.age() < 2500)'
 
 
 def found():
@@ -153,6 +153,10 @@ class Tab:
         self.run(f'document.querySelector(`[data-mark="{name}"] [tabindex]`).focus()')
         for kind in ('rawKeyDown', 'keyUp') * times:
             self.send('Input.dispatchKeyEvent', type=kind, key=key, windowsVirtualKeyCode=code)
+
+    def show(self):
+        """Bring it to the front, as its user does; the tabs behind are not shown anything."""
+        self.send('Page.bringToFront')
 
     def reload(self):
         """Refresh the page; returns when the old one is gone."""

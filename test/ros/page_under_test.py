@@ -66,6 +66,7 @@ class PanelUnderTest(NodesUnderTest):
     def __init__(self):
         super().__init__()
         self.overrides = []
+        self.set_override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
         self.node.create_subscription(
             Float64, 'feed_override', lambda m: self.overrides.append(m.data), qos.OVERRIDE
         )
@@ -113,9 +114,11 @@ class PanelUnderTest(NodesUnderTest):
         tab.wait(lambda: tab.text('state') == 'idle')
 
     def tidy(self):
-        """Close all tabs and bring the machine to rest, for the next test."""
+        """Close all tabs and bring the machine to rest at full override, for the next test."""
         for tab in tuple(self.page.tabs):
             self.page.close_tab(tab)
+        if self.overrides and self.overrides[-1] != 1.0:
+            self.set_override.publish(Float64(data=1.0))
         if self.peers.state.state != MachineState.IDLE:
             self.press('emergency_stop')
             self.until(MachineState.FAULT)

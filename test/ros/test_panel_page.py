@@ -25,6 +25,7 @@ pytestmark = pytest.mark.skipif(
 IMPELLER = Path(__file__).parents[3] / 'shared/programs/linuxcnc-impeller-xyzac'
 #: Lines of a program that runs to its end, and of one that outlasts every test.
 SHORT, LONG = 4, 200
+TABS = 10
 
 
 def zigzag(name, lines, after_first=''):
@@ -73,6 +74,12 @@ def shows(tab, state):
         == pytest.approx([1e3 * x for x in state.tip], abs=1e-3)
         and text['line'] == str(state.line_number)
     )
+
+
+def seconds(tab, mark):
+    """A time of the read-outs [s]."""
+    minutes, rest = tab.text(mark).split(':')
+    return 60 * int(minutes) + float(rest)
 
 
 def set_override(panel, tab, percent):
@@ -151,7 +158,6 @@ def test_the_impeller_is_operated_from_the_page(panel):
     hold(panel, tab, program)
     panel.go_on(tab)
     stop_and_reset(panel, tab)
-    set_override(panel, tab, 100)
     assert tab.faults == []
 
 
@@ -224,18 +230,24 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
     assert stranger.run('document.querySelector(`[data-mark="EMERGENCY STOP"]`).disabled')
     assert not second.run('document.querySelector(`[data-mark="EMERGENCY STOP"]`).disabled')
 
+    stranger.show()
     stranger.click('take over')
     stranger.wait(
         lambda: 'open the page with the token' in stranger.run('document.body.innerText')
     )
+    second.show()
     second.click('take over')
     second.wait(lambda: second.text('rights') == 'in charge')
+    first.show()
     first.wait(lambda: first.text('rights') == 'view only')
+    stranger.show()
     assert stranger.text('rights') == 'view only'
 
     # What a page without the token sends by other means is refused by the server.
+    second.show()
     panel.load(second, short_program)
     panel.begin(second)
+    stranger.show()
     stranger.run('contact.stop("emergency_stop")')
     stranger.wait(lambda: 'view only: take over' in stranger.run('document.body.innerText'))
     stranger.wait(lambda: stranger.text('contact') == '')
@@ -243,7 +255,40 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
     # Closing the page in charge neither stops the motion nor keeps the keys.
     panel.page.close_tab(second)
     panel.spin_until(lambda: panel.peers.state.completed)
+    first.show()
     first.wait(lambda: first.text('progress') == '100.0%')
+
+
+def test_ten_tabs(panel, long_program):
+    first = panel.open_in_charge()
+    panel.load(first, long_program)
+    panel.begin(first)
+    set_override(panel, first, 10)  # many pages take long to open on a slow computer
+    tabs = [first] + [panel.open() for _ in range(TABS - 1)]
+    assert [tab.text('rights') for tab in tabs[1:]] == ['view only'] * (TABS - 1)
+    first.show()
+    for tab in tabs[1:]:  # nothing is sent to tabs that nobody sees
+        tab.wait(lambda tab=tab: seconds(first, 'elapsed') > seconds(tab, 'elapsed') + 2)
+    held = hold(panel, first, long_program)
+    for tab in tabs[1:]:
+        tab.show()
+        tab.wait(lambda tab=tab: tab.text('state') == 'held' and shows(tab, held))
+
+    # The one in charge is closed in between: the machine goes on, another page takes over.
+    first.show()
+    panel.go_on(first)
+    *others, last = tabs[1:]
+    for tab in (*others[::2], first, *others[1::2]):
+        panel.page.close_tab(tab)
+        before = panel.next_state()
+        panel.spin_until(lambda at=before: panel.peers.state.path_position > at.path_position)
+    last.show()
+    assert last.text('rights') == 'view only'
+    last.click('take over')
+    last.wait(lambda: last.text('rights') == 'in charge')
+    hold(panel, last, long_program)
+    panel.reset(last)
+    assert last.faults == []
 
 
 def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path):
@@ -283,6 +328,12 @@ def test_what_is_wrong_with_a_program_is_said(panel, tmp_path):
     tab.choose_file('input[type=file]', wrong)
     tab.wait(lambda: tab.text('program') == 'wrong.ngc' and tab.text('status') != 'planning')
     assert 'wrong.ngc:3' in tab.text('status')
+
+    # What the reader passed on is told, too.
+    passed = tmp_path / 'passed.ngc'
+    passed.write_text(zigzag('PASSED', SHORT, after_first='M8\n'))
+    panel.load(tab, passed)
+    tab.wait(lambda: 'M8: passed on' in tab.run('document.querySelector(".alarms").textContent'))
 
 
 def test_the_page_never_comes_before_the_nodes(panel):

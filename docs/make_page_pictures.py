@@ -75,6 +75,7 @@ def write_screens(tab: Tab, folder: Path) -> None:
     for name, (width, height, phone) in SCREENS.items():
         tab.size(width, height, phone)
         time.sleep(SETTLE)
+        tab.wait(lambda: tab.text('contact') == '')
         shown = seen_on(tab, folder).quantize(256)
         shown.save(HERE / 'pictures' / f'{name}.png', optimize=True)
 

@@ -141,6 +141,9 @@ class Operating:
         node.create_timer(0.5, self._ask_for_machine)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, name='ros', daemon=True)
+
+    def start(self) -> None:
+        """Hear and speak from here on."""
         self._thread.start()
 
     # What is heard ------------------------------------------------------------------------------

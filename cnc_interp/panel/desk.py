@@ -84,6 +84,7 @@ class Desk:
         self._tasks: set[asyncio.Task[None]] = set()
         self._peak = np.zeros((3, 0))
         self.nodes = Operating(namespace, domain, self._see_state)
+        self.nodes.start()  # what it hears is told to this desk, which is complete now
 
     # The machine --------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -318,6 +319,28 @@ def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path
             and panel.peers.state.program_id == panel.loaded[-1].program_id
         )
     )
+    assert tab.faults == []
+
+
+#: Whether a window shows all of a page, with charts of about one size.
+FITS = """
+document.documentElement.scrollWidth <= innerWidth &&
+[...document.querySelectorAll('.chart')].every((chart, _, all) => {
+  const box = chart.getBoundingClientRect(), drawn = chart.querySelector('canvas').clientWidth;
+  const all_of = chart.parentElement.getBoundingClientRect(), other = all[1].clientWidth;
+  return box.right <= all_of.right && box.bottom <= all_of.bottom && drawn <= box.width + 1 &&
+    box.width < 1.5 * other;
+})
+"""
+
+
+def test_the_page_fits_every_window(panel):
+    tab = panel.open()
+    tab.wait(lambda: tab.run('document.querySelectorAll(".chart canvas").length') == 4)
+    for size in ((1366, 768), (1920, 1080), (1366, 768), (390, 844, True), (1366, 768)):
+        tab.size(*size)
+        time.sleep(1.0)  # what is drawn follows behind
+        tab.wait(lambda: tab.run(FITS))
     assert tab.faults == []
 
 

@@ -37,7 +37,9 @@ SCREENS = {
 FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
 #: A page that has got another size draws everything anew [s].
 SETTLE = 5.0
-COLOURS = 96
+#: A picture takes seconds where the browser renders in software: the feed is lowered meanwhile.
+STEPS_DOWN = 12
+COLOURS = 128
 
 
 def interp(*words: str) -> list[str]:
@@ -59,13 +61,16 @@ def seen_on(tab: Tab, folder: Path) -> Image.Image:
 
 
 def frames_of(tab: Tab, folder: Path) -> list[Image.Image]:
-    """Run the program on the page; return what is seen."""
+    """Run the program on the page, at a lower feed; return what is seen."""
+    tab.wait(lambda: tab.text('state') == 'idle')
+    tab.press_key('override slider', 'ArrowLeft', times=STEPS_DOWN)
     start(tab)
     seen = []
     while tab.text('state') == 'running' and len(seen) < FRAMES:
         seen.append(seen_on(tab, folder))
         time.sleep(STEP)
     tab.wait(lambda: tab.text('state') == 'idle')
+    tab.press_key('override slider', 'ArrowRight', times=STEPS_DOWN)
     return seen
 
 
@@ -83,7 +88,7 @@ def write_screens(tab: Tab, folder: Path) -> None:
 def write_animation(seen: list[Image.Image]) -> None:
     """Write the frames as a GIF with one palette, that of the last frame."""
     small = [frame.resize(SHOWN, Image.Resampling.LANCZOS) for frame in seen]
-    palette = small[-1].quantize(COLOURS)
+    palette = small[-1].quantize(COLOURS, kmeans=3)
     first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in small]
     first.save(
         HERE / 'pictures' / 'page.gif', save_all=True, append_images=others,

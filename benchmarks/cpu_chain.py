@@ -7,7 +7,7 @@ from typing import Any
 
 from figures import Stopwatch
 
-from cnc_interp.pipeline import Chain
+from cnc_interp.run.chain import Chain
 
 
 class CpuChain(Chain):

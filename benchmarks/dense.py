@@ -33,15 +33,15 @@ from cpu_chain import CpuChain
 from paths import dome
 from programs import CASES, PROGRAMS, program_file
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import BATCH, ChainOptions
-from cnc_interp.plan_writer import PlanWriter
 from cnc_interp.program import Blocks, ReadOptions, open_program
-from cnc_interp.smoothing.compression import Compression
-from cnc_interp.units import MM, MM_PER_MIN, UM
-from cnc_interp.verify import verify_plan
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import BATCH, ChainOptions
+from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.smoothing.dense.compression import Compression
 
 PUBLIC = (
     'linuxcnc-impeller-xyzac', 'creo-finition-ncl', 'pycam-sample', 'linuxcnc-stellabee',

@@ -10,10 +10,10 @@ from figures import Figures
 from paths import blocks_of, smoothed
 from rivals import topp3
 
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.pipeline import BATCH, ChainOptions
 from cnc_interp.program import Blocks
-from cnc_interp.units import DEG, MM, MM_PER_MIN
+from cnc_interp.run.chain import BATCH, ChainOptions
 
 ROW = 100
 

@@ -28,9 +28,9 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.running import stay_on_this_host
-from cnc_interp.nodes.session import nodes_file
+from cnc_interp.nodes.node_main import stay_on_this_host
 
 LENGTHS = (250_000, 1_000_000)
 #: Rows of the raster: so many lines of 0.4 mm, to and fro over a wave.

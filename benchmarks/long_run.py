@@ -26,7 +26,7 @@ from nodes_under_test import NodesUnderTest
 from operated import LIMITS, T, waves
 
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.streams import same_run
+from cnc_interp.run.run_id import same_run
 
 #: Corners and turns that take a minute.
 WAVES_A_MINUTE = 90

@@ -15,8 +15,8 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.nbuffer import Needles, cut_needles
 from cnc_interp.cam.shapes import Plane
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import DEG, MM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM
 
 MILL, SIDE, STEPOVER, TILT = Cutter(5 * MM, 1.5 * MM), 30 * MM, 2 * MM, 5 * DEG
 

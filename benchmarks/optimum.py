@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import casadi
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import (
@@ -38,7 +39,6 @@ from cnc_interp.kinematics.axis_path import (
     refine,
     septic_coefficients,
 )
-from cnc_interp.program.blocks import FloatArray
 
 #: Instants of a cell, as shares of its duration, at which the limits are rows of the program.
 POINTS = (0.0, 1 / 2, 1.0)

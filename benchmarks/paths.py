@@ -12,17 +12,17 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from scipy.interpolate import BSpline
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import Blocks, ReadOptions, read_program
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.units import DEG, MM, MM_PER_MIN
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / 'shared'

@@ -27,13 +27,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 from linuxcnc_oracle import PROGRAMS as ORACLE_PROGRAMS
 from linuxcnc_oracle import interpreter, judged
 
-from cnc_interp.errors import InterpError, ProgramError
+from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import plan_program, summary_of, write_plan
 from cnc_interp.program import Blocks, JobSetup, Program, ReadOptions, open_program
-from cnc_interp.units import MM_PER_MIN
-from cnc_interp.verify import verify_plan
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import plan_program, summary_of, write_plan
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ROOT.parent / 'shared' / 'programs'

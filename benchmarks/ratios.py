@@ -15,15 +15,15 @@ from dataclasses import replace
 import numpy as np
 from paths import ROOT, SHARED, blocks_of, dome, random_blocks
 
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import Chain, ChainOptions
 from cnc_interp.program import Blocks, ReadOptions, read_program
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.smoothing.compression import Compression
-from cnc_interp.smoothing.corner import Corners
+from cnc_interp.run.chain import Chain, ChainOptions
+from cnc_interp.smoothing.corners.corner import Corners
+from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.units import DEG, MM, MM_PER_MIN
 
 FIXED = (1.4, 1.5, 1.75, 2.0, 2.5)
 TRIED = (1.4, 1.5, 1.6, 1.75, 2.0, 2.25, 2.5, 3.0, 4.0)

@@ -10,12 +10,12 @@ from figures import Stopwatch
 from optimum import time_grid
 from paths import Case, smoothed, stretches
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.toppra_stage import ceiling
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.program.blocks import FloatArray
 
 PERIOD = 1e-3
 #: Jerk by third differences of setpoints that counts as kept: the limit and its rounding.

@@ -26,9 +26,9 @@ from rivals import stop_at_corners, topp3, toppra_slowed
 from strokes import line_path, stroke_time
 from tables import write_tables
 
+from cnc_interp.core.units import MM
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.units import MM
 
 
 def closed_form(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:

@@ -14,12 +14,12 @@ from dataclasses import replace
 import numpy as np
 from paths import blocks_of
 
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.pipeline import Chain, ChainOptions
 from cnc_interp.program import Blocks
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.run.chain import Chain, ChainOptions
+from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.units import DEG, MM, MM_PER_MIN
 
 TURNS = (150, 160, 165, 170, 173, 175, 176, 177, 178, 179, 179.5)
 COUNT = 40

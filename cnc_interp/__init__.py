@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from cnc_interp import kernel_cache
+from cnc_interp.core import kernel_cache
 
 __version__ = '0.1.0'
 

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
-from cnc_interp.errors import InterpError
-from cnc_interp.nodes.bag_command import add_bag_commands, check_bag, is_bag, report_bag
-from cnc_interp.options import (
+from cnc_interp.client.bag_command import add_bag_commands, check_bag, is_bag, report_bag
+from cnc_interp.command_options import (
     chain_options,
     command,
     number,
@@ -23,7 +22,8 @@ from cnc_interp.options import (
     program_options,
     read_options,
 )
-from cnc_interp.units import MM
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 #: Text is not drawn wider than this [characters].
@@ -176,11 +176,11 @@ def parser() -> argparse.ArgumentParser:
 
 def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
+    from cnc_interp.client.progress_bar import redraws
     from cnc_interp.kinematics.machine import Machine
     from cnc_interp.kinematics.transform import Transform
-    from cnc_interp.nodes.showing import redraws
-    from cnc_interp.pipeline import describe, plan_to_files
     from cnc_interp.program import open_program
+    from cnc_interp.run.chain import describe, plan_to_files
 
     machine = Machine.load(options.machine)
     chain = chain_options(options)
@@ -238,8 +238,8 @@ def convert_command(options: argparse.Namespace) -> int:
 def check_command(options: argparse.Namespace) -> int:
     """Prove a plan."""
     from cnc_interp.kinematics.machine import Machine
-    from cnc_interp.plan_files import read_plan
-    from cnc_interp.verify import verify_plan
+    from cnc_interp.proof.plan_files import read_plan
+    from cnc_interp.proof.verify import verify_plan
 
     if is_bag(options.directory):
         proof = check_bag(options.directory, options.machine or '')
@@ -269,7 +269,7 @@ def report_command(options: argparse.Namespace) -> int:
 
 def panel_command(options: argparse.Namespace) -> int:
     """Serve the operator page."""
-    from cnc_interp.panel.starting import PanelRequest, run_panel
+    from cnc_interp.client.page.command import PanelRequest, run_panel
 
     run_panel(PanelRequest.from_options(options))
     return FINE
@@ -290,11 +290,11 @@ def urdf_command(options: argparse.Namespace) -> int:
 
 def run_command(options: argparse.Namespace) -> int:
     """Stream one or more programs through the nodes."""
-    from cnc_interp.nodes.session import RunRequest, run_session
+    from cnc_interp.client.session import RunRequest, run_session
 
     beside = None
     if options.panel:
-        from cnc_interp.panel.starting import PanelBeside, PanelRequest
+        from cnc_interp.client.page.command import PanelBeside, PanelRequest
 
         beside = PanelBeside(PanelRequest.from_options(options))
     results = run_session(RunRequest.from_options(options), beside)

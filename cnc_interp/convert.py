@@ -13,14 +13,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cnc_interp.errors import BlockError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import BlockError
+from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import BATCH, ChainOptions, smoothing_options
-from cnc_interp.plan_writer import effective_feed
 from cnc_interp.program import Program, ReadOptions
-from cnc_interp.program.blocks import Blocks, FloatArray
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import (
     ClMove,
     GcodeMove,
@@ -29,14 +29,15 @@ from cnc_interp.program.writer import (
     gcode,
     siemens,
 )
-from cnc_interp.programmed_splines import chords, portions
-from cnc_interp.smoothing.cubic_curves import CubicCurve, cubic_curve
-from cnc_interp.smoothing.curves import end_derivatives
-from cnc_interp.smoothing.joining import Jets, line_jets
+from cnc_interp.proof.programmed_splines import chords, portions
+from cnc_interp.run.chain import BATCH, ChainOptions, smoothing_options
+from cnc_interp.run.plan_writer import effective_feed
+from cnc_interp.smoothing.corners.corner_curves import end_derivatives
+from cnc_interp.smoothing.native.cubic_curves import CubicCurve, cubic_curve
+from cnc_interp.smoothing.native.joining import Jets, line_jets
 from cnc_interp.smoothing.orientation import dot, norm, turned_by
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
-from cnc_interp.units import DEG, MM, UM
 
 FORMATS = ('siemens-bspline', 'gcode', 'cl')
 #: Share of the contour tolerance for the chords of native splines.

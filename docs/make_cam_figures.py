@@ -37,8 +37,8 @@ from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
 from cnc_interp.cam.work import across
 from cnc_interp.cli import main as command
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM, UM
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / 'examples'

@@ -23,19 +23,19 @@ from matplotlib.collections import PolyCollection
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from scipy.optimize import brentq
 
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.sampling import arc_length, shapes_of
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, Plan, plan_program, summary_of
 from cnc_interp.program import Program, ReadOptions, read_program
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.smoothing.connection import PAPER_STEP
-from cnc_interp.smoothing.curves import spline_points, top_parameters
+from cnc_interp.run.chain import ChainOptions, Plan, plan_program, summary_of
+from cnc_interp.smoothing.corners.connection import PAPER_STEP
+from cnc_interp.smoothing.corners.corner_curves import spline_points, top_parameters
 from cnc_interp.smoothing.segments import CORNER
-from cnc_interp.units import MM, MM_PER_MIN
 
 HERE = Path(__file__).parent
 PAGE = HERE / 'corner_rounding.md'

@@ -20,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.plan_files import read_plan
+from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report.figures import TOOL_LINES, feed_ceiling, feed_span
 from cnc_interp.report.series import Series, extremes, series_of
 

@@ -24,8 +24,8 @@ from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint
 from cnc_interp.cam.vectors import cross, dot, norm, scaled, unit
-from cnc_interp.program.blocks import BoolArray, FloatArray
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.units import DEG, MM, UM
 
 #: Distance of the points of a pass, and of those that show its change of direction [m].
 SPACING, NEAR = 0.8 * MM, 1.0 * UM

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.options import command, number, positive
+from cnc_interp.command_options import command, number, positive
 
 
 def add_cam_commands(commands: Any) -> None:

@@ -14,9 +14,9 @@ from math import isfinite
 import numpy as np
 
 from cnc_interp.cam.vectors import dot, norm, scaled
-from cnc_interp.errors import InterpError
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import MM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
 
 
 @dataclass(frozen=True)

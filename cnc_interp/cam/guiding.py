@@ -15,8 +15,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import cross, dot, norm, scaled
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import MM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM
 
 #: Cells per direction in which a curve is looked for, and the largest distance of its points [m].
 CELLS = 200

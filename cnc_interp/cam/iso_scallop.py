@@ -32,9 +32,9 @@ from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import norm
-from cnc_interp.errors import InterpError
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, UM
 
 #: Overlap of a pass that does not continue the one before, as a share of its half width.
 CLOSER = 0.985

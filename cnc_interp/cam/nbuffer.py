@@ -20,9 +20,9 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.needle_cuts import TOP, cut
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import norm
-from cnc_interp.errors import InterpError
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import MM, UM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, UM
 
 #: So many needles, about, make a tile; it is sorted out as a whole.
 TILE = 64

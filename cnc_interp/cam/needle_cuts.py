@@ -7,7 +7,7 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.units import MM
+from cnc_interp.core.units import MM
 
 #: Needles begin this deep under the surface and end this high over it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM

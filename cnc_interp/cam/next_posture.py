@@ -24,8 +24,8 @@ from cnc_interp.cam.passes import tilt_of_curvature
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.units import DEG, MM, UM
 
 Freedom = Literal['tilt', 'yaw']
 

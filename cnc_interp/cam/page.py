@@ -14,10 +14,10 @@ from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.vectors import norm
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.report.figures import BLUE, INK, RED, base_layout, rounded, with_axes
 from cnc_interp.report.page import CONTROLS, STYLE
-from cnc_interp.units import DEG, MM, UM
 
 #: Most cells of a map per direction: more than a screen shows.
 CELLS = 700

@@ -13,8 +13,8 @@ from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import dot
-from cnc_interp.program.blocks import FloatArray, IntArray
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import DEG, MM, UM
 
 #: The bottom of the mill is tested on this many rays and circles, out to C_L + R e.
 RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)

@@ -20,7 +20,7 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import Frames
 from cnc_interp.cam.vectors import cross, scaled
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from cnc_interp.cam.tool_path import ARM, Link, SplinePass, ToolPath
 from cnc_interp.convert import convert
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions
 from cnc_interp.program import ReadOptions, read_program
 from cnc_interp.program.writer import ClMove, SiemensMove, cl_data, siemens
+from cnc_interp.run.chain import ChainOptions
 
 Format = Literal['spline', 'cl', 'gcode']
 #: Names of the files.

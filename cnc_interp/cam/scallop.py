@@ -16,7 +16,7 @@ import numpy as np
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import cross, dot, scaled, unit
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 #: Scallop points lie on the iso-scallop surface to this [m].
 CLOSE = 1e-11

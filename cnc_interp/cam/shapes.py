@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 
 
 class Graph(Surface):

@@ -13,13 +13,13 @@ from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.tool_path import ARM, chord_error
 from cnc_interp.cam.vectors import norm
 from cnc_interp.convert import with_chords
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.simulated import SimulatedMachine
-from cnc_interp.plan_files import PlanFiles
 from cnc_interp.program import Program
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import MM, UM
+from cnc_interp.proof.plan_files import PlanFiles
 
 #: Sections across the passes, and distance of their needles [m].
 SECTIONS, FINE = 12, 4.0 * UM

@@ -10,8 +10,8 @@ from scipy.interpolate import BSpline
 
 from cnc_interp.cam.part21 import Enumeration, Record, Reference, StepFile
 from cnc_interp.cam.vectors import cross, norm, unit
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import DEG
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG
 
 #: Arcs of a boundary are followed in steps of this angle, and through their extremes [rad].
 ARC = 1.0 * DEG

@@ -17,8 +17,8 @@ from cnc_interp.cam.shapes import Cylinder, Placed, Plane, RationalSurface, Toru
 from cnc_interp.cam.step_boundary import Geometry, knot_vector
 from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
 from cnc_interp.cam.vectors import norm
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import MM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM
 
 FACES = 'ADVANCED_FACE', 'FACE_SURFACE'
 ANALYTIC = 'PLANE', 'CYLINDRICAL_SURFACE', 'SPHERICAL_SURFACE', 'TOROIDAL_SURFACE'

@@ -16,9 +16,9 @@ from scipy.interpolate import NdBSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
 from cnc_interp.cam.vectors import cross, dot, norm, scaled
-from cnc_interp.errors import InterpError
-from cnc_interp.program.blocks import BoolArray, FloatArray
-from cnc_interp.units import MM
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
 
 #: Foot points are found to this distance [m].
 FOOT = 1e-13

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, Torus
 from cnc_interp.cam.step_file import read_step_face
 from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import DEG, MM
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
 #: Keys of every kind, and whether they may be left out.

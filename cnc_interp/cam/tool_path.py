@@ -20,9 +20,9 @@ from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
-from cnc_interp.errors import InterpError
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
-from cnc_interp.units import MM, UM
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, UM
 
 Linking = Literal['zigzag', 'one-way']
 

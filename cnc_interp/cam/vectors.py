@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -28,13 +28,13 @@ from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, link
 from cnc_interp.cam.vectors import cross, unit
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import plan_to_files
-from cnc_interp.plan_files import read_plan
 from cnc_interp.program import ReadOptions, open_program, read_program
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.run.chain import plan_to_files
 
 #: Tolerance of the interpolator for the program, as a share of the scallop height.
 SMOOTHING = 0.2

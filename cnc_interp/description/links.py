@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.program.blocks import FloatArray
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float, float]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 """Least slack, and complementarity over the time, with which a warm start begins."""

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 
 SAMPLES = 96
 """Points at which a cell to be subdivided is looked at."""

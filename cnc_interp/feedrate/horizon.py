@@ -11,9 +11,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.speed_guess import reach, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.program.blocks import FloatArray
 
 HORIZON = 3.0
 """Stopping distances that must lie between a committed state and the end of its plan."""

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.barrier_rows import advance, correct, gather, predict, start_rows
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states, terms_and_time
-from cnc_interp.program.blocks import FloatArray
 
 SOLVED, STALLED, BROKEN = 0, 1, 2
 

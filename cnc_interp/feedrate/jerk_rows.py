@@ -31,7 +31,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle, spread
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.program.blocks import FloatArray
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Protocol
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
-from cnc_interp.program.blocks import FloatArray, IntArray
 
 
 class AxisLimits(Protocol):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray, IntArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

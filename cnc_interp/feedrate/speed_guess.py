@@ -11,8 +11,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
-from cnc_interp.program.blocks import FloatArray
 
 FASTEST = 100.0
 """Speed cap where nothing else limits [m/s]."""

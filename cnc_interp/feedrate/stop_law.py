@@ -18,6 +18,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.feedrate.jerk_stage import PlanOptions, plan
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stretch import spread
@@ -29,7 +30,6 @@ from cnc_interp.kinematics.axis_path import (
     septic_coefficients,
     septic_value,
 )
-from cnc_interp.program.blocks import FloatArray, IntArray
 
 SPACING = 5e-4
 """Time between the instants at which the closed-form stop is checked [s]."""

@@ -18,10 +18,10 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.program.blocks import FloatArray
 
 logging.getLogger('toppra').setLevel(logging.ERROR)
 

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.errors import PlanningError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.horizon import WindowScan, commit_node
 from cnc_interp.feedrate.jerk_stage import Kept, PlanOptions, plan
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
@@ -25,7 +26,6 @@ from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.speed_guess import speed_bounds
 from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
-from cnc_interp.program.blocks import FloatArray
 
 AT_REST = (0.0, 0.0)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numba
 import numpy as np
 
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 UNSEEN = 1e-12
 """A step of an axis that no limit notices: at 1 ms its third difference is 0.002 m/s3 [m, rad]."""

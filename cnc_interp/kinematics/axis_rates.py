@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.transform import Transform, linear_jets, rotary_jets
-from cnc_interp.program.blocks import FloatArray
 
 
 def jerk_rates(

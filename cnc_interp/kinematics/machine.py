@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from cnc_interp.errors import MachineError
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import MachineError
+from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
 
 #: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
 LINEAR_KEYS = {

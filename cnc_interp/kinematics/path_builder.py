@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.errors import BlockError, SingularityError, TravelError
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.errors import BlockError, SingularityError, TravelError
+from cnc_interp.core.units import DEG, MM, MS
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.sampling import (
     FINE,
@@ -26,10 +28,8 @@ from cnc_interp.kinematics.sampling import (
     shapes_of,
 )
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
 from cnc_interp.smoothing.orientation import norm, turned_by
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
-from cnc_interp.units import DEG, MM, MS
 
 #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_ANGLE = 1e-8

@@ -13,10 +13,10 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp import jet
+from cnc_interp.core import jet
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 from cnc_interp.kinematics.transform import OUTER, linear_jets, rotary_jets
-from cnc_interp.program.blocks import FloatArray
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,

@@ -23,9 +23,9 @@ from math import atan2, cos, floor, pi, sin, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp import jet
+from cnc_interp.core import jet
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.program.blocks import FloatArray
 
 #: Layout of the packed geometry: outer direction and sign, inner direction and sign, c0 c1 c2 ...
 #: see ``Transform.of``; one flat array keeps the kernels' signatures short.

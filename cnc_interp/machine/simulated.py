@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from cnc_interp.errors import StreamError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.checks import beyond_travel
-from cnc_interp.machine.drives import Drives, drive
+from cnc_interp.machine.drive_model import Drives, drive
+from cnc_interp.machine.setpoint_checks import beyond_travel
 from cnc_interp.machine.states import FOLLOWING, Event, State, state_after
-from cnc_interp.program.blocks import FloatArray
 
 # A step this many times faster than an axis can go is no setpoint but a fault of the sender.
 GROSS = 1.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum
 
-from cnc_interp.errors import StreamError
+from cnc_interp.core.errors import StreamError
 
 
 class State(Enum):

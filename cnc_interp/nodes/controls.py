@@ -8,8 +8,8 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from cnc_interp.errors import StreamError
-from cnc_interp.nodes.playback import Playback
+from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.playback import Playback
 
 
 class Controls:

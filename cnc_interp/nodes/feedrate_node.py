@@ -15,24 +15,25 @@ import numpy as np
 from cnc_interp_msgs.msg import MachineState, PathSegment, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from cnc_interp.errors import InterpError, StreamError
+from cnc_interp.core.errors import InterpError, StreamError
+from cnc_interp.core.units import MS
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.chunk_messages import chunk_message
 from cnc_interp.nodes.diagnostics import OK, Diagnostics
-from cnc_interp.nodes.endpoints import Inlet, Outlet, stream_of
-from cnc_interp.nodes.messages import segments_from
+from cnc_interp.nodes.kernel_warmup import warm_all
+from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
+from cnc_interp.nodes.operator_settings import Wishes
 from cnc_interp.nodes.peers import SenderWatch
-from cnc_interp.nodes.planning import RunPlanner
 from cnc_interp.nodes.qos import STATE
-from cnc_interp.nodes.running import run_node, start_lifecycle, transition
-from cnc_interp.nodes.soundness import check_segment
-from cnc_interp.nodes.streams import GOES_ON, WindowedReceiver, same_run
-from cnc_interp.nodes.warming import warm_all
-from cnc_interp.nodes.wishes import Wishes
-from cnc_interp.stream.chunk import Chunk, Wait
-from cnc_interp.units import MS
+from cnc_interp.nodes.stream_ends import Inlet, Outlet, stream_of
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.run_id import GOES_ON, same_run
+from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.wire.chunk_messages import chunk_message
+from cnc_interp.wire.message_checks import check_segment
+from cnc_interp.wire.path_messages import segments_from
+from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Segments taken over together.
 BATCH = 64

@@ -8,21 +8,21 @@ from collections import deque
 from cnc_interp_msgs.msg import G1Block, PathSegment
 from rclpy.node import Node
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.diagnostics import Diagnostics
-from cnc_interp.nodes.endpoints import Inlet, Outlet
-from cnc_interp.nodes.messages import blocks_from, segment_messages
+from cnc_interp.nodes.kernel_warmup import warm_lookahead
+from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import SenderWatch
-from cnc_interp.nodes.running import run_node
-from cnc_interp.nodes.soundness import check_block
-from cnc_interp.nodes.streams import WindowedReceiver
-from cnc_interp.nodes.warming import warm_lookahead
-from cnc_interp.pipeline import smoothing_options
+from cnc_interp.nodes.stream_ends import Inlet, Outlet
+from cnc_interp.run.chain import smoothing_options
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.wire.message_checks import check_block
+from cnc_interp.wire.path_messages import blocks_from, segment_messages
+from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Blocks smoothed together, and segments that may wait before smoothing goes on.
 BATCH, QUEUE = 256, 1024

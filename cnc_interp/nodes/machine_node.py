@@ -13,29 +13,29 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from cnc_interp.errors import StreamError
+from cnc_interp.core.errors import StreamError
+from cnc_interp.core.units import UM
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.drives import Drives
+from cnc_interp.machine.drive_model import Drives
+from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.realtime import Lateness, ask_for_priority, lock_memory
 from cnc_interp.machine.simulated import SimulatedMachine
 from cnc_interp.machine.states import Event, State
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.chunk_messages import chunk_from
 from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from cnc_interp.nodes.endpoints import Inlet, TooLateError, stream_of
-from cnc_interp.nodes.machine_messages import (
+from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
+from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
+from cnc_interp.nodes.stream_ends import Inlet, TooLateError, stream_of
+from cnc_interp.wire.chunk_messages import chunk_from
+from cnc_interp.wire.machine_messages import (
     executed_setpoints,
     joint_state,
     machine_state,
 )
-from cnc_interp.nodes.playback import Playback
-from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
-from cnc_interp.nodes.realtime import Lateness, ask_for_priority, lock_memory
-from cnc_interp.nodes.running import run_node, start_lifecycle, transition
-from cnc_interp.nodes.soundness import check_chunk
-from cnc_interp.nodes.streams import WindowedReceiver
-from cnc_interp.nodes.trajectories import joint_trajectory
-from cnc_interp.units import UM
+from cnc_interp.wire.message_checks import check_chunk
+from cnc_interp.wire.trajectories import joint_trajectory
+from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: After a longer stall of the computer the clock starts anew instead of being caught up [s].
 LONGEST_CATCH_UP = 0.5

@@ -17,13 +17,13 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS
-from cnc_interp.nodes.running import run_node
-from cnc_interp.nodes.streams import same_run
-from cnc_interp.units import MM
+from cnc_interp.run.run_id import same_run
 
 #: The frame of programs, see the machines' URDF.
 FRAME = 'workpiece'

@@ -13,11 +13,11 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
 from cnc_interp.nodes.qos import DEPTH
-from cnc_interp.pipeline import ChainOptions
-from cnc_interp.smoothing.compression import Compression
-from cnc_interp.units import MM
+from cnc_interp.run.chain import ChainOptions
+from cnc_interp.smoothing.dense.compression import Compression
 
 
 @dataclass(frozen=True)

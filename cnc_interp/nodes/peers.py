@@ -10,7 +10,7 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
-from cnc_interp.nodes.streams import Silence
+from cnc_interp.wire.window_protocol import Silence
 
 #: Each stream with the node that receives it.
 RECEIVERS = {

@@ -10,8 +10,8 @@ import gc
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import feedrate_node, lookahead_node, machine_node, program_node
-from cnc_interp.nodes.warming import warm_all, warm_lookahead
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.nodes.kernel_warmup import warm_all, warm_lookahead
+from cnc_interp.smoothing.dense.compression import Compression
 
 __all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 

@@ -14,21 +14,21 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from cnc_interp.errors import StreamError
+from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.diagnostics import OK, WAITING, WARN, Diagnostics
-from cnc_interp.nodes.endpoints import Outlet
-from cnc_interp.nodes.messages import block_messages
+from cnc_interp.nodes.kernel_warmup import warm_kinematics
+from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.preparing import prepare
+from cnc_interp.nodes.program_check import prepare
+from cnc_interp.nodes.program_queue import Queue
 from cnc_interp.nodes.program_run import CHECKING, ProgramRun
 from cnc_interp.nodes.qos import LOADED
-from cnc_interp.nodes.running import run_node
-from cnc_interp.nodes.streams import same_run
-from cnc_interp.nodes.waiting import Queue
-from cnc_interp.nodes.warming import warm_kinematics
+from cnc_interp.nodes.stream_ends import Outlet
+from cnc_interp.run.run_id import same_run
+from cnc_interp.wire.path_messages import block_messages
 
 Result = RunProgram.Result
 #: Blocks queued for sending at a time, and time between feedbacks [s].

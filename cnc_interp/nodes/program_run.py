@@ -12,10 +12,11 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram, MachineState
 
-from cnc_interp.errors import BlockError, InterpError, ProgramError
+from cnc_interp.core.errors import BlockError, InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
-from cnc_interp.nodes.preparing import Prepared
-from cnc_interp.nodes.streams import GOES_ON, WindowedSender, same_run
+from cnc_interp.nodes.program_check import Prepared
+from cnc_interp.run.run_id import GOES_ON, same_run
+from cnc_interp.wire.window_protocol import WindowedSender
 
 Result = RunProgram.Result
 Outcome = tuple[int, str]

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
-from cnc_interp.units import MM
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.units import MM
 
 #: Plane -> first axis, second axis, normal axis; G2 is clockwise seen against the normal.
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}

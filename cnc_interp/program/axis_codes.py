@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cnc_interp.core.units import DEG
 from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.words import BlockWords
-from cnc_interp.units import DEG
 
 
 class AxisCodes:

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
+
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 #: Values of ``Blocks.program_stop``: go on, M0, M1.
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,14 @@ from math import inf, nan, pi, sqrt
 
 import numpy as np
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import MINUTE, MM
 from cnc_interp.program import arcs, cl_words, codes
-from cnc_interp.program.blocks import Blocks, FloatArray
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
 from cnc_interp.program.source import Place, Source
-from cnc_interp.units import MINUTE, MM
 
 _FARTHEST = 1e5 * MM
 _UNIT_VECTOR = 5e-3  # published points carry four decimals

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import codes
 from cnc_interp.program.columns import AT_M0, AT_M1
-from cnc_interp.units import INCH, MM
 
 #: Words that are text to the end of their line.
 TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import job
-from cnc_interp.units import INCH, MM
 
 # Codes of one modal group set the same attribute of the reader, so two of them contradict.
 SETTINGS: dict[str, tuple[str, object]] = {

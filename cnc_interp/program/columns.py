@@ -16,16 +16,15 @@ from math import inf, nan
 
 import numpy as np
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG
 from cnc_interp.program import arcs
 from cnc_interp.program.blocks import (
     GO_ON,
     OPTIONAL_STOP,
     STOP,
     Blocks,
-    BoolArray,
-    FloatArray,
-    IntArray,
 )
 from cnc_interp.program.options import ReadOptions, RotaryGeometry
 from cnc_interp.program.subdivide import (
@@ -35,7 +34,6 @@ from cnc_interp.program.subdivide import (
     piece_counts,
     ragged,
 )
-from cnc_interp.units import DEG
 
 # Columns of a target row.
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)

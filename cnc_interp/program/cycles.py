@@ -12,12 +12,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM
 from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.blocks import FloatArray
 from cnc_interp.program.codes import DWELL
 from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.words import BlockWords
-from cnc_interp.units import MM
 
 #: Clearance above the last peck, and retract of G73 [m].
 _CLEARANCE = 0.25 * MM

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program.job import WORK_OFFSETS, JobSetup, Position
 
 Vector = FloatArray

@@ -13,6 +13,7 @@ from math import inf
 
 import numpy as np
 
+from cnc_interp.core.units import DEG
 from cnc_interp.program import codes, scan
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
@@ -29,7 +30,6 @@ from cnc_interp.program.source import Source
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.variables import ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
-from cnc_interp.units import DEG
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
 _SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}

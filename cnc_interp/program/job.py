@@ -10,8 +10,8 @@ from typing import Any
 
 import yaml
 
-from cnc_interp.errors import ProgramError
-from cnc_interp.units import DEG, MM
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, MM
 
 LETTERS = 'XYZABC'
 WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.motion import FARTHEST, LENGTH_WITH_TCP, Mover
 from cnc_interp.program.words import BlockWords
-from cnc_interp.units import DEG
 
 
 class Modes:

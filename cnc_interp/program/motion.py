@@ -10,16 +10,16 @@ from math import inf, nan, pi
 
 import numpy as np
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
-from cnc_interp.program.blocks import FloatArray
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
 from cnc_interp.program.words import BlockWords
-from cnc_interp.units import DEG, MINUTE, MM
 
 FARTHEST = 1e5 * MM
 MOST_TURN = 1e3 * 360.0 * DEG

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Literal, Protocol
 
-from cnc_interp.errors import ProgramError
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import MM
 from cnc_interp.program.job import JobSetup
-from cnc_interp.units import MM
 
 Interpolation = Literal['auto', 'vector', 'axes']
 RotarySense = Literal['programmed', 'shortest']

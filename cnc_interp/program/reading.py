@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
 from cnc_interp.program.gcode import GcodeReader

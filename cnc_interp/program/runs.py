@@ -7,9 +7,10 @@ from math import inf, nan, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import DEG, MINUTE
 from cnc_interp.program import scan
 from cnc_interp.program.arcs import PLANES, arcs_of
-from cnc_interp.program.blocks import FloatArray, IntArray
 from cnc_interp.program.columns import (
     AXES,
     AXIS,
@@ -31,7 +32,6 @@ from cnc_interp.program.columns import (
     WIDTH,
 )
 from cnc_interp.program.motion import FARTHEST, LONG_WAY, MOST_TURN, Mover
-from cnc_interp.units import DEG, MINUTE
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 #: Runs shorter than this are as quick line by line.

@@ -13,7 +13,7 @@ from math import isfinite, nan, sqrt
 
 import numpy as np
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program.blocks import Blocks
 
 Point = tuple[float, float, float]

@@ -11,9 +11,9 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program import scan
-from cnc_interp.program.blocks import FloatArray, IntArray
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
 _LONGEST_LINE = 1 << 16

@@ -7,8 +7,8 @@ from math import nan
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program import codes
-from cnc_interp.program.blocks import FloatArray
 from cnc_interp.program.columns import NO_ARC
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.siemens import CURVE_WORDS, Curve, Point

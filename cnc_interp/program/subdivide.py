@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray, IntArray
-from cnc_interp.units import DEG
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import DEG
 
 Poses = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
 

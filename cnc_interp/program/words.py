@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program.codes import refused_key
 from cnc_interp.program.expressions import (
     ExpressionError,

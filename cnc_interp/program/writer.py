@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite, isnan
 
-from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP, FloatArray
-from cnc_interp.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 
 #: Decimals of coordinates [mm], angles [deg] and tool axes [-]: 1 pm, below what doubles need.
 _LENGTH, _ANGLE, _AXIS = 9, 10, 12

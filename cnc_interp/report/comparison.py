@@ -11,8 +11,9 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from cnc_interp.plan_files import PlanFiles
-from cnc_interp.proof import DIFFERENCES, Proof
+from cnc_interp.core.units import UM
+from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.verdict import DIFFERENCES, Proof
 from cnc_interp.report.figures import (
     BLUE,
     BUCKETS,
@@ -23,7 +24,6 @@ from cnc_interp.report.figures import (
     with_axes,
 )
 from cnc_interp.report.series import Series, extremes
-from cnc_interp.units import UM
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from cnc_interp import jet
-from cnc_interp.errors import InterpError
-from cnc_interp.plan_files import PlanFiles
-from cnc_interp.program.blocks import FloatArray, IntArray
-from cnc_interp.smoothing.curves import (
+from cnc_interp.core import jet
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, MM_PER_MIN, UM
+from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.verify import vertex_tolerances
+from cnc_interp.smoothing.corners.corner_curves import (
     Curves,
     bezier,
     end_derivatives,
@@ -32,8 +34,6 @@ from cnc_interp.smoothing.segments import (
     corner_breaks,
     corner_jets,
 )
-from cnc_interp.units import MM, MM_PER_MIN, UM
-from cnc_interp.verify import vertex_tolerances
 
 FILE = 'segments.npz'
 MOST = 8

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from cnc_interp.plan_files import PlanFiles
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM, UM
+from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report.corners import lengths
 from cnc_interp.report.figures import BLUE, ORANGE, base_layout, with_axes
-from cnc_interp.smoothing.curves import bezier
+from cnc_interp.smoothing.corners.corner_curves import bezier
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
-from cnc_interp.units import MM, UM
 
 #: Points of a span in the picture, and how many spans it shows to either side of the worst.
 POINTS, AROUND = 24, 5

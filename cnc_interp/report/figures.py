@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.report.series import KINDS, Series, extremes
 
 INK, GRID = '#22303c', '#e6eaee'

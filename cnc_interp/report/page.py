@@ -8,15 +8,15 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.plan_files import PlanFiles, read_plan
-from cnc_interp.proof import DIFFERENCES, Proof
+from cnc_interp.proof.plan_files import PlanFiles, read_plan
+from cnc_interp.proof.verdict import DIFFERENCES, Proof
+from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import CornerView, read_segments, views_of
 from cnc_interp.report.series import Series, series_of
 from cnc_interp.smoothing.segments import PathSegments
-from cnc_interp.units import MM, UM
-from cnc_interp.verify import verify
 
 STYLE = """
 :root { color-scheme: light; }

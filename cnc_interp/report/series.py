@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.plan_files import PlanFiles
-from cnc_interp.program.blocks import FloatArray, IntArray
-from cnc_interp.programmed_splines import with_chords
-from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
-from cnc_interp.verify import corner_tolerances, measure
+from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.verify import corner_tolerances, measure
 
 KINDS = ('velocity', 'acceleration', 'jerk')
 

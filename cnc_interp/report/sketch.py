@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import MM_PER_MIN
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM_PER_MIN
 
 #: Eighths of a character cell, and what stands for them where the terminal knows only ASCII.
 EIGHTHS, PLAIN = ' ▁▂▃▄▅▆▇█', ' ...::::#'

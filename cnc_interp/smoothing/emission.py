@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.errors import BlockError
-from cnc_interp.program.blocks import FloatArray, IntArray
-from cnc_interp.smoothing import corner
-from cnc_interp.smoothing.corner import Style
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import BlockError
+from cnc_interp.smoothing.corners import corner
+from cnc_interp.smoothing.corners.corner import Style
+from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, corners_at
+from cnc_interp.smoothing.dense.rows import Rows
 from cnc_interp.smoothing.orientation import norm, turned_by
-from cnc_interp.smoothing.rows import Rows
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments, room_for
-from cnc_interp.smoothing.vertices import ROUND, STOP, Legs, corners_at
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.program.blocks import Blocks, FloatArray, IntArray
-from cnc_interp.smoothing import corner
-from cnc_interp.smoothing.compressor import Compressor
-from cnc_interp.smoothing.corner import Corners
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.corners import corner
+from cnc_interp.smoothing.corners.corner import Corners
+from cnc_interp.smoothing.corners.ratio import ratios_at
+from cnc_interp.smoothing.corners.vertices import (
+    ROUND,
+    Legs,
+    classify,
+    corners_at,
+    refuse_reversals,
+)
+from cnc_interp.smoothing.dense.compressor import Compressor
+from cnc_interp.smoothing.dense.rows import Rows
 from cnc_interp.smoothing.emission import Emission, no_segments
 from cnc_interp.smoothing.options import SmoothingOptions
-from cnc_interp.smoothing.ratio import ratios_at
-from cnc_interp.smoothing.rows import Rows
 from cnc_interp.smoothing.segments import PathSegments
-from cnc_interp.smoothing.vertices import ROUND, Legs, classify, corners_at, refuse_reversals
 
 
 class LookAhead:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cnc_interp.errors import InterpError
-from cnc_interp.smoothing.compression import Compression
-from cnc_interp.smoothing.corner import Style
-from cnc_interp.smoothing.ratio import AxisRates
-from cnc_interp.units import DEG, MM
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.smoothing.corners.corner import Style
+from cnc_interp.smoothing.corners.ratio import AxisRates
+from cnc_interp.smoothing.dense.compression import Compression
 
 #: Fixed L2/L1 that may be asked for; at 1 the curve meets its lines with a kink.
 RATIOS = 1.2, 4.0

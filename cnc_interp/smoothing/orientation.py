@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.program.blocks import FloatArray
+from cnc_interp.core.arrays import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:

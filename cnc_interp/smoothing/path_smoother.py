@@ -12,14 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.program.blocks import Blocks, FloatArray
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.emission import no_segments
-from cnc_interp.smoothing.joining import Jets, line_jets
 from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.native.joining import Jets, line_jets
+from cnc_interp.smoothing.native.spline_run import SplineRun
 from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import norm, rotations_between
 from cnc_interp.smoothing.segments import PathSegments
-from cnc_interp.smoothing.spline_run import SplineRun
 
 #: A tip that moves less than this stands still [m].
 STANDSTILL = 1e-9

@@ -8,8 +8,8 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp import jet
-from cnc_interp.program.blocks import BoolArray, FloatArray, IntArray
+from cnc_interp.core import jet
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
 #: Control points that a segment has room for: a line uses 2, a corner 5, a spline all 6.

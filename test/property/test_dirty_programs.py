@@ -13,16 +13,16 @@ import pytest
 from dirty_programs import dirty
 from path_samples import deviation, jumps
 
-from cnc_interp.errors import BlockError, InterpError
+from cnc_interp.core.errors import BlockError, InterpError
+from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.pipeline import plan_program, write_plan
 from cnc_interp.program import Program
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import plan_program, write_plan
+from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
-from cnc_interp.units import MM
-from cnc_interp.verify import verify_plan
 
 COUNT = int(os.environ.get('CNC_INTERP_EXAMPLES', '12'))
 #: Seeds that once failed: alone, and through the whole chain.

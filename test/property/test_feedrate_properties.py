@@ -28,7 +28,7 @@ from feedrate_paths import (
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cnc_interp.errors import PlanningError
+from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.jerk_stage import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine

@@ -5,11 +5,11 @@ import pytest
 from scipy.interpolate import BPoly, BSpline
 from scipy.special import comb
 
-from cnc_interp.smoothing.corner import Corners, Style, first_lengths, fit
-from cnc_interp.smoothing.curves import poses
+from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.smoothing.corners.corner import Corners, Style, first_lengths, fit
+from cnc_interp.smoothing.corners.corner_curves import poses
+from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
-from cnc_interp.smoothing.ratio import ratios_at
-from cnc_interp.units import DEG, MM, UM
 
 HEIGHT = 30 * MM
 COUNT = 50000

@@ -9,15 +9,15 @@ from programs import pyramid, zigzag
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import plan_path
-from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, smoothing_options
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.run.chunk import Wait, part_of
+from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.stream.chunk import Wait, part_of
-from cnc_interp.stream.motion_stream import MotionStream
 
 T = 1e-3
 MACHINE = Machine.load('xyzac')

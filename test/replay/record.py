@@ -15,7 +15,7 @@ from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import NodesUnderTest
 from relay import ARGUMENTS, Relay
 
-from cnc_interp.nodes.recorder import Recorder
+from cnc_interp.client.recorder import Recorder
 
 HERE = Path(__file__).resolve().parent
 #: Chunks as long as they may be: fewer tails, smaller bags.

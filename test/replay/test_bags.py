@@ -20,10 +20,10 @@ from record import PARAMETERS, record
 from rosbags.rosbag2 import Reader
 
 from cnc_interp.cli import main
-from cnc_interp.nodes.bag import TOPICS, Bag, BagWriter
-from cnc_interp.nodes.endpoints import sealed
-from cnc_interp.nodes.replaying import compute_again
-from cnc_interp.nodes.streams import same_run
+from cnc_interp.client.bag import TOPICS, Bag, BagWriter
+from cnc_interp.client.replay import compute_again
+from cnc_interp.nodes.stream_ends import sealed
+from cnc_interp.run.run_id import same_run
 
 HERE = Path(__file__).parent
 HELD, FAULTY = HERE / 'held', HERE / 'faulty'

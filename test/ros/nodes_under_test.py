@@ -13,11 +13,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
+from cnc_interp.client.goal_sender import AskedGoal
+from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.asking import AskedGoal
-from cnc_interp.nodes.children import Children
+from cnc_interp.nodes.node_processes import Children
 from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.session import nodes_file
 
 START, PATIENCE = 300.0, 120.0  # [s]; the first start compiles; bounds, not timings
 

@@ -15,9 +15,9 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.streams import same_run
-from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.run.run_id import same_run
 from cnc_interp.smoothing.lookahead import LookAhead
 
 Result = RunProgram.Result

@@ -19,8 +19,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.messages import block_messages
 from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.wire.path_messages import block_messages
 
 PATIENCE = 120.0
 CHUNK = 30

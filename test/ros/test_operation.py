@@ -14,7 +14,7 @@ from cnc_interp_msgs.msg import MachineState
 from operated import PROGRAM, Bench, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
-from cnc_interp.nodes.messages import block_messages
+from cnc_interp.wire.path_messages import block_messages
 
 Result = RunProgram.Result
 

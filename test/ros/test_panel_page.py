@@ -17,7 +17,7 @@ from browser import found
 from cnc_interp_msgs.msg import MachineState
 from page_under_test import REFUSED, PanelUnderTest
 
-from cnc_interp.panel.contact import LATE
+from cnc_interp.client.page.contact import LATE
 
 pytestmark = pytest.mark.skipif(
     found() is None, reason='needs a browser: apt-get install chromium'

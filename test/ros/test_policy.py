@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from nodes_under_test import NodesUnderTest
 from rclpy.node import NodeNameNonExistentError
 
-from cnc_interp.nodes.children import NODES
+from cnc_interp.nodes.node_processes import NODES
 
 POLICY = Path(__file__).parents[2] / 'config' / 'sros2' / 'policy.xml'
 #: What every node has, and what the includes of sros2 cover.

@@ -9,15 +9,15 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
 
-from cnc_interp.errors import BlockError, ProgramError
+from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.preparing import prepare
-from cnc_interp.pipeline import ChainOptions, plan_program
+from cnc_interp.nodes.program_check import prepare
 from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.run.chain import ChainOptions, plan_program
+from cnc_interp.smoothing.dense.compression import Compression
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))
 VALUES = {p.name: p.default for p in parameters.PROGRAM}

@@ -11,8 +11,8 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from operated import LIMITS, Bench, T, path_of, waves
 
+from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.kinematics.axis_path import evaluate
-from cnc_interp.nodes.session import RunRequest, run_session
 
 Result = RunProgram.Result
 FIRST, SECOND = waves(3), waves(2)

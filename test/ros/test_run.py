@@ -15,16 +15,16 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import NodesUnderTest
 
+from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.convert import convert
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.messages import block_messages
-from cnc_interp.nodes.session import RunRequest, run_session
-from cnc_interp.pipeline import ChainOptions
 from cnc_interp.program import ReadOptions, read_text
-from cnc_interp.units import UM
-from cnc_interp.verify import verify_plan
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import ChainOptions
+from cnc_interp.wire.path_messages import block_messages
 
 Result = RunProgram.Result
 MACHINE = Machine.load('xyzac')
@@ -45,8 +45,8 @@ NO_NUMBER = PROGRAM.replace('10.0,8.0', '10.0,eight')
 
 RUN_FOR_EVER = """
 import time
-from cnc_interp.nodes.children import Children
-from cnc_interp.nodes.session import nodes_file
+from cnc_interp.nodes.node_processes import Children
+from cnc_interp.client.session import nodes_file
 with Children('/killed', 99, {}, nodes_file()) as nodes:
     print(*nodes.process_ids.values(), flush=True)
     time.sleep(1000)

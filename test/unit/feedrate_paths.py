@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import M_PER_MIN, MM, REV, REV_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.program.blocks import FloatArray
-from cnc_interp.units import M_PER_MIN, MM, REV, REV_PER_MIN
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(12)
 

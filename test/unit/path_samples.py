@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.programmed_path import ProgrammedPath, approach
+from cnc_interp.proof.programmed_path import ProgrammedPath, approach
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE
 
 CORNER_KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from ruckig import InputParameter, Ruckig, Trajectory
 
+from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.units import MM, MM_PER_MIN
 
 PERIOD = 1e-3
 HEIGHT = 30 * MM

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.interpolate import BPoly, BSpline, PPoly
 
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
-from cnc_interp.units import DEG, MM, MM_PER_MIN
 
 
 def blocks_of(tips, axes, feed=3000.0 * MM_PER_MIN, tolerance=0.02 * MM, **columns):

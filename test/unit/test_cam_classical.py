@@ -10,7 +10,7 @@ from cnc_interp.cam.shapes import Bumps, Cap, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.units import DEG, MM, UM
 
 MILL, BALL = Cutter(5 * MM, 1.5 * MM), Cutter(0.0, 5 * MM)
 HEIGHT = 10 * UM

@@ -10,10 +10,10 @@ from cnc_interp.cam.nbuffer import Needles, cut_needles
 from cnc_interp.cam.shapes import Bumps, Placed
 from cnc_interp.cam.simulation import programmed
 from cnc_interp.cli import BAD_INPUT, FINE, main
+from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ReadOptions, read_program
-from cnc_interp.units import DEG, MM, UM
 
 SURFACE = {
     'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],

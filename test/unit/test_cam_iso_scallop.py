@@ -12,8 +12,8 @@ from cnc_interp.cam.passes import constant_tilt, gouge_depth
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.errors import InterpError
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, UM
 
 MILL = Cutter(5 * MM, 1.5 * MM)
 HEIGHT = 10 * UM

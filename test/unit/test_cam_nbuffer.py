@@ -14,8 +14,8 @@ from cnc_interp.cam.simulation import Motion, cross_sections, thinned
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, chord_error, link, sampled
 from cnc_interp.cam.work import across
-from cnc_interp.errors import InterpError
-from cnc_interp.units import DEG, MM, UM
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, UM
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 MILL = Cutter(5 * MM, 1.5 * MM)

@@ -9,7 +9,7 @@ from cnc_interp.cam.shapes import RationalSurface
 from cnc_interp.cam.surface import BSplineSurface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cli import BAD_INPUT, FINE, main
-from cnc_interp.units import DEG, INCH, MM
+from cnc_interp.core.units import DEG, INCH, MM
 
 METRE = '(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT($,.METRE.))'
 MILLIMETRE = METRE.replace('$', '.MILLI.')

@@ -9,7 +9,7 @@ import pytest
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, RationalSurface, Torus
 from cnc_interp.cam.surface import BSplineSurface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
-from cnc_interp.units import MM
+from cnc_interp.core.units import MM
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 

@@ -9,15 +9,15 @@ from path_samples import deviation, jumps, sampled
 from programs import blocks_of
 from programs import dome as dome_of
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.programmed_path import ProgrammedPath
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.proof.programmed_path import ProgrammedPath
+from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
-from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
 
 HEIGHT = 30 * MM
 TOLERANCE = 10 * UM

@@ -7,13 +7,13 @@ import pytest
 
 from cnc_interp.cli import main
 from cnc_interp.convert import convert
+from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, plan_program, write_plan
 from cnc_interp.program import ReadOptions, read_text
-from cnc_interp.units import MM, UM
-from cnc_interp.verify import verify_plan
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import ChainOptions, plan_program, write_plan
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from feedrate_paths import XYZAC, line_path, polyline_path, sampled_ratios, scaled
 
-from cnc_interp.errors import PlanningError
+from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.interior_point import BROKEN, STALLED
 from cnc_interp.feedrate.jerk_stage import PlanOptions

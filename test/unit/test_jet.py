@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cnc_interp import jet
+from cnc_interp.core import jet
 
 T0 = 0.37
 

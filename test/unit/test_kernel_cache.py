@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from cnc_interp import kernel_cache
+from cnc_interp.core import kernel_cache
 
 INNER = 'from numba import njit\n\n@njit(cache=True)\ndef inner():\n    return {value}\n'
 OUTER = (

@@ -10,13 +10,13 @@ import pytest
 from plan_directories import stroke
 from scipy.integrate import solve_ivp
 
-from cnc_interp.errors import StreamError
+from cnc_interp.core.errors import StreamError
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.drives import Drives
+from cnc_interp.machine.drive_model import Drives
 from cnc_interp.machine.simulated import SimulatedMachine
 from cnc_interp.machine.states import TRANSITIONS, Event, State
-from cnc_interp.units import DEG, MM
 
 MACHINE = Machine.load('xyzac')
 PERIOD = 1e-3

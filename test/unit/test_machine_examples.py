@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.errors import TravelError
+from cnc_interp.core.errors import TravelError
+from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import plan_program
 from cnc_interp.program import ReadOptions, read_text
-from cnc_interp.units import MM
+from cnc_interp.run.chain import plan_program
 
 RNG = np.random.default_rng(3)
 Q = np.column_stack([RNG.uniform(-0.3, 0.3, (40, 3)), RNG.uniform(-3.0, 3.0, (40, 2))])

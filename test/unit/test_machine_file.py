@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from cnc_interp.errors import MachineError
+from cnc_interp.core.errors import MachineError
+from cnc_interp.core.units import DEG, MM, REV
 from cnc_interp.kinematics.machine import Machine, find_machine_file, from_mapping
-from cnc_interp.units import DEG, MM, REV
 
 CONTENT = yaml.safe_load(find_machine_file('xyzac').read_text())
 

@@ -13,16 +13,18 @@ from programs import blocks_of as blocks_of_points
 from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
 
-from cnc_interp.errors import InterpError, StreamError
-from cnc_interp.interpolator import Setpoints
+from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes import chunk_messages, messages, soundness
-from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import ReadOptions, read_program, read_text
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import CORNER, PathSegments
-from cnc_interp.stream.chunk import Chunk, Wait, part_of
+from cnc_interp.wire import chunk_messages
+from cnc_interp.wire import message_checks as soundness
+from cnc_interp.wire import path_messages as messages
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / 'shared' / 'programs'

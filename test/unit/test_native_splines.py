@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from cnc_interp import jet
-from cnc_interp.errors import BlockError, ProgramError
+from cnc_interp.core import jet
+from cnc_interp.core.errors import BlockError, ProgramError
+from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import plan_program, write_plan
-from cnc_interp.plan_files import read_plan
 from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.programmed_splines import with_chords
-from cnc_interp.smoothing.joining import Jets, connected, line_jets, span_jets
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import plan_program, write_plan
+from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets
 from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import LINE, SPLINE, PathSegments, spline_jets
-from cnc_interp.units import MM
-from cnc_interp.verify import verify_plan
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)

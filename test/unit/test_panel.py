@@ -14,16 +14,16 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.cli import main, parser
+from cnc_interp.client.operator import Alarm
+from cnc_interp.client.page.access import Access
+from cnc_interp.client.page.preview import DRAWN, Choices, Preview, thinned
+from cnc_interp.client.page.readings import axis_words, clock, program_html, progress_words
+from cnc_interp.client.page.tube import INDISTINCT, SCALE, SIDES, UNSEEN, tube
+from cnc_interp.client.shared_value import SharedValue
+from cnc_interp.command_options import read_options
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.nodes.operating import Alarm
-from cnc_interp.nodes.shared_value import SharedValue
-from cnc_interp.options import read_options
-from cnc_interp.panel.access import Access
-from cnc_interp.panel.preview import DRAWN, Choices, Preview, thinned
-from cnc_interp.panel.readings import axis_words, clock, program_html, progress_words
-from cnc_interp.panel.tube import INDISTINCT, SCALE, SIDES, UNSEEN, tube
-from cnc_interp.plan_files import read_plan
-from cnc_interp.units import DEG, MM, MM_PER_MIN
+from cnc_interp.proof.plan_files import read_plan
 
 PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F1500\nM30\n'
 

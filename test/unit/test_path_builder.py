@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from programs import blocks_of, pyramid, spline_segments, zigzag
 
-from cnc_interp.errors import BlockError, SingularityError, TravelError
+from cnc_interp.core.errors import BlockError, SingularityError, TravelError
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -16,7 +17,6 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ReadOptions, read_program
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.options import SmoothingOptions
-from cnc_interp.units import DEG, MM
 
 AC = Transform.of(Machine.load('xyzac'))
 

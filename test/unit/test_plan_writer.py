@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cnc_interp import pipeline
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MS
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, plan_program, plan_to_files, write_plan
 from cnc_interp.program import ReadOptions, open_program
-from cnc_interp.units import MS
-from cnc_interp.verify import verify_plan
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run import chain as pipeline
+from cnc_interp.run.chain import ChainOptions, plan_program, plan_to_files, write_plan
 
 MACHINE = Machine.load('xyzac')
 GEOMETRY = Transform.of(MACHINE)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program import ReadOptions, read_text
 
 

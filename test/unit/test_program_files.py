@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import JobSetup, ReadOptions, read_program

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ReadOptions

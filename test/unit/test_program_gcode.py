@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program import JobSetup, ReadOptions, columns, read_program, read_text
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 

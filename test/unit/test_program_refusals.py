@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.errors import ProgramError
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program import ReadOptions, cl_words, codes, read_text
 
 SYNTAX = [

@@ -4,13 +4,13 @@ from math import pi
 
 import pytest
 
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import plan_program, write_plan
 from cnc_interp.program import JobSetup, ReadOptions, read_text
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.smoothing.segments import SPLINE
-from cnc_interp.units import DEG, MM
-from cnc_interp.verify import verify_plan
 
 MACHINE = Machine.load('xyzac')
 SETUP = JobSetup(

@@ -7,20 +7,20 @@ import pytest
 from programs import blocks_of, pyramid, zigzag
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import ChainOptions, smoothing_options
-from cnc_interp.smoothing.corner import Corners
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.smoothing.corners.corner import Corners
+from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import cross, turned_by
-from cnc_interp.smoothing.ratio import LARGEST, LEAST, MOST, ratios_at
 from cnc_interp.smoothing.segments import CORNER, PathSegments
-from cnc_interp.units import DEG, MM
 
 HEIGHT = 30 * MM
 

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.nodes.realtime import CLASS, LATEST, Lateness
+from cnc_interp.machine.realtime import CLASS, LATEST, Lateness
 
 
 @pytest.mark.parametrize('scale', [3e-6, 1e-4, 5e-3])

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plan_directories import files, line_x, stroke, write
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.plan_files import read_plan
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.verify import verify
 from cnc_interp.report import write_report
 from cnc_interp.report.figures import feed_ceiling, feed_span
 from cnc_interp.report.series import extremes, series_of
-from cnc_interp.units import DEG, MM, MM_PER_MIN
-from cnc_interp.verify import verify
 
 MACHINE = Machine.load('xyzac')
 

@@ -11,16 +11,16 @@ import pytest
 from plan_directories import line_x, write
 
 from cnc_interp.cli import main
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.plan_files import read_plan
+from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import write_report
 from cnc_interp.report.corner_figures import shift
 from cnc_interp.report.corners import MOST, lengths, read_segments, views_of
 from cnc_interp.report.curves import curves_of
-from cnc_interp.smoothing.curves import Curves, poses
+from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.segments import SPLINE
-from cnc_interp.units import MM, UM
 
 MACHINE = Machine.load('xyzac')
 POCKET = Path(__file__).parents[2] / 'examples' / 'pocket_corner.apt'

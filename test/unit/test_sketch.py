@@ -3,8 +3,8 @@
 import numpy as np
 
 from cnc_interp.cli import main
+from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.report.sketch import EIGHTHS, MARGIN, ROWS, feed_sketch
-from cnc_interp.units import MM_PER_MIN
 
 
 def write(directory, feed):

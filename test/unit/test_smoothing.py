@@ -10,12 +10,13 @@ from programs import blocks_of, pyramid, zigzag
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.errors import BlockError, InterpError
+from cnc_interp.core.errors import BlockError, InterpError
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.smoothing.compression import Compression
-from cnc_interp.smoothing.curves import Curves, poses
+from cnc_interp.smoothing.corners.corner_curves import Curves, poses
+from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.segments import (
@@ -26,7 +27,6 @@ from cnc_interp.smoothing.segments import (
     corner_jets,
     line_jets,
 )
-from cnc_interp.units import DEG, MM
 
 AXIS_RATES = partial(jerk_rates, Transform.of(Machine.load('xyzac')))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cnc_interp.errors import StreamError
-from cnc_interp.nodes.streams import Silence, WindowedReceiver, WindowedSender
+from cnc_interp.core.errors import StreamError
+from cnc_interp.wire.window_protocol import Silence, WindowedReceiver, WindowedSender
 
 RESEND = 0.5
 

@@ -9,9 +9,9 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.planning import RunPlanner
-from cnc_interp.pipeline import ChainOptions, smoothing_options
 from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.smoothing.path_smoother import PathSmoother
 
 MACHINE = Machine.load('xyzac')

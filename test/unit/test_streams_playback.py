@@ -5,22 +5,22 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.errors import StreamError, TravelError
+from cnc_interp.core.errors import StreamError, TravelError
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.interpolator import Interpolator, Setpoints
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.checks import refuse_setpoints
+from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.machine.simulated import SimulatedMachine
 from cnc_interp.machine.states import Event, State
-from cnc_interp.nodes.machine_messages import executed_setpoints
-from cnc_interp.nodes.playback import Playback
-from cnc_interp.stream.approach import approach
-from cnc_interp.stream.chunk import Chunk, Wait, part_of
-from cnc_interp.stream.leg import SLICE, sliced
-from cnc_interp.stream.motion_stream import MotionStream
+from cnc_interp.run.approach import approach
+from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.leg import SLICE, sliced
+from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.wire.machine_messages import executed_setpoints
 
 T = 0.001
 MACHINE = Machine.load('xyzac')

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine, from_mapping
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.units import MM
 
 LIMITS = {
     **{

@@ -9,14 +9,14 @@ import pytest
 from plan_directories import HEIGHT, PERIOD, files, line_x, stroke, write
 from ruckig import InputParameter, Ruckig, Trajectory
 
-from cnc_interp.errors import InterpError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.pipeline import plan_program, write_plan
-from cnc_interp.plan_files import read_plan
 from cnc_interp.program import ReadOptions, read_text
-from cnc_interp.units import DEG, MM, MM_PER_MIN, UM
-from cnc_interp.verify import verify, verify_plan
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.verify import verify, verify_plan
+from cnc_interp.run.chain import plan_program, write_plan
 
 MACHINE = Machine.load('xyzac')
 
@@ -387,7 +387,7 @@ def test_blocks_far_shorter_than_the_tolerance(tmp_path, monkeypatch):
     ).astype(int)
     proof = proof_of(tmp_path, content)
     assert proof.ok, proof.failures
-    monkeypatch.setattr('cnc_interp.verify.REACH', 0.0)
+    monkeypatch.setattr('cnc_interp.proof.verify.REACH', 0.0)
     only_failure(verify_plan(tmp_path, MACHINE), 'contour error')
 
 

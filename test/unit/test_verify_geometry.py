@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cnc_interp.programmed_path import ProgrammedPath, approach
-from cnc_interp.units import MM
+from cnc_interp.core.units import MM
+from cnc_interp.proof.programmed_path import ProgrammedPath, approach
 
 HEIGHT = 30 * MM
 

@@ -14,9 +14,9 @@ sys.path.insert(0, {here!r})
 from numba.core.dispatcher import Dispatcher
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.warming import warm_all, warm_lookahead
-from cnc_interp.pipeline import Chain, ChainOptions
-from cnc_interp.smoothing.compression import Compression
+from cnc_interp.nodes.kernel_warmup import warm_all, warm_lookahead
+from cnc_interp.run.chain import Chain, ChainOptions
+from cnc_interp.smoothing.dense.compression import Compression
 from programs import dome, zigzag
 
 def compiled():

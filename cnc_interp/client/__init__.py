@@ -1,0 +1,1 @@
+"""The operator side: run, record, replay, and the page."""

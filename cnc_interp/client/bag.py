@@ -1,0 +1,197 @@
+"""Bags (rosbag2, MCAP): every message of a run as it was sent, with its type and its QoS."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from cnc_interp_msgs.msg import (
+    G1Block,
+    LoadedProgram,
+    MachineState,
+    PathSegment,
+    SetpointChunk,
+    StreamStatus,
+)
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from cnc_interp.core.errors import InterpError, StreamError
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.stream_ends import opened
+
+#: What is recorded: topic, type, quality of service.
+TOPICS: dict[str, tuple[Any, QoSProfile]] = {
+    'loaded_program': (LoadedProgram, qos.LOADED),
+    'blocks': (G1Block, qos.STREAM),
+    'segments': (PathSegment, qos.STREAM),
+    'setpoints': (SetpointChunk, qos.STREAM),
+    'executed_setpoints': (SetpointChunk, qos.STREAM),
+    'stream_status': (StreamStatus, qos.STATUS),
+    'machine_state': (MachineState, qos.STATE),
+    'joint_states': (JointState, qos.JOINTS),
+    'feed_override': (Float64, qos.OVERRIDE),
+    '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
+}
+#: Topics whose messages end with a checksum.
+SEALED = ('blocks', 'segments', 'setpoints')
+#: Before the parameters of the nodes, in the custom data of a bag.
+PARAMETER = 'parameter.'
+ENDLESS = QosTime(2147483647, 4294967295)
+
+
+def type_name(kind: Any) -> str:
+    """Return the ROS name of a message class."""
+    package, folder, _ = kind.__module__.split('.', 2)
+    return f'{package}/{folder}/{kind.__name__}'
+
+
+def types() -> Any:
+    """Return the message types that a bag describes, ours among them."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    try:
+        folder = Path(get_package_share_directory('cnc_interp_msgs')) / 'msg'
+    except PackageNotFoundError:
+        raise InterpError('cnc_interp_msgs is not installed; source the workspace') from None
+    for file in sorted(folder.glob('*.msg')):
+        name = f'cnc_interp_msgs/msg/{file.stem}'
+        store.register(get_types_from_msg(file.read_text(encoding='utf-8'), name))
+    return store
+
+
+def offered(profile: QoSProfile) -> Qos:
+    """Describe a quality of service, so that a player offers the same."""
+    durability = QosDurability[profile.durability.name]
+    return Qos(
+        QosHistory.KEEP_LAST, profile.depth, QosReliability.RELIABLE, durability, ENDLESS, ENDLESS,
+        QosLiveliness.AUTOMATIC, ENDLESS, False,
+    )  # fmt: skip
+
+
+class BagWriter:
+    """
+    A bag being written; complete once it is closed.
+
+    Parameters
+    ----------
+    path : Path
+        Folder to create.
+
+    Raises
+    ------
+    InterpError
+        If it is there already.
+
+    """
+
+    def __init__(self, path: Path):
+        if path.exists():
+            raise InterpError(f'{path} is there already; name a new folder for the bag')
+        self.count = 0
+        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.open()
+        store = types()
+        self._connections = {
+            topic: self._writer.add_connection(
+                f'/{topic.removeprefix("/")}', type_name(kind), typestore=store,
+                offered_qos_profiles=[offered(profile)],
+            )
+            for topic, (kind, profile) in TOPICS.items()
+        }  # fmt: skip
+
+    def note(self, node: str, parameters: dict[str, Any]) -> None:
+        """Write down the parameters of a node."""
+        for name, value in parameters.items():
+            self._writer.set_custom_data(f'{PARAMETER}{node}.{name}', json.dumps(value))
+
+    def write(self, topic: str, data: bytes, stamp: int) -> None:
+        """Write a message, serialised, with the time at which it came [ns]."""
+        self._writer.write(self._connections[topic], stamp, data)
+        self.count += 1
+
+    def close(self) -> None:
+        """Write index and metadata."""
+        self._writer.close()
+
+
+class Bag:
+    """
+    A bag to be read, and what its messages are.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the bag.
+
+    Raises
+    ------
+    InterpError
+        If it cannot be read; also while reading.
+
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            self._reader = Reader(path)
+            self._reader.open()
+        except (ReaderError, OSError, ValueError, AssertionError) as fault:
+            raise InterpError(f'{path}: not a bag that can be read ({fault})') from None
+        custom = dict(self._reader.storage.metadata.custom or {})
+        self.parameters = {
+            key.removeprefix(PARAMETER): json.loads(value)
+            for key, value in custom.items()
+            if key.startswith(PARAMETER)
+        }
+        self.duration = self._reader.duration * 1e-9
+
+    def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
+        """Return topic, time [ns] and bytes of the messages of some topics, in order of time."""
+        names = {f'/{topic.removeprefix("/")}': topic for topic in topics}
+        wanted: list[Connection] = [c for c in self._reader.connections if c.topic in names]
+        try:
+            for connection, stamp, data in self._reader.messages(wanted) if wanted else ():
+                yield names[connection.topic], stamp, bytes(data)
+        except (ReaderError, OSError, ValueError) as fault:
+            raise InterpError(f'{self.path}: cannot be read to its end ({fault})') from None
+
+    def read(self, topic: str) -> list[Any]:
+        """Return all sound messages of a topic."""
+        kind = TOPICS[topic][0]
+        found = []
+        for _, _, data in self.raw(topic):
+            try:
+                sealed = topic in SEALED
+                found.append(opened(data, kind) if sealed else deserialize_message(data, kind))
+            except StreamError:  # spoilt on its way: the receiver asked again
+                continue
+        return found
+
+    def close(self) -> None:
+        """Close the files."""
+        self._reader.close()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,97 @@
+"""Live charts: feed against its limit, and the axes' use of their limits."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from cnc_interp.client.page.desk import SPAN, Desk, Moment
+from cnc_interp.core.units import MM_PER_MIN
+
+INK, GRID = '#93a3af', '#26323b'
+FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
+AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0')
+#: Shares of the limit are shown.
+KINDS = ('velocity', 'acceleration', 'jerk')
+#: Limits on straight lines and rapids are far above the rest: the chart ends this much above
+#: the feed and what is mostly programmed.
+HEADROOM = 1.5
+
+
+class Charts:
+    """
+    The charts of one page.
+
+    Parameters
+    ----------
+    axis_names : tuple of str
+        Axes of the machine.
+
+    """
+
+    def __init__(self, axis_names: tuple[str, ...]):
+        names = (('feed', FEED), ('programmed', ASKED), ('axes allow', LIMIT))
+        self._feed = chart('feed, mm/min', names, None)
+        axes = tuple(zip(axis_names, AXES, strict=False))
+        self._use = [chart(f'{kind} %', axes, 110) for kind in KINDS]
+
+    def show(self, desk: Desk) -> None:
+        """Draw the last half minute."""
+        now = time.monotonic()
+        moments = list(desk.history)
+        asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
+        usual = float(np.median(asked)) if asked else 0.0
+        ceiling = HEADROOM * max([usual, *(m.feed for m in moments)])
+        columns = (
+            [m.feed for m in moments],
+            [min(m.programmed, ceiling) for m in moments],
+            [min(m.limit, ceiling) for m in moments],
+        )
+        draw(self._feed, moments, now, [[x / MM_PER_MIN for x in column] for column in columns])
+        for k, one in enumerate(self._use):
+            count = moments[-1].use.shape[1] if moments else 0
+            draw(one, moments, now, [[100.0 * m.use[k, j] for m in moments] for j in range(count)])
+
+
+def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> Any:
+    """Make an empty chart over time."""
+    small = {'fontSize': 10, 'color': INK}
+    axis = {'axisLabel': small, 'splitLine': {'lineStyle': {'color': GRID}}}
+    options = {
+        'animation': False,
+        'title': {'text': title, 'left': 8, 'top': 4, 'textStyle': {**small, 'fontSize': 11}},
+        'legend': {
+            'right': 6, 'top': 2, 'icon': 'roundRect', 'itemWidth': 7, 'itemHeight': 7,
+            'textStyle': small, 'itemGap': 7,
+        },
+        'grid': {'left': 40, 'right': 10, 'top': 26, 'bottom': 20},
+        'xAxis': {**axis, 'type': 'value', 'min': -SPAN, 'max': 0},
+        'yAxis': {**axis, 'type': 'value', 'min': 0, 'splitNumber': 3},
+        'series': [
+            {
+                'name': name, 'type': 'line', 'showSymbol': False, 'data': [],
+                'lineStyle': {'width': 1.4, 'color': colour}, 'itemStyle': {'color': colour},
+            }
+            for name, colour in names
+        ],
+    }  # fmt: skip
+    if top is not None:
+        options['yAxis']['max'] = top  # type: ignore[index]
+    return ui.echart(options).classes('chart')
+
+
+def draw(one: Any, moments: list[Moment], now: float, columns: list[list[float]]) -> None:
+    """Send the points of all curves; what is not a number leaves a gap."""
+    times = [round(m.time - now, 1) for m in moments]
+    series = [
+        {
+            'data': [
+                [t, round(y, 1) if y == y else None] for t, y in zip(times, column, strict=True)
+            ]
+        }
+        for column in columns
+    ]
+    one.run_chart_method('setOption', {'series': series})

@@ -1,0 +1,94 @@
+"""
+Contact with a page: no stop is lost on the way, nothing else is done that was asked for long ago.
+
+What is sent into a connection that breaks is gone; what waits for the next one comes late. So a
+stop is sent by the page until it is answered (``contact.js``), and everything else is done only
+for a page that has lately heard the server: it answers each beat, and its words come in order.
+A browser too slow for all that is sent gets less of it, for what waits in between is old, and a
+tab that nobody sees gets nothing but the beat.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from nicegui import events, ui
+
+from cnc_interp.client.operator import STOPS
+
+SCRIPT = Path(__file__).with_name('contact.js')
+#: Time between beats, and age of the last one answered up to which a page sees what happens [s].
+BEAT, LATE = 0.5, 5.0
+#: A page whose last answer is older is behind: it is shown nothing until it has caught up [s].
+BEHIND = 1.5
+#: Answers to older beats do not count any more.
+REMEMBERED = round(2 * LATE / BEAT)
+
+
+class Contact:
+    """
+    The server's end, for one page.
+
+    Parameters
+    ----------
+    on_stop : callable
+        Does one of ``STOPS``; told once for each time its key was pressed.
+
+    """
+
+    def __init__(self, on_stop: Callable[[str], Awaitable[None]]):
+        self._on_stop = on_stop
+        self._heard = time.monotonic()
+        self._seen = True
+        self._sent: deque[float] = deque(maxlen=REMEMBERED)
+        self._done: dict[str, bool] = {}
+        ui.on('heard', self._hear)
+        ui.on('stop', self._stop)
+        ui.timer(BEAT, self._beat)
+
+    @staticmethod
+    def script() -> str:
+        """Return the page's end, for its head."""
+        return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
+
+    @property
+    def age(self) -> float:
+        """Age of what the page shows, as far as it has told [s]."""
+        return time.monotonic() - self._heard
+
+    @property
+    def is_followed(self) -> bool:
+        """Tell whether somebody sees the page and it keeps up with what it is shown."""
+        return self._seen and self.age <= BEHIND
+
+    def _beat(self) -> None:
+        self._sent.append(time.monotonic())
+        ui.run_javascript(f'contact.hear({self._sent[-1]!r}, {self.age!r})')
+
+    def _hear(self, event: events.GenericEventArguments) -> None:
+        """Only what was sent counts: nobody can answer it before."""
+        beat, seen = event.args
+        if beat in self._sent:
+            self._heard, self._seen = max(self._heard, beat), bool(seen)
+
+    async def _stop(self, event: events.GenericEventArguments) -> None:
+        """Do it the first time; answer as often as it is asked for once it is done."""
+        name, number = event.args['name'], str(event.args['number'])
+        if name not in STOPS:
+            return
+        if number not in self._done:
+            self._done[number] = False
+            await self._on_stop(name)
+            self._done[number] = True
+        if self._done[number]:
+            ui.run_javascript(f'contact.answered({json.dumps(number)})')
+
+
+def pressing(name: str) -> dict[str, Any]:
+    """Return what makes a key send one of ``STOPS``, as keywords of its listener."""
+    return {'type': 'click', 'js_handler': f'() => contact.stop({json.dumps(name)})'}

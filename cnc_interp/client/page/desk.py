@@ -1,0 +1,247 @@
+"""What all pages share: the nodes' last words, the loaded program, its plan and the history."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections import deque
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.client.operator import Answer, MachineState, Operating
+from cnc_interp.client.page.preview import Choices, Planner, Preview
+from cnc_interp.client.page.tube import tube
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.description.links import Description, describe_machine
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.run.run_id import same_run
+
+#: History that the charts show, and the rate it is kept at [s].
+SPAN, STEP = 30.0, 0.1
+#: Larger programs are not taken from a browser [bytes].
+LONGEST_PROGRAM = 64 << 20
+#: Paths of one program with the same options differ by less than this share.
+SAME_LENGTH = 1e-3
+#: A rested machine that goes on with cycle_start rather than with the program from its beginning.
+RESTING = (MachineState.HOLDING, MachineState.HELD, MachineState.STARVED)
+#: A program is being executed.
+ON_PATH = (MachineState.RUNNING, *RESTING)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One point of the charts: the largest use in a step of time, feeds at its end; SI units."""
+
+    time: float
+    feed: float
+    programmed: float
+    limit: float
+    use: FloatArray
+    buffered: float
+
+
+@dataclass
+class Job:
+    """A program on the desk."""
+
+    name: str
+    lines: list[str]
+    path: Path
+    choices: Choices
+    plan: Preview | None = None
+    status: str = 'planning'
+    proven: bool | None = None
+
+
+class Desk:
+    """
+    The model behind all pages.
+
+    Parameters
+    ----------
+    namespace : str
+        Where the nodes live.
+    domain : int
+        Their ROS domain.
+
+    """
+
+    def __init__(self, namespace: str, domain: int):
+        self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)
+        self.machine: Machine | None = None
+        self.description: Description | None = None
+        self.job: Job | None = None
+        self.single_block = False
+        self.tube, self.tube_number = b'', 0
+        self._planner: Planner | None = None
+        self._running: Job | None = None
+        self._adopted = ''
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._peak = np.zeros((3, 0))
+        self.nodes = Operating(namespace, domain, self._see_state)
+        self.nodes.start()  # what it hears is told to this desk, which is complete now
+
+    # The machine --------------------------------------------------------------------------------
+
+    def _see_state(self, state: MachineState) -> None:
+        """Keep a point for the charts; in the thread of ROS."""
+        now = time.monotonic()
+        use = np.array(
+            [state.recent_velocity_use, state.recent_acceleration_use, state.recent_jerk_use]
+        )
+        self._peak = use if self._peak.shape != use.shape else np.maximum(self._peak, use)
+        if self.history and now - self.history[-1].time < STEP:
+            return
+        programmed, limit = self.feeds(state)
+        moment = Moment(now, state.feedrate, programmed, limit, self._peak, state.buffered_time)
+        self.history.append(moment)
+        self._peak = np.zeros_like(use)
+
+    def plan_of(self, state: MachineState) -> Preview | None:
+        """Return the plan of the run that the machine executes, where it is known."""
+        program, job = self.nodes.program, self._running
+        if job is None or job.plan is None or program is None:
+            return None
+        same = same_run(state.program_id, self._adopted) and program.program_id == self._adopted
+        # A run with options that the planner was not told has another path.
+        told = math.isclose(job.plan.length, program.path_length, rel_tol=SAME_LENGTH)
+        return job.plan if same and told else None
+
+    def feeds(self, state: MachineState) -> tuple[float, float]:
+        """Return programmed feed and limit of the axes where the machine is; NaN if unknown."""
+        plan = self.plan_of(state)
+        if plan is None or state.path_position <= 0.0 or state.state == MachineState.IDLE:
+            return np.nan, np.nan
+        programmed, limit, _ = plan.at(state.path_position)
+        return programmed, limit
+
+    async def watch(self) -> None:
+        """Once in a while: learn which machine it is, adopt a program that others have started."""
+        if self.machine is None and self.nodes.machine:
+            self.machine = Machine.load(self.nodes.machine)
+            self.description = describe_machine(self.machine)
+            self._planner = Planner(self.nodes.machine)
+        program = self.nodes.program
+        if self._planner is None or program is None or program.program_id == self._adopted:
+            return
+        self._adopted = program.program_id
+        lines = program.text.splitlines()
+        if self.job is not None and self.job.lines == lines and self.job.name == program.name:
+            self._running = self.job
+            return
+        choices = Choices(
+            program.contour_tolerance, program.orientation_tolerance, program.force_tolerances,
+            program.flank_height, program.feedrate,
+        )  # fmt: skip
+        self._running = self._lay(self._planner, program.name, program.text, choices)
+
+    # The program --------------------------------------------------------------------------------
+
+    def load(self, name: str, text: str) -> Answer:
+        """Lay a program on the desk and plan it; not while another one runs."""
+        if self._planner is None:
+            return Answer(False, 'the nodes do not answer yet')
+        state = self.nodes.state
+        if state is not None and state.state in ON_PATH:
+            return Answer(False, 'a program is running; load the next one when it has ended')
+        self._lay(self._planner, name, text, Choices())
+        return Answer(True, f'{name} loaded')
+
+    async def queue(self, name: str, text: str) -> Answer:
+        """Let a program wait for the end of the one that runs; it is laid here when it begins."""
+        state = self.nodes.state
+        if self._planner is None or state is None or state.state not in ON_PATH:
+            return Answer(False, 'no program runs; load this one and start it')
+        path = self._planner.keep(name, text)
+        return await asyncio.wrap_future(self.nodes.run(path, asdict(Choices())))
+
+    def empty_queue(self) -> Answer:
+        """Let the programs go that wait."""
+        count = self.nodes.cancel_waiting()
+        return Answer(count > 0, f'{count} taken out' if count else 'none waits from here')
+
+    def _lay(self, planner: Planner, name: str, text: str, choices: Choices) -> Job:
+        path = planner.keep(name, text)
+        job = self.job = Job(path.name, text.splitlines(), path, choices)
+        self._begin(self._plan(planner, job))
+        return job
+
+    def _begin(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _plan(self, planner: Planner, job: Job) -> None:
+        try:
+            plan = await planner.plan(job.path, job.choices)
+        except InterpError as problem:
+            job.status = str(problem)
+            return
+        if self.job is not job:
+            return
+        top = float(plan.feed.max(initial=0.0))
+        size = float(np.ptp(plan.tip, axis=0).max())
+        self.tube = await asyncio.to_thread(tube, plan.tip, plan.feed, top, max(size, 0.02) / 250)
+        self.tube_number += 1
+        job.plan, job.status = plan, 'planned'
+        for notice in plan.notices:
+            self.nodes.warn('notice', job.name, notice)
+
+    def check(self) -> Answer:
+        """Prove the plan of the loaded program."""
+        job, planner = self.job, self._planner
+        if planner is None or job is None or job.plan is None:
+            return Answer(False, 'load a program first')
+        job.status = 'checking'
+        self._begin(self._check(planner, job))
+        return Answer(True, 'checking')
+
+    async def _check(self, planner: Planner, job: Job) -> None:
+        try:
+            proof = await planner.check()
+        except InterpError as problem:
+            job.status = str(problem)
+            return
+        job.proven = bool(proof['ok'])
+        job.status = 'every setpoint proven' if job.proven else 'NOT proven: see cnc-interp check'
+
+    # Commands -----------------------------------------------------------------------------------
+
+    async def cycle_start(self) -> Answer:
+        """Start the loaded program, or go on where the machine rests on its path."""
+        state = self.nodes.state
+        if state is not None and state.state in RESTING:
+            return await self.trigger('cycle_start')
+        if state is not None and state.state in ON_PATH:
+            return Answer(False, 'a program runs already')
+        if self.nodes.silent:
+            return Answer(False, f'{self.nodes.silent} does not answer')
+        if self.job is None:
+            return Answer(False, 'load a program first')
+        started = self.nodes.run(self.job.path, asdict(self.job.choices))
+        return await asyncio.wrap_future(started)
+
+    async def trigger(self, name: str) -> Answer:
+        """Pass one of the plain commands on."""
+        answer = await asyncio.wrap_future(self.nodes.trigger(name))
+        if not answer.ok:
+            self.nodes.warn('warning', 'panel', answer.message)
+        return answer
+
+    async def set_single_block(self, on: bool) -> Answer:
+        """Stop at the end of each block, or no longer."""
+        answer = await asyncio.wrap_future(self.nodes.set_single_block(on))
+        if answer.ok:
+            self.single_block = on
+        return answer
+
+    def close(self) -> None:
+        """End; what the machine does is not touched."""
+        if self._planner is not None:
+            self._planner.close()
+        self.nodes.close()

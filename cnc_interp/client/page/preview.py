@@ -1,0 +1,202 @@
+"""
+A program planned beside the machine: its path, feeds and times, and the proof.
+
+The same commands that a user gives (`plan`, `check`) run as processes of lower priority than the
+nodes, and their one line of complaint is what the operator reads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM, MM_PER_MIN
+
+#: Points that are drawn at most.
+DRAWN = 20000
+#: Of the planning process: the nodes always come first, yet it gets on beside other work.
+NICENESS = 5
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Options of `plan` where the program is silent, as in ``LoadedProgram``; SI units."""
+
+    contour_tolerance: float = 0.02 * MM
+    orientation_tolerance: float = 0.02 * MM
+    force_tolerances: bool = False
+    flank_height: float = 30.0 * MM
+    feedrate: float = 0.0
+
+    def words(self) -> list[str]:
+        """Return them as options of the command line."""
+        words = [
+            f'--contour-tolerance={self.contour_tolerance / MM:.12g}',
+            f'--orientation-tolerance={self.orientation_tolerance / MM:.12g}',
+            f'--flank-height={self.flank_height / MM:.12g}',
+        ]
+        if self.force_tolerances:
+            words.append('--force-tolerances')
+        if self.feedrate > 0.0:
+            words.append(f'--feed={self.feedrate / MM_PER_MIN:.12g}')
+        return words
+
+
+@dataclass(frozen=True)
+class Preview:
+    """
+    What planning found out.
+
+    Parameters
+    ----------
+    s : ndarray, shape (N,)
+        Path length on the planner's grid [m].
+    tip, axis : ndarray, shape (N, 3)
+        Tool tip [m] and tool axis [-] in W.
+    feed, programmed_feed, feed_limit : ndarray, shape (N,)
+        Planned and programmed feed, and the limit of the axes [m/s].
+    time : ndarray, shape (N,)
+        Time at which the point is reached [s].
+    cycle_time : float
+        Of the whole program [s].
+    notices : tuple of str
+        What the reader passed on or simplified.
+
+    """
+
+    s: FloatArray
+    tip: FloatArray
+    axis: FloatArray
+    feed: FloatArray
+    programmed_feed: FloatArray
+    feed_limit: FloatArray
+    time: FloatArray
+    cycle_time: float
+    notices: tuple[str, ...] = ()
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self.s[-1])
+
+    def at(self, s: float) -> tuple[float, float, float]:
+        """Return programmed feed, limit of the axes [m/s] and time [s] at a path length."""
+        k = int(np.searchsorted(self.s, s, side='right').clip(1, len(self.s) - 1))
+        programmed = float(self.programmed_feed[k - 1])
+        return programmed, float(self.feed_limit[k - 1]), float(np.interp(s, self.s, self.time))
+
+    @staticmethod
+    def read(directory: Path, notices: tuple[str, ...] = ()) -> Preview:
+        """Read the plan files, thinned to what a screen shows."""
+        with np.load(directory / 'path.npz') as path, np.load(directory / 'setpoints.npz') as run:
+            s = path['s']
+            rows = thinned(path['tip'], path['axis'])
+            way, first = np.unique(run['s'], return_index=True)
+            time = np.interp(s[rows], way, run['time'][first])
+            columns = {
+                name: path[name][rows]
+                for name in ('tip', 'axis', 'feed', 'programmed_feed', 'feed_limit')
+            }
+        summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
+        return Preview(
+            s=s[rows], time=time, cycle_time=summary['cycle_time'], notices=notices, **columns
+        )
+
+
+def thinned(tip: FloatArray, axis: FloatArray) -> Any:
+    """Choose rows for drawing: at most ``DRAWN``, ends included, evenly by rows."""
+    count = len(tip)
+    return np.unique(np.linspace(0, count - 1, min(count, DRAWN)).astype(int))
+
+
+class Planner:
+    """
+    Plans and proves programs, one at a time; a new one ends the one before.
+
+    Parameters
+    ----------
+    machine : str
+        Machine of the nodes.
+
+    """
+
+    def __init__(self, machine: str):
+        self.machine = machine
+        self._folder = tempfile.TemporaryDirectory(prefix='cnc_panel_')
+        self._plan = Path(self._folder.name) / 'plan'
+        self._process: asyncio.subprocess.Process | None = None
+
+    def keep(self, name: str, text: str) -> Path:
+        """Write a program where the nodes can read it, under its own name."""
+        path = Path(self._folder.name) / (Path(name).name or 'program.ngc')
+        path.write_text(text, encoding='utf-8')
+        return path
+
+    async def plan(self, program: Path, choices: Choices) -> Preview:
+        """
+        Plan a program.
+
+        Raises
+        ------
+        InterpError
+            With the line that `cnc-interp plan` says.
+
+        """
+        words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
+        _, said = await self._run([*words, *choices.words()])
+        notes = [line.removeprefix('note: ') for line in said if line.startswith('note: ')]
+        # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
+        return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))
+
+    async def check(self) -> dict[str, Any]:
+        """Prove the plan; returns the proof as `check --json` prints it."""
+        out, _ = await self._run(['check', str(self._plan), '--json'], fine=(0, 1))
+        proof: dict[str, Any] = json.loads(out)
+        return proof
+
+    async def _run(self, words: list[str], fine: tuple[int, ...] = (0,)) -> tuple[str, list[str]]:
+        """Run one command of `cnc-interp`; returns what it printed, and what it said beside."""
+        self.stop()
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, '-m', 'cnc_interp', *words,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            preexec_fn=be_last,
+        )  # fmt: skip
+        self._process = process
+        out, said = await process.communicate()
+        if self._process is not process:
+            raise InterpError('another program was loaded')
+        self._process = None
+        lines = said.decode(errors='replace').splitlines()
+        if process.returncode not in fine:
+            last = lines[-1] if lines else f'exit code {process.returncode}'
+            raise InterpError(last.removeprefix('cnc-interp: '))
+        return out.decode(), lines
+
+    def stop(self) -> None:
+        """End what is running."""
+        if self._process is not None and self._process.returncode is None:
+            self._process.kill()
+        self._process = None
+
+    def close(self) -> None:
+        """End everything."""
+        self.stop()
+        self._folder.cleanup()
+
+
+def be_last() -> None:
+    """Step behind the nodes."""
+    os.nice(NICENESS)

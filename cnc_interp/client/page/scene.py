@@ -1,0 +1,142 @@
+"""The machine in three dimensions: moving axes, the tool, and the path on the workpiece."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.client.page.preview import Preview
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.description.links import (
+    BASE,
+    TOOL_TIP,
+    WORKPIECE,
+    Colour,
+    Description,
+    Joint,
+    Shape,
+)
+
+GROUND = '#12181d'
+RAY, RAY_COLOUR = 0.14, '#ffd166'
+#: Shapes with more opacity than this are machine; the rest is stock.
+SOLID = 0.9
+FOV = 40.0
+#: What the view of the part leaves out.
+MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
+
+
+class MachineView:
+    """
+    The 3-D view of one page.
+
+    Parameters
+    ----------
+    description : Description
+        Links, joints and shapes.
+
+    """
+
+    def __init__(self, description: Description):
+        self._description = description
+        self._of_part = True
+        self._path: Any = None
+        self._shown = -1
+        self._hidden: list[Any] = []
+        self._joints: dict[str, tuple[Joint, Any]] = {}
+        camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
+        self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
+        self._scene.classes('scene')
+        with self._scene:
+            self._root = self._scene.group()
+            with self._root:
+                self._build(BASE)
+        self._look(np.zeros(3), 0.25)
+
+    def _build(self, link: str) -> None:
+        """Add a link's shapes, then what hangs on it."""
+        for shape in self._description.links[link]:
+            found = self._add(shape)
+            if link in MACHINE_LINKS:
+                self._hidden.append(found.visible(False))
+        if link == TOOL_TIP:
+            ray = Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
+            self._add(ray).material(RAY_COLOUR)
+        if link == WORKPIECE:
+            self._workpiece = self._scene.group()
+        for joint in self._description.joints:
+            if joint.parent == link:
+                group = self._scene.group().move(*joint.origin)
+                self._joints[joint.name] = joint, group
+                with group:
+                    self._build(joint.child)
+
+    def _add(self, shape: Shape) -> Any:
+        """Add one shape where it belongs."""
+        if shape.is_box:
+            found = self._scene.box(*shape.size)
+            turn = np.eye(3)
+        else:
+            radius, length = shape.size
+            found = self._scene.cylinder(radius, radius, length, 32)
+            # The cylinders of the browser's library stand along y.
+            upright = Rotation.from_euler('x', 90, degrees=True)
+            turn = (Rotation.from_euler('xyz', shape.rpy) * upright).as_matrix()
+        found.move(*shape.centre).rotate_R(turn.tolist())
+        return found.material(css(shape.colour), shape.colour[3])
+
+    def show(self, positions: dict[str, float]) -> None:
+        """Move the axes [m, rad]; in the view of the part the workpiece stands still."""
+        for name, value in positions.items():
+            joint, group = self._joints[name]
+            if joint.kind == 'prismatic':
+                place = np.array(joint.origin) + value * np.array(joint.along)
+                group.move(*(round(float(x), 6) for x in place))
+            else:
+                turn = Rotation.from_rotvec(value * np.array(joint.along)).as_matrix()
+                group.rotate_R(turn.round(6).tolist())
+        turn, place = np.eye(3), np.zeros(3)
+        if self._of_part:
+            rotation, origin = self._description.pose(WORKPIECE, positions)
+            turn, place = rotation.T, -rotation.T @ origin
+        self._root.rotate_R(turn.round(6).tolist())
+        self._root.move(*(round(float(x), 6) for x in place))
+
+    def show_path(self, number: int, plan: Preview | None) -> None:
+        """Show the path with this number; it is fetched by the browser once."""
+        if number == self._shown or plan is None:
+            return
+        self._shown = number
+        if self._path is not None:
+            self._path.delete()
+        with self._scene, self._workpiece:
+            self._path = self._scene.gltf(f'/path/{number}.glb')
+        self._extent = plan.tip.min(axis=0), plan.tip.max(axis=0)
+        self.look_at_part(self._of_part)
+
+    def look_at_part(self, of_part: bool) -> None:
+        """Look at the part, which then stands still, or at the whole machine."""
+        self._of_part = of_part
+        for shape in self._hidden:
+            shape.visible(not of_part)
+        if not of_part:
+            self._look(np.array([0.0, 0.0, 0.12]), 1.15)
+        elif self._path is not None:
+            low, high = self._extent
+            self._look((low + high) / 2, max(0.03, float(np.linalg.norm(high - low)) * 0.62))
+
+    def _look(self, centre: FloatArray, radius: float) -> None:
+        """Put the camera so that a ball fills the view."""
+        distance = radius / np.sin(np.radians(FOV / 2))
+        place = centre + distance * np.array([0.55, -0.70, 0.46])
+        self._scene.move_camera(
+            *(float(x) for x in place), *(float(x) for x in centre), 0.0, 0.0, 1.0, duration=0.0
+        )
+
+
+def css(colour: Colour) -> str:
+    """Write a colour for the browser."""
+    return '#' + ''.join(f'{round(255 * x):02x}' for x in colour[:3])

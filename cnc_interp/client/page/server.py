@@ -1,0 +1,156 @@
+"""Serves the page: on loopback, until Ctrl-C; the machine does not notice when it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from fastapi import Response
+from nicegui import app, ui
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from cnc_interp.client.page.access import Access
+from cnc_interp.client.page.command import LOOPBACK, PARENT
+from cnc_interp.client.page.contact import Contact
+from cnc_interp.client.page.desk import Desk
+from cnc_interp.client.page.tab import Page
+from cnc_interp.core.errors import InterpError
+
+STYLE = Path(__file__).with_name('style.css')
+#: How often the desk looks after programs and the machine's name [s].
+WATCH = 0.2
+#: A page that was cut off finds its place again within this time [s].
+RECONNECT = 20.0
+PORTS = range(65536)
+
+
+@dataclass(frozen=True)
+class Served:
+    """
+    Where the page is served, and to whom.
+
+    Parameters
+    ----------
+    host, port
+        Address; see ``prepare``.
+    token : str
+        Needed for commands; a random one when empty.
+    name, text : str, optional
+        A program that is laid on the desk at start.
+
+    """
+
+    host: str = '127.0.0.1'
+    port: int = 8650
+    token: str = ''
+    name: str = ''
+    text: str | None = None
+
+    @staticmethod
+    def prepare(host: str, port: int, token: str, program: Path | None) -> Served:
+        """
+        Take an address and read the program; before any node is started.
+
+        Raises
+        ------
+        InterpError
+            When the address cannot be used or the program cannot be read.
+
+        """
+        text = read(program) if program is not None else None
+        return Served(host, free_port(host, port), token, program.name if program else '', text)
+
+
+def serve(served: Served, namespace: str, domain: int) -> None:
+    """Serve the page until the process is asked to end."""
+    text = served.text
+    access = Access(served.token)
+    desk = Desk(namespace, domain)
+
+    async def watch() -> None:
+        nonlocal text
+        if int(os.environ.get(PARENT, '0')) not in (0, os.getppid()):
+            app.shutdown()  # the run that started the page is gone
+        await desk.watch()
+        if text is not None and desk.machine is not None:
+            desk.load(served.name, text)
+            text = None
+
+    @ui.page('/')
+    async def page(token: str = '') -> None:
+        ui.add_css(STYLE)
+        ui.add_head_html(Contact.script())
+        ui.dark_mode(True)
+        await ui.context.client.connected()
+        await shown_when_known(desk)
+        client, tab = ui.context.client, ui.context.client.tab_id or ''
+        client.on_delete(lambda: access.leave(tab))
+        Page(desk, access, tab, token)
+
+    @app.get('/path/{number}.glb')
+    def path(number: int) -> Response:
+        if number != desk.tube_number:
+            return Response(status_code=404)
+        return Response(desk.tube, media_type='model/gltf-binary')
+
+    # Names that point to this computer by an attacker's choice are not served.
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOOPBACK, served.host])
+    app.timer(WATCH, watch)
+    app.on_startup(lambda: announce(served.host, served.port, access.token))
+    app.on_shutdown(desk.close)
+    ui.run(
+        host=served.host, port=served.port, title='cnc_interp', dark=True, reload=False,
+        show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
+        binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
+    )  # fmt: skip
+
+
+async def shown_when_known(desk: Desk) -> None:
+    """Show a word of patience until the nodes have said which machine they are."""
+    if desk.machine is None:
+        waiting = ui.label('waiting for the nodes; the first start compiles for a minute or two')
+        waiting.classes('q-pa-lg')
+        while desk.machine is None:
+            await asyncio.sleep(WATCH)
+        waiting.delete()
+
+
+async def announce(host: str, port: int, token: str) -> None:
+    """Print where the page is, once it is there."""
+    while True:
+        try:
+            _, connection = await asyncio.open_connection(host, port)
+            break
+        except OSError:
+            await asyncio.sleep(WATCH)
+    connection.close()
+    shown = f'[{host}]' if ':' in host else host
+    print(f'operator page  http://{shown}:{port}/?token={token}', flush=True)
+    print(f'view only      http://{shown}:{port}/', flush=True)
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the port, or a free one for 0; refuse one that is taken."""
+    if port not in PORTS:
+        raise InterpError(f'--port {port}: ports are {PORTS.start} to {PORTS.stop - 1}')
+    family = socket.AF_INET6 if ':' in host else socket.AF_INET
+    with socket.socket(family) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind((host, port))
+        except OSError as problem:
+            reason = f'{host}:{port} cannot be used: {problem.strerror}; choose another --port'
+            raise InterpError(reason) from None
+        found: int = trial.getsockname()[1]
+        return found
+
+
+def read(program: Path) -> str:
+    """Return the text of a program."""
+    try:
+        return program.read_text(encoding='utf-8-sig', errors='replace')
+    except OSError as problem:
+        raise InterpError(f'{program}: cannot be opened: {problem.strerror}') from None

@@ -1,0 +1,358 @@
+"""The page: read-outs, machine, program, charts and keys of one browser tab."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import events, ui
+
+from cnc_interp.client.operator import Answer
+from cnc_interp.client.page.access import Access
+from cnc_interp.client.page.charts import Charts
+from cnc_interp.client.page.contact import LATE, Contact, pressing
+from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.client.page.readings import NOTHING, alarms_html, program_html, progress, readings
+from cnc_interp.client.page.scene import MachineView
+from cnc_interp.client.page.tube import SCALE
+from cnc_interp.core.units import MM_PER_MIN
+
+#: Read-outs and machine are shown at this pace, charts at every so many of it [s].
+PACE, CHART_EVERY = 0.1, 4
+ALARMS_SHOWN = 30
+MOST_OVERRIDE = 150
+
+
+def marked(element: Any, name: str) -> Any:
+    """Name an element of the page, for scripts and tests."""
+    return element.props(f'data-mark="{name}"')
+
+
+class HeldSlider(ui.slider):
+    """A slider that stays where its user puts it, and does not wait for the server's answer."""
+
+    LOOPBACK = False
+
+
+class Page:
+    """
+    One page in one browser tab.
+
+    Parameters
+    ----------
+    desk : Desk
+        The model that all pages share.
+    access : Access
+        Who may command.
+    tab : str
+        This tab of the browser; it stays the same when the page is refreshed.
+    token : str
+        What the page was opened with.
+
+    """
+
+    def __init__(self, desk: Desk, access: Access, tab: str, token: str):
+        self._desk, self._access, self._tab, self._token = desk, access, tab, token
+        self._labels: dict[str, Any] = {}
+        self._shown: dict[str, Any] = {}
+        self._count = 0
+        self._waits = False
+        access.enter(tab, token)
+        self._contact = Contact(self._stop_with)
+        with ui.element('div').classes('panel'):
+            self._build_head()
+            with ui.element('div').classes('dro'):
+                self._build_readouts()
+            with ui.element('div').classes('view'):
+                self._build_view()
+            with ui.element('div').classes('text'):
+                self._build_program()
+            with ui.element('div').classes('keys'):
+                self._build_keys()
+            with ui.element('div').classes('charts'):
+                self._charts = Charts(desk.machine.axis_names if desk.machine else ())
+        ui.timer(PACE, self._show)
+        ui.context.client.on_connect(self._show_override_again)
+
+    # Building -----------------------------------------------------------------------------------
+
+    def _label(self, name: str, kind: str = 'value') -> Any:
+        self._labels[name] = marked(ui.label(NOTHING).classes(kind), name)
+        return self._labels[name]
+
+    def _build_head(self) -> None:
+        with ui.element('div').classes('head'):
+            ui.html('<b>cnc_interp</b>', sanitize=False)
+            self._label('state', 'state')
+            self._label('why', 'grow')
+            marked(ui.element('div').classes('contact'), 'contact')
+            self._label('rights', '')
+            self._take = ui.button('take over', on_click=self._take_over)
+            marked(self._take.props('dense outline no-caps size=sm'), 'take over')
+
+    def _build_readouts(self) -> None:
+        names = self._desk.machine.axis_names if self._desk.machine else ()
+        ui.html('<h2>machine axes</h2>', sanitize=False)
+        for k, name in enumerate(names):
+            with ui.element('div').classes('place'):
+                ui.label(name).classes('name')
+                self._label(f'axis {name}')
+                ui.label('mm' if k < 3 else '°').classes('unit')
+        ui.html('<h2>tool tip in the workpiece, mm</h2>', sanitize=False)
+        with ui.element('div').classes('three'):
+            for name in 'xyz':
+                self._label(f'tip {name}')
+        ui.html('<h2>tool axis</h2>', sanitize=False)
+        with ui.element('div').classes('three'):
+            for name in 'xyz':
+                self._label(f'tool {name}')
+        ui.html('<h2>feed</h2>', sanitize=False)
+        self._pair('actual', 'feed', 'mm/min', 'pair feed')
+        self._pair('programmed', 'programmed', 'mm/min')
+        self._pair('override', 'override', '')
+        ui.html('<h2>run</h2>', sanitize=False)
+        for title, name in (
+            ('line', 'line'), ('done', 'progress'), ('time left', 'left'), ('time', 'elapsed'),
+            ('held ready', 'buffer'), ('least ready', 'least'), ('times none', 'missed'),
+            ('contour error', 'contour'),
+        ):  # fmt: skip
+            self._pair(title, name, '')
+
+    def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
+        with ui.element('div').classes(kind if ' ' in kind else 'pair'):
+            ui.label(title).classes('name')
+            self._label(name)
+            ui.label(unit).classes('unit' if unit else '')
+
+    def _build_view(self) -> None:
+        description = self._desk.description
+        self._view = MachineView(description) if description else None
+        with ui.element('div').classes('over'):
+            looks = ui.toggle(['part', 'machine'], value='part', on_change=self._look)
+            marked(looks.props('dense no-caps size=sm unelevated color=blue-grey-9'), 'look')
+        colours = ', '.join(f'rgb{colour}' for colour in SCALE)
+        with ui.element('div').classes('legend'):
+            ui.html(
+                f'<i style="background: linear-gradient(90deg, {colours})"></i>', sanitize=False
+            )
+            self._label('scale', '')
+
+    def _build_program(self) -> None:
+        with ui.element('div').classes('title'):
+            self._label('program', 'grow')
+            upload = ui.upload(
+                on_upload=self._load, auto_upload=True, max_file_size=LONGEST_PROGRAM
+            ).classes('hidden')
+            self._upload = upload
+            check = self._answer(self._desk.check)
+            self._loader = ui.button('load', on_click=lambda: self._pick(waits=False))
+            self._follower = ui.button('then', on_click=lambda: self._pick(waits=True))
+            self._checker = ui.button('check', on_click=lambda: self._command(check))
+            for button in (self._loader, self._follower, self._checker):
+                button.props('dense no-caps size=sm unelevated color=blue-grey-8')
+                marked(button, button.text)
+            self._follower.tooltip('a program that starts when the one that runs has ended')
+        self._label('status', '').style('font-size: 12px; color: #93a3af')
+        with ui.element('div').classes('title') as self._next:
+            self._label('waiting', 'grow').style('font-size: 12px; color: #93a3af')
+            empty = self._answer(self._desk.empty_queue)
+            clear = ui.button('take out', on_click=lambda: self._command(empty))
+            marked(clear.props('dense outline no-caps size=sm'), clear.text)
+        with ui.element('div').classes('bar'):
+            self._bar = ui.element('div')
+        self._lines = ui.html('', sanitize=False).classes('lines')
+        self._alarms = ui.html('', sanitize=False).classes('alarms')
+
+    def _build_keys(self) -> None:
+        desk = self._desk
+        self._keys = [
+            self._key('cycle start', 'positive', lambda: self._command_in_sight(desk.cycle_start)),
+            self._key('feed hold', 'warning').on(**pressing('feed_hold')),
+            self._key(
+                'reset', 'blue-grey-7', lambda: self._command_in_sight(self._trigger('reset'))
+            ),
+        ]
+        with ui.element('div').classes('flex items-center'):
+            self._single = ui.switch('single block', on_change=self._set_single_block)
+            marked(self._single.props('dense'), 'single block')
+        self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
+        self._stop.classes('wide')
+        with ui.element('div').classes('slide'):
+            ui.label('override')
+            self._slider = HeldSlider(
+                min=0, max=MOST_OVERRIDE, step=5, value=100, on_change=self._set_override
+            ).props('dense')
+            marked(self._slider, 'override slider')
+            self._slid = ui.label('100%').classes('value')
+
+    @staticmethod
+    def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
+        key = ui.button(text, on_click=act, color=colour).props('unelevated no-caps')
+        return marked(key, text)
+
+    # Commands: every one is allowed or refused here, on the server ----------------------------
+
+    @property
+    def _in_charge(self) -> bool:
+        return self._access.may_command(self._tab, self._token)
+
+    async def _command(self, act: Callable[[], Awaitable[Answer]]) -> None:
+        """Do what was asked for, or say why not."""
+        if self._allowed():
+            await self._do(act)
+
+    async def _command_in_sight(self, act: Callable[[], Awaitable[Answer]]) -> None:
+        """Do what must not come late."""
+        if self._in_sight():
+            await self._command(act)
+
+    def _in_sight(self) -> bool:
+        """Tell whether the page shows what the machine does; say so where it does not."""
+        if self._contact.age > LATE:
+            ui.notify('the page was cut off; look, and do it again', type='warning')
+            return False
+        return True
+
+    async def _stop_with(self, name: str) -> None:
+        """Stop, however late it was heard; the token is enough in an emergency."""
+        urgent = name == 'emergency_stop' and self._access.may_stop(self._token)
+        if urgent or self._allowed():
+            await self._do(self._trigger(name))
+
+    @staticmethod
+    async def _do(act: Callable[[], Awaitable[Answer]]) -> None:
+        answer = await act()
+        if not answer.ok:
+            ui.notify(answer.message, type='negative')
+
+    def _allowed(self) -> bool:
+        """Tell whether this page may command; say so where it may not."""
+        if not self._in_charge:
+            ui.notify('view only: take over first, with the token', type='warning')
+        return self._in_charge
+
+    def _trigger(self, name: str) -> Callable[[], Awaitable[Answer]]:
+        return lambda: self._desk.trigger(name)
+
+    @staticmethod
+    def _answer(act: Callable[[], Answer]) -> Callable[[], Awaitable[Answer]]:
+        async def done() -> Answer:
+            return act()
+
+        return done
+
+    def _pick(self, waits: bool) -> None:
+        """Let the user choose a file, to be loaded, or to wait behind the one that runs."""
+        self._waits = waits
+        self._upload.run_method('pickFiles')
+
+    async def _load(self, event: events.UploadEventArguments) -> None:
+        text = (await event.file.read()).decode('utf-8-sig', errors='replace')
+        name = event.file.name
+        if self._waits:
+            await self._command(lambda: self._desk.queue(name, text))
+        else:
+            await self._command(self._answer(lambda: self._desk.load(name, text)))
+        self._upload.reset()
+
+    async def _set_single_block(self, event: events.ValueChangeEventArguments) -> None:
+        if event.value != self._desk.single_block:
+            await self._command(lambda: self._desk.set_single_block(event.value))
+            self._single.set_value(self._desk.single_block)  # where it was refused
+
+    def _set_override(self, event: events.ValueChangeEventArguments) -> None:
+        """
+        Set the override where the user has moved the slider.
+
+        What was asked for here counts as shown: the slider is only moved for others.
+        """
+        if event.value == round(100 * self._shown.get('override set', -1.0)):
+            return  # moved by this program, to show what others have set
+        if self._allowed() and self._in_sight():
+            self._shown['override set'] = event.value / 100
+            self._slid.set_text(f'{event.value:.0f}%')
+            self._desk.nodes.set_override(event.value / 100)
+        else:
+            self._show_override_again()
+
+    def _take_over(self) -> None:
+        if not self._access.take_over(self._tab, self._token):
+            ui.notify('open the page with the token that was printed at start', type='warning')
+
+    def _look(self, event: events.ValueChangeEventArguments) -> None:
+        if self._view is not None:
+            self._view.look_at_part(event.value == 'part')
+
+    # Showing ------------------------------------------------------------------------------------
+
+    def _changed(self, what: str, value: Any) -> bool:
+        """Tell whether something must be sent to the browser."""
+        if self._shown.get(what) == value:
+            return False
+        self._shown[what] = value
+        return True
+
+    def _show(self) -> None:
+        """Bring the page up to date; only what has changed is sent, and what it can take."""
+        if not self._contact.is_followed:
+            return
+        desk = self._desk
+        state, job = desk.nodes.state, desk.job
+        words = readings(desk)
+        words['program'] = job.name if job else 'no program'
+        words['status'] = job.status if job else 'load one to begin'
+        words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
+        for name, text in words.items():
+            if self._changed(name, text):
+                self._labels[name].set_text(text)
+        if self._changed('state colour', words['state']):
+            colour = 'silent' if words['state'].startswith('no') else words['state']
+            self._labels['state'].classes(replace=f'state {colour}')
+        if self._changed('some wait', bool(desk.nodes.waiting)):
+            self._next.set_visibility(bool(desk.nodes.waiting))
+        self._show_rights()
+        self._show_lists()
+        if state is not None and self._view is not None and desk.machine is not None:
+            self._view.show(dict(zip(desk.machine.axis_names, state.positions, strict=False)))
+            if job is not None and job.plan is not None:
+                self._view.show_path(desk.tube_number, job.plan)
+                top = job.plan.feed.max() / MM_PER_MIN
+                if self._changed('scale', f'0 to {top:.0f} mm/min, planned feed'):
+                    self._labels['scale'].set_text(self._shown['scale'])
+        self._count += 1
+        if self._count % CHART_EVERY == 0:
+            self._charts.show(desk)
+
+    def _show_rights(self) -> None:
+        """Show who commands, and what others have set."""
+        rights = 'in charge' if self._in_charge else 'view only'
+        if self._changed('rights', rights):
+            self._labels['rights'].set_text(rights)
+            self._take.set_visibility(not self._in_charge)
+            buttons = (self._loader, self._follower, self._checker)
+            for element in (*self._keys, self._single, self._slider, *buttons):
+                element.set_enabled(self._in_charge)
+            self._stop.set_enabled(self._access.may_stop(self._token))
+        if self._changed('single block', self._desk.single_block):
+            self._single.set_value(self._desk.single_block)
+        if self._changed('override set', self._desk.nodes.override):
+            self._slider.set_value(round(100 * self._desk.nodes.override))
+            self._slid.set_text(f'{self._desk.nodes.override:.0%}')
+
+    def _show_override_again(self) -> None:
+        """Show what counts: what the user did while the page was cut off is lost."""
+        self._shown.pop('override set', None)
+        self._slider.update()
+
+    def _show_lists(self) -> None:
+        """Show program text, progress and alarms."""
+        desk, state = self._desk, self._desk.nodes.state
+        line = state.line_number if state is not None and desk.plan_of(state) is not None else 0
+        if self._changed('lines', (id(desk.job), line)):
+            self._lines.set_content(program_html(desk.job, line))
+        share = progress(state, desk.plan_of(state)) if state is not None else 0.0
+        if self._changed('bar', round(share, 3)):
+            self._bar.style(f'transform: scaleX({share:.3f})')
+        alarms = desk.nodes.alarms[:ALARMS_SHOWN]
+        if self._changed('alarms', alarms):
+            self._alarms.set_content(alarms_html(alarms))

@@ -1,0 +1,253 @@
+"""Replay of a bag: its setpoints computed again from its blocks, and its pictures shown again."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
+
+from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.client.recorded_run import blocks_of, chain_options
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes.node_main import stay_on_this_host
+from cnc_interp.run.chain import smoothing_options
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.smoothing.path_smoother import PathSmoother
+from cnc_interp.wire.chunk_messages import setpoints_from
+from cnc_interp.wire.path_messages import blocks_from
+
+#: Topics that are shown again. The streams are not: a live machine would follow them.
+SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
+#: What is compared of a setpoint.
+COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's')
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """
+    A plan of a run as recorded and as computed again.
+
+    Parameters
+    ----------
+    program_id, plan
+        Which plan.
+    recorded : int
+        Setpoints that were recorded.
+    same : int
+        How many of them, from the first, are the same bit for bit.
+    difference : float
+        Largest difference of a position [m, rad]; infinite where setpoints are missing.
+    overridden : bool
+        True where the feed override changed on the way: it cannot be known behind which setpoint.
+
+    """
+
+    program_id: str
+    plan: int
+    recorded: int
+    same: int
+    difference: float
+    overridden: bool
+
+    @property
+    def ok(self) -> bool:
+        """True where nothing speaks against the record."""
+        return self.same == self.recorded or self.overridden
+
+    def text(self) -> str:
+        """Say it in words."""
+        name = f'run {self.program_id}, plan {self.plan}: {self.recorded} setpoints'
+        if self.same == self.recorded:
+            return f'{name}, computed again: the same bit for bit'
+        reason = 'the feed override changed' if self.overridden else 'DIFFERENT'
+        return (
+            f'{name}, computed again: the same up to {self.same}, then {reason}, '
+            f'by {self.difference:.1e} (m, rad) at most'
+        )
+
+
+def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
+    """
+    Compute the setpoints of all runs in a bag again from its blocks, and compare.
+
+    Parameters
+    ----------
+    bag : Bag
+        The bag.
+    machine : str
+        Another machine than the bag names.
+
+    Raises
+    ------
+    InterpError
+        If blocks or setpoints are missing.
+
+    """
+    name = machine or bag.parameters.get('machine_node.machine', '')
+    if not name:
+        raise InterpError(f'{bag.path}: does not tell the machine; name it with --machine')
+    transform = Transform.of(Machine.load(name))
+    recorded: dict[str, dict[int, dict[int, SetpointChunk]]] = {}
+    for chunk in bag.read('setpoints'):
+        plans = recorded.setdefault(chunk.program_id, {})
+        plans.setdefault(chunk.plan, {}).setdefault(chunk.first_sample, chunk)
+    if not recorded:
+        raise InterpError(f'{bag.path}: no setpoints in this bag; record a run')
+    for program_id, plans in recorded.items():
+        yield from _compare_run(bag, transform, program_id, plans)
+
+
+def _compare_run(
+    bag: Bag, transform: Transform, program_id: str, plans: dict[int, dict[int, SetpointChunk]]
+) -> Iterator[Comparison]:
+    """Compute the plans of one run again."""
+    told = [joined(bag, plans[plan]) for plan in sorted(plans)]
+    blocks = blocks_of(bag, program_id)
+    period = plans[min(plans)][0].period
+    overrides = _overrides(bag, program_id)
+    # Behind a loss the run went on from where the machine stood when planning began again.
+    goes_on = blocks[0].continue_at > 0.0
+    planner = RunPlanner(
+        transform, blocks[0].flank_height, period,
+        int(bag.parameters.get('feedrate_node.chunk_size', 10)), told[0].position[0],
+        float(told[0].s[0]) if goes_on else math.nan,
+    )  # fmt: skip
+    planner.stream.override = overrides[0]
+    options = chain_options(bag.parameters, blocks[0].flank_height, period)
+    lookahead = PathSmoother(smoothing_options(transform, options))
+    pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
+    for segments in (lookahead.push(blocks_from(blocks)), lookahead.finish()):
+        if len(segments):
+            planner.push(segments, pauses)
+    planner.finish()
+    rests = {
+        m.plan: m.path_position
+        for m in bag.read('machine_state')
+        if m.program_id == program_id and m.plan_over
+    }
+    for plan, samples in zip(sorted(plans), told, strict=True):
+        if plan > 0:
+            if plan - 1 not in rests:
+                raise InterpError(f'{bag.path}: does not tell where plan {plan - 1} was left')
+            planner.resume(rests[plan - 1])
+        again = _all_samples(planner, len(samples))
+        yield Comparison(
+            program_id, plan, len(samples), _same(samples, again), _difference(samples, again),
+            len(set(overrides)) > 1,
+        )  # fmt: skip
+
+
+def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
+    """Join the chunks of a plan, from setpoint 0."""
+    following, parts = 0, []
+    for first in sorted(chunks):
+        if first != following:
+            raise InterpError(f'{bag.path}: setpoints {following} to {first - 1} are not in it')
+        parts.append(setpoints_from(chunks[first]))
+        following = first + len(parts[-1])
+    return Setpoints.concatenate(parts)
+
+
+def _overrides(bag: Bag, program_id: str) -> list[float]:
+    """Return the override at the start of a run, and all that followed during it."""
+    found, running = [1.0], False
+    for topic, _, data in bag.raw('feed_override', 'setpoints'):
+        message = deserialize_message(data, TOPICS[topic][0])
+        if topic == 'setpoints':
+            running = running or message.program_id == program_id
+        elif running:
+            found.append(float(message.data))
+        else:
+            found = [float(message.data)]
+    return found
+
+
+def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
+    """Plan and sample until so many setpoints are there, or all."""
+    parts: list[Setpoints] = []
+    count = 0
+    while count < wanted and (planner.stream.can_sample or planner.stream.can_plan):
+        for chunk in planner.work(True, -np.inf):
+            parts.append(chunk.samples)
+            count += len(chunk.samples)
+    return Setpoints.concatenate(parts)
+
+
+def _same(samples: Setpoints, again: Setpoints) -> int:
+    """Count the setpoints that are the same from the first on."""
+    n = min(len(samples), len(again))
+    same = np.ones(n, dtype=bool)
+    for name in COLUMNS:
+        a, b = getattr(samples, name)[:n], getattr(again, name)[:n]
+        same &= (a == b).reshape(n, -1).all(axis=1)
+    return n if same.all() else int(np.argmin(same))
+
+
+def _difference(samples: Setpoints, again: Setpoints) -> float:
+    """Return the largest difference of a position."""
+    if len(again) < len(samples):
+        return float('inf')
+    return float(np.abs(samples.position - again.position[: len(samples)]).max(initial=0.0))
+
+
+def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
+    """
+    Publish what the machine told, at the pace at which it came; returns the number of messages.
+
+    Parameters
+    ----------
+    bag : Bag
+        The bag.
+    namespace : str
+        Where to publish.
+    rate : float
+        Times as fast as it was [-].
+    clock : bool
+        Publish the time of the bag on ``/clock`` too.
+
+    """
+    stop: list[int] = []
+    previous = {
+        number: signal.signal(number, lambda found, _frame: stop.append(found))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    stay_on_this_host()
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('replay', namespace=namespace, context=context)
+    publishers = {
+        topic: node.create_publisher(TOPICS[topic][0], topic, TOPICS[topic][1]) for topic in SHOWN
+    }
+    clocks = node.create_publisher(Clock, '/clock', 10) if clock else None
+    count, first, begun = 0, 0, time.monotonic()
+    try:
+        for topic, stamp, data in bag.raw(*SHOWN):
+            first = first or stamp
+            due = begun + (stamp - first) * 1e-9 / rate
+            while not stop and (wait := due - time.monotonic()) > 0.0:
+                time.sleep(min(wait, 0.1))
+            if stop:
+                break
+            if clocks is not None:
+                clocks.publish(Clock(clock=Time(sec=stamp // 10**9, nanosec=stamp % 10**9)))
+            publishers[topic].publish(data)
+            count += 1
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    return count

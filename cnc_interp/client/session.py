@@ -1,0 +1,326 @@
+"""`cnc-interp run`: the four nodes as processes, one program, and what came of it."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+import uuid
+from argparse import Namespace
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS, UM
+from cnc_interp.nodes.node_processes import Children, begin_loading
+from cnc_interp.smoothing.dense.compression import Compression
+
+#: Domains that are safe on Linux whatever the ports of other programs.
+DOMAINS = range(1, 102)
+ALL_DOMAINS = range(233)
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """
+    What shall be run, and how; SI units.
+
+    Parameters
+    ----------
+    program : Path
+        Program file.
+    then : tuple of Path
+        Further programs; each starts when the one before it has reached its end.
+    machine : str
+        Bundled machine or YAML file.
+    contour_tolerance, orientation_tolerance, flank_height : float
+        Where the program gives none [m].
+    force_tolerances : bool
+        Keep the tolerances above even where the program gives others.
+    feedrate : float, optional
+        Where the program gives none [m/s].
+    ratio : float, optional
+        L2/L1 of all corners [-]; None: chosen for each.
+    parametrization, top, septic
+        How corners are made; see SmoothingOptions.
+    period : float
+        Interpolation period [s].
+    setup : Path, optional
+        The operator's work offsets, tools and reference points.
+    rotary_sense : {'programmed', 'shortest'}
+        How absolute rotary words are taken.
+    skip_blocks : bool
+        Leave out the lines that begin with a slash.
+    compression : Compression
+        How runs of short blocks become curves.
+    out : Path, optional
+        Folder for plan files of what the machine received.
+    record : Path, optional
+        Bag to record all messages into.
+    quiet : bool
+        Show no progress.
+
+    """
+
+    program: Path
+    then: tuple[Path, ...] = ()
+    machine: str = 'xyzac'
+    contour_tolerance: float = 0.02 * MM
+    orientation_tolerance: float = 0.02 * MM
+    flank_height: float = 30.0 * MM
+    force_tolerances: bool = False
+    feedrate: float | None = None
+    ratio: float | None = None
+    parametrization: str = 'exact'
+    top: str = 'in_step'
+    septic: bool = False
+    period: float = 1.0 * MS
+    setup: Path | None = None
+    rotary_sense: str = 'programmed'
+    skip_blocks: bool = False
+    compression: Compression = field(default_factory=Compression)
+    out: Path | None = None
+    record: Path | None = None
+    quiet: bool = False
+
+    @staticmethod
+    def from_options(options: Namespace) -> RunRequest:
+        """Take the options of the command line, in the shop's units."""
+        return RunRequest(
+            program=options.program,
+            then=tuple(options.then),
+            machine=options.machine,
+            contour_tolerance=options.contour_tolerance * MM,
+            orientation_tolerance=options.orientation_tolerance * MM,
+            flank_height=options.flank_height * MM,
+            force_tolerances=options.force_tolerances,
+            feedrate=None if options.feed is None else options.feed * MM_PER_MIN,
+            ratio=options.ratio,
+            parametrization=options.parametrization,
+            top=options.top,
+            septic=options.septic,
+            period=options.period * MS,
+            setup=options.setup,
+            rotary_sense=options.rotary_sense,
+            skip_blocks=options.skip_blocks,
+            compression=Compression(
+                enabled=options.compress,
+                longest_block=options.longest_block * MM,
+                corner_angle=options.corner_angle * DEG,
+                tolerance_share=options.tolerance_share,
+            ),
+            out=options.out,
+            record=options.record,
+            quiet=options.json,
+        )
+
+    @property
+    def programs(self) -> tuple[Path, ...]:
+        """All programs in their order."""
+        return (self.program, *self.then)
+
+    def node_parameters(self) -> dict[str, dict[str, object]]:
+        """Return what the nodes must know from the start."""
+        machine: dict[str, object] = {'machine': f"'{self.machine}'"}
+        moving = machine | {'interpolation_period': self.period}
+        smoothing = machine | {
+            'corner_ratio': self.ratio or 0.0,
+            'parametrization': self.parametrization,
+            'top': self.top,
+            'septic': self.septic,
+            'compress': self.compression.enabled,
+            'longest_block': self.compression.longest_block,
+            'corner_angle': self.compression.corner_angle,
+            'tolerance_share': self.compression.tolerance_share,
+        }
+        return {
+            'program_node': smoothing
+            | {
+                'setup': f"'{self.setup.resolve() if self.setup else ''}'",
+                'rotary_sense': self.rotary_sense,
+                'skip_blocks': self.skip_blocks,
+            },
+            'lookahead_node': smoothing,
+            'feedrate_node': moving,
+            'machine_node': moving,
+        }
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """
+    What came of a run; SI units.
+
+    Parameters
+    ----------
+    ok : bool
+        True when the program was executed to its end, every block of it.
+    message : str
+        What happened, in one line.
+    program, machine, program_id : str
+        What ran where, and the run's name in all messages.
+    cycle_time, approach_time : float
+        Motion time of the program, and of the move to its start pose [s].
+    start_to_motion : float
+        From the command to the first setpoint that the machine executed [s].
+    path_length : float
+        Path executed [m].
+    blocks_sent, blocks_executed, samples, starvations : int
+        Counts; starvations are times without setpoints.
+    least_buffered_time : float
+        Least motion time the machine held while it ran [s].
+    contour_error : float
+        Largest distance of the actual tip from the commanded path [m].
+    following_error, velocity_use, acceleration_use, jerk_use : dict
+        Largest per axis [m, rad; share of the limit].
+    position : dict
+        Where the axes stand at the end [m, rad].
+    notices : tuple of str
+        What the reader of the program passed on or simplified.
+
+    """
+
+    ok: bool
+    message: str
+    program: str
+    machine: str
+    program_id: str = ''
+    cycle_time: float = 0.0
+    approach_time: float = 0.0
+    start_to_motion: float = float('nan')
+    path_length: float = 0.0
+    blocks_sent: int = 0
+    blocks_executed: int = 0
+    samples: int = 0
+    starvations: int = 0
+    least_buffered_time: float = float('nan')
+    contour_error: float = 0.0
+    following_error: dict[str, float] = field(default_factory=dict)
+    velocity_use: dict[str, float] = field(default_factory=dict)
+    acceleration_use: dict[str, float] = field(default_factory=dict)
+    jerk_use: dict[str, float] = field(default_factory=dict)
+    position: dict[str, float] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all fields for machines to read; NaN becomes None."""
+        return {k: None if v != v else v for k, v in asdict(self).items()}
+
+    def text(self) -> str:
+        """Say it in words and shop units."""
+        lines = [
+            f'program        {self.program} on {self.machine}: {self.message}',
+            f'blocks         {self.blocks_sent} sent, {self.blocks_executed} executed; '
+            f'path {self.path_length / MM:.1f} mm',
+            f'cycle time     {self.cycle_time:.3f} s, after an approach of '
+            f'{self.approach_time:.3f} s; first motion {self.start_to_motion:.1f} s after start',
+            f'setpoints      {self.samples}, {self.starvations} times none in time; at least '
+            f'{self.least_buffered_time / MS:.0f} ms held ready',
+            f'drives         contour error {self.contour_error / UM:.1f} um; following error '
+            + '  '.join(
+                f'{axis} {error / UM:.1f} um' if k < 3 else f'{axis} {error / DEG:.4f} deg'
+                for k, (axis, error) in enumerate(self.following_error.items())
+            ),
+        ]
+        for name in ('velocity', 'acceleration', 'jerk'):
+            use = getattr(self, f'{name}_use')
+            values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
+            lines.append(f'{name:<15}{values}')
+        return '\n'.join(lines)
+
+
+class Companion(Protocol):
+    """Something that lives beside the nodes of a run, such as the operator page."""
+
+    def start(self, namespace: str, domain: int) -> None:
+        """Begin, while the nodes start."""
+
+    def finish(self, result: RunResult) -> None:
+        """See the result; the nodes live until this returns."""
+
+
+def run_session(request: RunRequest, companion: Companion | None = None) -> list[RunResult]:
+    """
+    Run one or more programs through the real nodes and end them again.
+
+    Raises
+    ------
+    InterpError
+        For bad input (program, machine file, a block that the machine cannot execute), where
+        nothing moved, and when a node cannot start.
+
+    """
+    started = time.monotonic()
+    for program in request.programs:
+        try:
+            program.open('rb').close()
+        except OSError as problem:
+            reason = f'cannot be opened: {problem.strerror}'
+            raise ProgramError(reason, str(program)) from None
+    if request.then and request.out is not None:
+        raise InterpError('--out takes the motion of one program; leave out --then, or --record')
+    namespace = f'/run_{uuid.uuid4().hex[:8]}'
+    domain = chosen_domain()
+    begin_loading()
+    # Imported meanwhile: ROS and the kernels take a second each.
+    from cnc_interp.client.run_client import Client
+    from cnc_interp.kinematics.machine import Machine
+
+    with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
+        machine = Machine.load(request.machine)
+        if companion is not None:
+            companion.start(namespace, domain)
+        with Client(namespace, domain, children) as client:
+            results = client.run(request, machine, started, attended=companion is not None)
+            received = client.received
+        if companion is not None:
+            companion.finish(results[-1])
+    if request.out is not None and results[0].ok:
+        from cnc_interp.client.executed_plan import write_received
+
+        write_received(request, machine, received, request.out)
+    return results
+
+
+def chosen_domain() -> int:
+    """Return the user's ROS domain; one of one's own keeps parallel runs apart."""
+    chosen = os.environ.get('ROS_DOMAIN_ID', '')
+    return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
+
+
+def check_place(namespace: str, domain: int) -> None:
+    """
+    Refuse a place that ROS 2 does not know.
+
+    Raises
+    ------
+    InterpError
+        For a wrong namespace or domain.
+
+    """
+    from rclpy.exceptions import InvalidNamespaceException
+    from rclpy.validate_namespace import validate_namespace
+
+    if domain not in ALL_DOMAINS:
+        last = ALL_DOMAINS.stop - 1
+        raise InterpError(f'domain {domain}: the domains of ROS 2 are 0 to {last}')
+    try:
+        validate_namespace(f'/{namespace.lstrip("/")}')
+    except InvalidNamespaceException:
+        raise InterpError(
+            f'namespace {namespace!r}: letters, digits and _ between slashes, no digit first'
+        ) from None
+
+
+def nodes_file() -> Path:
+    """Return the parameter file of the nodes: beside the package, or in the ROS share."""
+    source = Path(__file__).resolve().parents[2] / 'config' / 'nodes.yaml'
+    if source.is_file():
+        return source
+    from ament_index_python.packages import get_package_share_directory
+
+    installed = Path(get_package_share_directory('cnc_interp')) / 'config' / 'nodes.yaml'
+    if not installed.is_file():
+        raise InterpError(f'{installed} is missing; install cnc_interp again')
+    return installed

@@ -1,0 +1,1 @@
+"""Shared ground of all rooms: arrays, units, errors, jets, Bezier spans."""

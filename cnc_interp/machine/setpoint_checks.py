@@ -1,0 +1,79 @@
+"""What setpoints must be before drives follow them: inside the travel and the limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+
+# Differences of sound setpoints pass a limit by rounding only.
+ROUNDING = 1.01
+# Soft limits forgive rounding [m, rad].
+TRAVEL_SLACK = 1e-9
+
+
+def beyond_travel(machine: Machine, positions: FloatArray) -> str:
+    """
+    Say which axis would leave its travel first, and where to; empty when none does.
+
+    Parameters
+    ----------
+    machine : Machine
+        Axes and travel.
+    positions : ndarray, shape (K, n_axes)
+        Setpoints [m, rad].
+
+    """
+    travel = machine.travel
+    outside = (positions < travel[:, 0] - TRAVEL_SLACK) | (positions > travel[:, 1] + TRAVEL_SLACK)
+    if not outside.any():
+        return ''
+    row, k = (int(x[0]) for x in np.nonzero(outside))
+    return (
+        f'soft limit: {machine.axis_names[k]} to {positions[row, k]:.6g}, travel is '
+        f'{travel[k, 0]:.6g} to {travel[k, 1]:.6g} (m, rad)'
+    )
+
+
+def refuse_setpoints(
+    machine: Machine, period: float, before: FloatArray, positions: FloatArray, at_rest: bool
+) -> None:
+    """
+    Refuse setpoints that leave the travel or break a limit, before they are executed.
+
+    Parameters
+    ----------
+    machine : Machine
+        Axes, limits and travel.
+    period : float
+        Interpolation period [s].
+    before : ndarray, shape (3, n_axes)
+        Setpoints before them [m, rad].
+    positions : ndarray, shape (K, n_axes)
+        The setpoints [m, rad].
+    at_rest : bool
+        True when they must end at rest.
+
+    Raises
+    ------
+    StreamError
+        With axis, value and limit.
+
+    """
+    beyond = beyond_travel(machine, positions)
+    if beyond:
+        raise StreamError(f'{beyond}; move the workpiece or the program')
+    parts = [before, positions] + ([np.tile(positions[-1:], (3, 1))] if at_rest else [])
+    course = np.concatenate(parts)
+    limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
+    for order, limit in enumerate(limits, start=1):
+        use = np.abs(np.diff(course, order, axis=0)) / (limit * period**order)
+        if not use.max() <= ROUNDING:
+            k = int(np.argmax(use.max(axis=0)))
+            what = ('velocity', 'acceleration', 'jerk')[order - 1]
+            raise StreamError(
+                f'{machine.axis_names[k]} asked for {use.max():.4g} times its largest {what}; '
+                'setpoints were spoilt on their way, lost, or made for another machine'
+            )

@@ -1,0 +1,102 @@
+"""Runs a tiny built-in path, so that every compiled kernel is loaded before anything moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.feedrate.jerk_stage import PlanOptions
+from cnc_interp.feedrate.limits import limit_table
+from cnc_interp.feedrate.stop_law import planned_stop, until_rest
+from cnc_interp.feedrate.window import FeedPlanner
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.run.chunk import Wait
+from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.smoothing.path_smoother import PathSmoother
+from cnc_interp.smoothing.segments import PathSegments
+
+#: The tiny path in several windows: some kernels serve only where a window follows another.
+SHORT_WINDOWS = PlanOptions(window_cells=8)
+
+
+def tiny_program(transform: Transform) -> Blocks:
+    """Return three blocks: a corner, then an exact stop, the tool axis turning where it can."""
+    rotary = np.array([[0.30, 0.20], [0.33, 0.25], [0.35, 0.32], [0.36, 0.35]])
+    rotating = transform.machine.has_rotary
+    axis = transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (4, 1))
+    return Blocks(
+        tip=np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 1.0], [5.0, 8.0, 1.0]]) * MM,
+        axis=axis,
+        rotary=np.full((4, 2), np.nan),
+        feedrate=np.full(4, 3000.0 * MM_PER_MIN),
+        duration=np.full(4, np.nan),
+        rapid=np.zeros(4, dtype=np.bool_),
+        exact_stop=np.array([False, False, True, True]),
+        contour_tolerance=np.full(4, 0.02 * MM),
+        orientation_tolerance=np.full(4, 0.02 * MM),
+        line_number=np.arange(4),
+    )
+
+
+def dense_program(transform: Transform) -> Blocks:
+    """Return short blocks that become a curve of several windows."""
+    count = 400
+    u = np.linspace(0.0, 6.0, count)
+    rotary = np.stack([0.3 + 0.01 * np.sin(u), 0.2 + 0.05 * u], axis=1)
+    rotating = transform.machine.has_rotary
+    pose = tiny_program(transform)[:1]
+    return replace(
+        Blocks.concatenate([pose] * count),
+        tip=np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM,
+        axis=transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (count, 1)),
+        line_number=np.arange(count),
+    )
+
+
+def warm_lookahead(transform: Transform, compression: Compression) -> PathSegments:
+    """Load the kernels of the look-ahead, those of curves where they are made."""
+    options = smoothing_options(transform, ChainOptions(compression=compression))
+    made = []
+    programs = [dense_program, tiny_program] if compression.enabled else [tiny_program]
+    for program in programs:
+        lookahead = PathSmoother(options)
+        made = [lookahead.push(program(transform)), lookahead.finish()]
+    return PathSegments.concatenate(made)
+
+
+def warm_kinematics(transform: Transform, compression: Compression) -> AxisPath:
+    """Load the kernels from look-ahead to machine axes."""
+    machine = transform.machine
+    endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
+    free = Transform.of(replace(machine, travel=endless))
+    path = AxisPathBuilder(free).push(warm_lookahead(transform, compression))
+    assert path is not None
+    return path
+
+
+def warm_all(transform: Transform, period: float) -> None:
+    """Load the kernels from corners to setpoints; curves need no others behind the look-ahead."""
+    path = warm_kinematics(transform, Compression(enabled=False))
+    for options in (PlanOptions(), SHORT_WINDOWS):
+        planner = FeedPlanner(transform.machine, options)
+        planner.push(path)
+        planner.finish()
+    # stops in both ways, and a change of the override
+    stream = MotionStream(transform.machine, period)
+    stream.push(path)
+    stream.end_leg(Wait.END)
+    while not stream.can_sample:
+        stream.plan()
+    handed_out = sum(len(chunk.samples) for chunk in stream.sample())
+    stream.revise(handed_out - 1, 0.5, single_block=False)
+    state = stream.state_at(handed_out - 1)
+    table = limit_table(transform.machine)
+    assert state is not None
+    planned_stop(until_rest(path, *state[1], table), state[1], table, 0.0)

@@ -1,0 +1,118 @@
+"""The main loop that all nodes share: start, spin, end in a controlled way with exit code 0."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from cnc_interp.core.errors import InterpError
+
+#: The events executor needs a finite timeout; this is also how soon a signal is seen [s].
+SPIN_TIMEOUT = 0.1
+#: Niceness of the nodes where it is permitted: setpoints must not wait for other programs.
+NICENESS = -10
+
+
+def run_node(
+    make: Callable[[], Any], arguments: list[str] | None = None, urgent: bool = True
+) -> int:
+    """
+    Run one node until Ctrl-C, SIGTERM or the end of its context.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the node once ROS is up; the node's ``close`` ends it in a controlled way.
+    arguments : list of str, optional
+        Command line, ROS arguments included.
+    urgent : bool
+        Whether others wait for it: false for a node that only shows.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a controlled end, 2 when the node cannot start.
+
+    """
+    stop: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda found, _frame: stop.append(found))
+    if urgent:
+        come_first()
+    stay_on_this_host()
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = make()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        gc.collect()
+        gc.freeze()  # what exists now lives as long as the node: no collection walks over it
+        run = multiprocessing.parent_process()
+        # Nodes that a run started end with it, however it ends.
+        while not stop and rclpy.ok() and (run is None or run.is_alive()):
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except InterpError as problem:
+        print(f'cnc_interp: {problem}', file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def come_first() -> None:
+    """
+    Ask the system to serve this process before others; only some users may.
+
+    On Linux this holds for the calling thread and those that it starts from now on, so it comes
+    before the threads of ROS. Where processes are scheduled by session, as desktops do, niceness
+    counts among those of one session only; then the session of the node is moved up.
+    """
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+    if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell
+        with contextlib.suppress(OSError):
+            Path('/proc/self/autogroup').write_text(str(NICENESS), encoding='ascii')
+
+
+def stay_on_this_host() -> None:
+    """Be found by programs of this host only, unless the environment says otherwise."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
+    """Do the work of a lifecycle transition; rclpy would fail in silence where this says why."""
+    try:
+        work()
+    except InterpError as problem:
+        node.get_logger().error(str(problem))
+        return TransitionCallbackReturn.FAILURE
+    except Exception as problem:
+        node.get_logger().error(f'{type(problem).__name__}: {problem}')
+        return TransitionCallbackReturn.FAILURE
+    return TransitionCallbackReturn.SUCCESS
+
+
+def start_lifecycle(node: Any) -> None:
+    """Configure and activate a lifecycle node without waiting for a command."""
+    if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+        raise InterpError(f'{node.get_name()} cannot be configured; see the message above')
+    node.trigger_activate()

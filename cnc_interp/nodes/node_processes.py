@@ -1,0 +1,167 @@
+"""
+The four nodes as child processes: started together, watched, and ended together.
+
+They are forked from one process, a fork server of Python's own, that has loaded what they all
+need: libraries and kernels are loaded once instead of four times, and their memory is shared.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import multiprocessing
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from multiprocessing import forkserver
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+from cnc_interp.core.errors import InterpError
+
+NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
+#: What the fork server loads before it forks.
+PRELOADED = 'cnc_interp.nodes.preloaded'
+#: Loading takes longer than this only where the kernels must be compiled first [s].
+SLOW_START = 15.0
+COMPILING = 'compiling the kernels, once; takes a minute or two'
+#: A node that has not ended by itself after this is killed [s].
+LAST_WAIT = 5.0
+
+
+@dataclass(frozen=True)
+class Started:
+    """One node that runs."""
+
+    name: str
+    process: ForkServerProcess
+    log: Path
+
+
+def begin_loading() -> None:
+    """Start the fork server, which takes seconds to load; returns at once."""
+    multiprocessing.set_forkserver_preload([PRELOADED])
+    forkserver.ensure_running()
+
+
+def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
+    """Be a node; the whole life of a forked process."""
+    os.setsid()  # Ctrl-C is for the run, which ends the nodes in order
+    os.environ.update(environment)
+    with log.open('wb') as output, open(os.devnull, 'rb') as nothing:
+        for stream, number in ((nothing, 0), (output, 1), (output, 2)):
+            os.dup2(stream.fileno(), number)
+    with contextlib.suppress(OSError):  # what ps, top and pgrep call it
+        Path('/proc/self/comm').write_text(node, encoding='ascii')
+    sys.exit(importlib.import_module(f'cnc_interp.nodes.{node}').main([node, *arguments]))
+
+
+class Children:
+    """
+    The nodes of one run.
+
+    Parameters
+    ----------
+    namespace : str
+        ROS namespace of the run.
+    domain : int
+        ROS domain.
+    parameters : dict
+        Values for the nodes, by node name, on top of the parameter file.
+    file : Path
+        Parameter file.
+    arguments : dict, optional
+        Further ROS arguments, by node name: remappings.
+
+    """
+
+    def __init__(
+        self,
+        namespace: str,
+        domain: int,
+        parameters: dict[str, dict[str, object]],
+        file: Path,
+        arguments: dict[str, list[str]] | None = None,
+    ):
+        self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_')
+        self._environment = os.environ | {
+            'ROS_DOMAIN_ID': str(domain),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_LOG_DIR': self._folder.name,
+        }
+        self._namespace, self._parameters, self._file = namespace, parameters, file
+        self._arguments = arguments or {}
+        begin_loading()
+        slow = threading.Timer(SLOW_START, print, [COMPILING], {'file': sys.stderr})
+        slow.start()
+        self._nodes = {node: self._start(node) for node in NODES}
+        slow.cancel()
+
+    def _start(self, node: str) -> Started:
+        """Start one node; what it prints goes to a file."""
+        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
+        arguments += ['--params-file', str(self._file)]
+        for name, value in self._parameters.get(node, {}).items():
+            arguments += ['-p', f'{name}:={value}']
+        arguments += self._arguments.get(node, [])
+        log = Path(self._folder.name) / f'{node}.txt'
+        process = multiprocessing.get_context('forkserver').Process(
+            target=_live, args=(node, arguments, self._environment, log), name=node
+        )
+        process.start()
+        return Started(node, process, log)
+
+    def check(self) -> None:
+        """
+        Make sure that all nodes run.
+
+        Raises
+        ------
+        InterpError
+            With the last words of the node that ended.
+
+        """
+        for node in self._nodes.values():
+            if node.process.exitcode is not None:
+                words = node.log.read_text(errors='replace').strip().splitlines()
+                last = words[-1] if words else f'exit code {node.process.exitcode}'
+                raise InterpError(f'{node.name} ended: {last.removeprefix("cnc_interp: ")}')
+
+    def revive(self) -> list[str]:
+        """Start nodes again that were killed by a signal; returns their names."""
+        dead = [n.name for n in self._nodes.values() if (n.process.exitcode or 0) < 0]
+        for name in dead:
+            self._nodes[name] = self._start(name)
+        return dead
+
+    @property
+    def process_ids(self) -> dict[str, int | None]:
+        """Process of each node."""
+        return {node.name: node.process.pid for node in self._nodes.values()}
+
+    @property
+    def exit_codes(self) -> dict[str, int | None]:
+        """Exit code of each node; None while it runs."""
+        return {node.name: node.process.exitcode for node in self._nodes.values()}
+
+    def end(self) -> None:
+        """Ask all nodes to end, wait, and kill only what does not."""
+        for node in self._nodes.values():
+            node.process.terminate()
+        deadline = time.monotonic() + LAST_WAIT
+        for node in self._nodes.values():
+            node.process.join(max(0.0, deadline - time.monotonic()))
+            if node.process.exitcode is None:
+                node.process.kill()
+                node.process.join()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()

@@ -1,0 +1,153 @@
+"""From a goal to blocks that are known to run: read, then checked to the last block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes.parameters import chain_options
+from cnc_interp.program import JobSetup, ProgramStream, ReadOptions, open_program
+from cnc_interp.program.source import Source
+from cnc_interp.program.spool import BlockSpool
+from cnc_interp.run.chain import ChainOptions, at_fault, no_motion, smoothing_options
+from cnc_interp.smoothing.path_smoother import PathSmoother
+
+#: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
+BATCH, LONGEST_TEXT = 512, 16 << 20
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """
+    A program that can run.
+
+    Parameters
+    ----------
+    blocks : BlockSpool
+        Start pose, then the program.
+    notices : tuple of str
+        What was passed on or simplified.
+    text : str
+        The program's text; empty when it is very long.
+    options : ReadOptions
+        The choices it was read with.
+    path_length : float
+        Length of the smoothed path [m].
+
+    """
+
+    blocks: BlockSpool
+    notices: tuple[str, ...]
+    text: str
+    options: ReadOptions
+    path_length: float
+
+
+def read_options(goal: Any, defaults: dict[str, Any]) -> ReadOptions:
+    """Return the user's choices; zero and empty leave them to the node's parameters."""
+    return ReadOptions(
+        contour_tolerance=goal.contour_tolerance or defaults['contour_tolerance'],
+        orientation_tolerance=goal.orientation_tolerance or defaults['orientation_tolerance'],
+        force_tolerances=goal.force_tolerances,
+        flank_height=goal.flank_height or defaults['flank_height'],
+        feedrate=goal.feedrate or None,
+        interpolation=goal.interpolation or 'auto',
+        rotary_sense=defaults['rotary_sense'],
+        skip_blocks=defaults['skip_blocks'],
+        setup=JobSetup.load(Path(defaults['setup'])) if defaults['setup'] else JobSetup(),
+    )
+
+
+def prepare(
+    goal: Any, transform: Transform, values: dict[str, Any], told: Callable[[float], None]
+) -> Prepared:
+    """
+    Read and check the program of a goal, before anything moves; memory does not grow with it.
+
+    Parameters
+    ----------
+    goal : RunProgram.Goal
+        Program and choices.
+    transform : Transform
+        The machine's transformation.
+    values : dict
+        Parameters of the node.
+    told : callable
+        Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
+
+    Raises
+    ------
+    ProgramError
+        If the program cannot be read or holds no motion.
+    BlockError
+        If a block cannot be executed on the machine: travel, reach, singular pose, tolerance.
+
+    """
+    machine = transform.machine
+    if goal.machine and Machine.load(goal.machine).name != machine.name:
+        raise InterpError(
+            f"the nodes run machine '{machine.name}', not '{goal.machine}'; start them with it"
+        )
+    options = read_options(goal, values)
+    if goal.program:
+        stream = open_program(Path(goal.program), transform, options)
+        text = text_of(Path(goal.program))
+    else:
+        text = goal.text
+        stream = ProgramStream(Source.of_text(text, '<text>'), transform, options)
+    chain = chain_options(values, options.flank_height)
+    blocks = BlockSpool()
+    try:
+        length = checked_length(stream, blocks, transform, chain, told)
+    except OSError as problem:
+        blocks.close()
+        raise InterpError(
+            f'the checked blocks cannot be stored: {problem.strerror}; set TMPDIR to a folder '
+            'with room for 150 bytes per block'
+        ) from None
+    except BaseException:
+        blocks.close()
+        raise
+    return Prepared(blocks, stream.notices, text, options, length)
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a program as the reader saw it; nothing when it is very long."""
+    if path.stat().st_size > LONGEST_TEXT:
+        return ''
+    return path.read_text(encoding='utf-8-sig', errors='replace')
+
+
+def checked_length(
+    stream: ProgramStream,
+    spool: BlockSpool,
+    transform: Transform,
+    options: ChainOptions,
+    told: Callable[[float], None],
+) -> float:
+    """
+    Run a program through look-ahead and kinematics and return the length of its path [m].
+
+    Its blocks go into the spool on their way.
+    """
+    lookahead = PathSmoother(smoothing_options(transform, options))
+    builder = AxisPathBuilder(transform, options.flank_height)
+    length = 0.0
+    with at_fault(stream.source):
+        for part in stream:
+            spool.append(part)
+            for first in range(0, len(part), BATCH):
+                path = builder.push(lookahead.push(part[first : first + BATCH]))
+                length = length if path is None else float(path.s[-1])
+                told(stream.share)
+        path = builder.push(lookahead.finish())
+    length = length if path is None else float(path.s[-1])
+    if not length > 0.0:
+        raise no_motion(stream.source)
+    return length

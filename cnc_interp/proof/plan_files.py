@@ -1,0 +1,191 @@
+"""Reading plan files: the arrays that `cnc-interp plan` leaves for anyone to check."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
+
+Columns = Mapping[str, NDArray[Any]]
+
+# Columns and their shape after the number of rows; 'n' stands for the number of axes.
+SETPOINT_COLUMNS = {
+    'time': '', 'position': 'n', 'velocity': 'n', 'acceleration': 'n', 'block': '', 's': '',
+}  # fmt: skip
+PATH_COLUMNS = {
+    's': '', 'tip': '3', 'axis': '3', 'q': 'n', 'programmed_feed': '', 'feed_limit': '',
+    'feed': '', 'block': '', 'stop': '',
+}  # fmt: skip
+BLOCK_COLUMNS = {
+    'tip': '3', 'axis': '3', 'feed': '', 'line': '', 'contour_tolerance': '',
+    'orientation_tolerance': '', 'rapid': '',
+}  # fmt: skip
+# One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
+PATH_CELLS = ('cell_left', 'cell_right')
+# Programs without rotary words, inverse-time feeds, exact stops or splines need not carry these.
+OPTIONAL_BLOCK_COLUMNS = {
+    'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
+}  # fmt: skip
+MAY_BE_UNBOUNDED = frozenset(
+    {'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration', 'top', 'knot_interval'}
+)
+
+
+@dataclass(frozen=True)
+class PlanFiles:
+    """
+    A plan: what was asked (blocks), the path, and every setpoint; all SI.
+
+    Parameters
+    ----------
+    setpoints : mapping
+        ``time``, ``block``, ``s`` (K,), ``position``, ``velocity`` and ``acceleration`` (K, n).
+    path : mapping
+        Grid of the planner, see the design of the plan files; empty when there is none (a bag).
+    blocks : mapping
+        Program rows, start pose first; optional columns filled in.
+    summary : mapping
+        Contents of ``summary.json``.
+
+    """
+
+    setpoints: Columns
+    path: Columns
+    blocks: Columns
+    summary: Mapping[str, Any]
+
+    @property
+    def position(self) -> FloatArray:
+        """Axis positions, shape (K, n) [m, rad]."""
+        position: FloatArray = self.setpoints['position']
+        return position
+
+    @property
+    def block(self) -> IntArray:
+        """Row of the program that each sample executes, shape (K,)."""
+        block: IntArray = self.setpoints['block']
+        return block
+
+    @property
+    def period(self) -> float:
+        """Interpolation period [s]."""
+        return float(self.summary['interpolation_period'])
+
+    @property
+    def flank_height(self) -> float:
+        """Height above the tip where the orientation tolerance counts [m]."""
+        return float(self.summary['flank_height'])
+
+
+def read_plan(directory: Path) -> PlanFiles:
+    """
+    Read and check the files of a plan directory.
+
+    Raises
+    ------
+    InterpError
+        If a file or column is missing, cannot be read, has a wrong shape or holds NaN.
+
+    """
+    if not directory.is_dir():
+        raise InterpError(f'{directory}: no such directory; give one written by cnc-interp plan')
+    summary = _read_summary(directory / 'summary.json')
+    setpoints = _read_columns(directory / 'setpoints.npz', SETPOINT_COLUMNS)
+    path = _read_columns(directory / 'path.npz', PATH_COLUMNS)
+    blocks = _read_columns(directory / 'blocks.npz', BLOCK_COLUMNS, OPTIONAL_BLOCK_COLUMNS)
+    if setpoints['position'].shape[1] != path['q'].shape[1]:
+        raise InterpError(f'{directory}: setpoints.npz and path.npz differ in the number of axes')
+    if len(setpoints['position']) < 2 or len(path['s']) < 2 or len(blocks['tip']) < 2:
+        raise InterpError(f'{directory}: the plan holds no motion; nothing to check')
+    cells = (4, len(path['s']) - 1, path['q'].shape[1])
+    for name in PATH_CELLS:
+        if name in path and path[name].shape != cells:
+            raise InterpError(
+                f'{directory / "path.npz"}: column {name} has shape {path[name].shape}, '
+                f'expected {cells}; plan again'
+            )
+    for name, columns in (('setpoints.npz', setpoints), ('path.npz', path)):
+        rows = columns['block']
+        if rows.min() < 0 or rows.max() >= len(blocks['tip']):
+            raise InterpError(
+                f'{directory / name}: block runs from {rows.min()} to {rows.max()}, but '
+                f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
+            )
+    return PlanFiles(setpoints, path, complete_blocks(blocks), summary)
+
+
+def complete_blocks(columns: Columns) -> Columns:
+    """Fill in the optional columns of the program rows."""
+    rows = len(columns['tip'])
+    defaults: dict[str, NDArray[Any]] = {
+        'rotary': np.full((rows, 2), np.nan),
+        'duration': np.full(rows, np.nan),
+        'exact_stop': np.zeros(rows, dtype=bool),
+        'top': np.full((rows, 3), np.nan),
+        'knot_interval': np.full(rows, np.nan),
+    }
+    return defaults | dict(columns)
+
+
+def _read_summary(file: Path) -> Mapping[str, Any]:
+    try:
+        summary = json.loads(file.read_text(encoding='utf-8'))
+    except (OSError, ValueError) as fault:
+        raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
+    for key in ('interpolation_period', 'flank_height'):
+        value = summary.get(key) if isinstance(summary, dict) else None
+        if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
+            raise InterpError(f'{file}: {key} must be a number >= 0, not {value!r}')
+    if summary['interpolation_period'] == 0:
+        raise InterpError(f'{file}: interpolation_period must be positive')
+    checked: Mapping[str, Any] = summary
+    return checked
+
+
+def _read_columns(
+    file: Path, needed: Mapping[str, str], optional: Mapping[str, str] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Load the columns of one file and check each against its shape."""
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            wanted = {*needed, *(optional or {}), *PATH_CELLS}
+            columns = {name: archive[name] for name in archive.files if name in wanted}
+    except (OSError, ValueError, EOFError, BadZipFile) as fault:
+        raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
+    missing = [name for name in needed if name not in columns]
+    if missing:
+        raise InterpError(f'{file}: column {missing[0]} is missing; plan again')
+    shapes = {k: v for k, v in {**needed, **(optional or {})}.items() if k in columns}
+    rows = len(np.atleast_1d(columns[next(iter(needed))]))
+    for name, tail in shapes.items():
+        column = columns[name]
+        dimensions = 2 if tail else 1
+        width_wrong = tail.isdigit() and column.shape[1:] != (int(tail),)
+        if column.ndim != dimensions or len(column) != rows or width_wrong:
+            raise InterpError(
+                f'{file}: column {name} has shape {column.shape}, expected '
+                f' ({rows}{", " + tail if tail else ""}); plan again'
+            )
+        if column.dtype.kind not in 'biuf':
+            raise InterpError(f'{file}: column {name} does not hold numbers; plan again')
+        bad = np.isnan(column) if name == 'feed_limit' else ~np.isfinite(column)
+        if name not in MAY_BE_UNBOUNDED and bad.any():
+            row = int(np.argwhere(bad)[0][0])
+            raise InterpError(f'{file}: column {name} is not finite in row {row}; plan again')
+    return columns
+
+
+def _reason(fault: Exception) -> str:
+    """Say in a few words why reading failed."""
+    if isinstance(fault, FileNotFoundError):
+        return 'missing'
+    return ' '.join(str(fault).split())[:80] or type(fault).__name__

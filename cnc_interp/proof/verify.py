@@ -1,0 +1,370 @@
+"""
+The proof: every emitted setpoint against limits, tolerances, feed and program.
+
+It starts from the plan files alone and shares no code with planning beyond the machine's forward
+kinematics. What is proven, and how: limits by first, second and third differences of the positions
+at the interpolation period, the axes held before the first and after the last sample; tip and top
+point by their distance from the programmed lines and great circles, where a corner's tolerance is
+the smaller one of the two blocks that meet there; completeness by the approach to every vertex.
+Native splines are cut into chords first (``programmed_splines.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.proof.plan_files import PlanFiles, read_plan
+from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath, approach
+from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
+
+# A tenth of a percent of a limit is rounding; more is a fault.
+ROUNDING = 1.001
+# Distances below this are zero [m].
+SLACK = 1e-9
+# Kinematics solved both ways agree within this [m].
+ROUND_TRIP = 1e-8
+# An exact stop passes its vertex within this [m].
+STOP_DISTANCE = 1e-6
+# Way along the program, in tolerances, that a search is widened by where blocks are tiny: a path
+# segment, which names the row in the middle of each of its halves, may run over many of them.
+REACH = 50.0
+
+
+def verify_plan(directory: Path, machine: Machine) -> Proof:
+    """
+    Prove the plan files of a directory.
+
+    Parameters
+    ----------
+    directory : Path
+        Written by ``cnc-interp plan``.
+    machine : Machine
+        Whose limits and forward kinematics count.
+
+    Raises
+    ------
+    InterpError
+        If the files cannot be read.
+
+    """
+    return verify(read_plan(directory), machine)
+
+
+def verify(plan: PlanFiles, machine: Machine) -> Proof:
+    """Prove a plan that is in memory; without ``path`` the planner's grid is not looked at."""
+    ledger, programmed = Ledger(plan), len(plan.blocks['tip']) - 1
+    axes = machine.axis_names
+    if plan.position.shape[1] != len(axes):
+        count = plan.position.shape[1]
+        ledger.failures.append(f'{count} axes in the plan, {len(axes)} on machine {machine.name}')
+        return ledger.close(machine)
+    tip, axis = Transform.of(machine).forward(plan.position)
+    _prove_limits(ledger, plan, machine)
+    _prove_order(ledger, plan)
+    ledger.plan = plan = with_chords(plan, machine)
+    deviation = measure(plan, machine, tip, axis)
+    _prove_tolerances(ledger, plan, deviation)
+    _prove_completeness(ledger, plan, machine, tip, axis)
+    _prove_feed(ledger, plan, tip)
+    _prove_columns(ledger, plan, machine)
+    if plan.path:
+        _prove_path(ledger, plan, machine)
+    return replace(ledger.close(machine), blocks=programmed)
+
+
+def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
+    """Judge travel, and the differences of the positions including both ends at rest."""
+    held = np.pad(plan.position, ((3, 3), (0, 0)), mode='edge')
+    limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
+    for order, ((kind, _), limit) in enumerate(zip(DIFFERENCES, limits, strict=True), start=1):
+        difference = np.abs(np.diff(held, order, axis=0)) / plan.period**order
+        # Entry i of these belongs to the middle of its stencil, counted in samples.
+        middle = difference[3 - (order + 1) // 2 :]
+        for j, name in enumerate(machine.axis_names):
+            ledger.judge(kind, middle[:, j], float(limit[j]), name, ROUNDING)
+    for j, name in enumerate(machine.axis_names):
+        lowest, highest = machine.travel[j]
+        if np.isinf(lowest) and np.isinf(highest):
+            continue
+        outside = np.maximum(lowest - plan.position[:, j], plan.position[:, j] - highest)
+        beyond, reached = float(outside.max()), int(np.argmax(outside))
+        ledger.demand(
+            beyond <= SLACK,
+            f'travel of {name} from {lowest:.6g} to {highest:.6g} (m, rad) is left at sample '
+            f'{reached} ({reached * plan.period:.3f} s, line '
+            f'{plan.blocks["line"][plan.block[reached]]}) by {beyond:.3g}',
+        )
+
+
+def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
+    """Demand that time runs evenly and blocks in their order."""
+    time, block = plan.setpoints['time'], plan.block
+    uneven = np.abs(time - time[0] - plan.period * np.arange(len(time)))
+    at = int(np.argmax(uneven))
+    ledger.demand(
+        uneven[at] <= 1e-6 * plan.period + 1e-12 * abs(time[-1]),
+        f'time is not uniform: sample {at} at {time[at]:.9g} s, period {plan.period:g} s',
+    )
+    back = np.flatnonzero(np.diff(block) < 0)
+    ledger.demand(
+        not len(back),
+        f'block order runs backwards at sample {back[:1] + 1}: '
+        f'row {block[back[:1]]}, then {block[back[:1] + 1]}',
+    )
+    # Rows that end where the tool is already (repeated points, first control points) may be left
+    # out; that their vertices are met is proven with all others.
+    tip, axis, contour, orientation = (
+        plan.blocks[name][: max(block[0], 1)]
+        for name in ('tip', 'axis', 'contour_tolerance', 'orientation_tolerance')
+    )
+    top = tip + plan.flank_height * axis
+    off, off_top = (np.linalg.norm(points - points[0], axis=1) for points in (tip, top))
+    away = np.flatnonzero((off > contour + SLACK) | (off_top > orientation + SLACK))
+    ledger.demand(not len(away), f'the motion starts in row {block[0]}, not in row {away[:1]}')
+    stated = plan.summary.get('cycle_time')
+    spanned = float(time[-1] - time[0])
+    if isinstance(stated, int | float):
+        ledger.demand(
+            abs(stated - spanned) <= 1.01 * plan.period,
+            f'summary says cycle time {stated:.4f} s, setpoints span {spanned:.4f} s',
+        )
+
+
+def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray) -> Deviation:
+    """Measure samples of the plan against its program; see `Deviation`."""
+    program = program_of(plan)
+    result = _measure_widely(program, plan, tip, axis, plan.block)
+    ruled = program.by_axes[plan.block]
+    if ruled.any():
+        # Rotary axes run linearly here: the programmed axis at the same share of the turn.
+        row, position = plan.block[ruled], plan.position[ruled].copy()
+        rotary = plan.blocks['rotary']
+        first, way = rotary[row - 1], rotary[row] - rotary[row - 1]
+        share = np.sum((position[:, -2:] - first) * way, axis=1)
+        share = np.clip(share / np.maximum(np.sum(way**2, axis=1), 1e-300), 0.0, 1.0)
+        position[:, -2:] = first + share[:, None] * way
+        turned = Transform.of(machine).forward(position)[1]
+        gap = tip[ruled] - plan.blocks['tip'][row] + plan.flank_height * (axis[ruled] - turned)
+        distance = np.linalg.norm(gap, axis=1)
+        result.orientation[ruled] = np.minimum(result.orientation[ruled], distance)
+        result.twist[ruled] = np.minimum(result.twist[ruled], distance)
+    return result
+
+
+def _measure_widely(
+    program: ProgrammedPath, plan: PlanFiles, tip: FloatArray, axis: FloatArray, block: IntArray
+) -> Deviation:
+    """Measure near the executed row, and again further off where that is out of tolerance."""
+    result = program.deviation(tip, axis, block)
+    contour, top = corner_tolerances(plan, result)
+    far = (result.contour > contour + SLACK) | (result.orientation > top + SLACK)
+    if far.any():
+        reach = REACH * np.maximum(contour, top)[far]
+        wide = program.deviation(tip[far], axis[far], block[far], reach)
+        for name in ('contour', 'row', 'part', 'orientation', 'twist'):
+            getattr(result, name)[far] = getattr(wide, name)
+    return result
+
+
+def program_of(plan: PlanFiles) -> ProgrammedPath:
+    """Build the programmed path of a plan."""
+    blocks = plan.blocks
+    return ProgrammedPath.of(blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height)
+
+
+def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
+    """Take the smaller tolerance of the two blocks that meet at each vertex [m]."""
+    both = []
+    for name in ('contour_tolerance', 'orientation_tolerance'):
+        own = np.array(plan.blocks[name], dtype=float)
+        own[0] = own[1]
+        both.append(np.minimum(own, np.r_[own[1:], own[-1]]))
+    return both[0], both[1]
+
+
+def corner_tolerances(plan: PlanFiles, deviation: Deviation) -> tuple[FloatArray, FloatArray]:
+    """Take the tolerances at the vertex nearest to each sample's nearest point [m]."""
+    contour, top = vertex_tolerances(plan)
+    vertex = np.where(deviation.part >= 0.5, deviation.row, np.maximum(deviation.row - 1, 0))
+    return contour[vertex], top[vertex]
+
+
+def _prove_tolerances(ledger: Ledger, plan: PlanFiles, deviation: Deviation) -> None:
+    contour, top = corner_tolerances(plan, deviation)
+    ledger.judge('contour error', deviation.contour, contour, slack=SLACK)
+    ledger.judge('orientation error', deviation.orientation, top, slack=SLACK)
+    ledger.remarks['largest_twist'] = float(np.max(deviation.twist))
+
+
+def _prove_completeness(
+    ledger: Ledger, plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
+) -> None:
+    """Demand that every vertex is approached, first and last are reached, stops are kept."""
+    blocks, height = plan.blocks, plan.flank_height
+    top, vertex_top = tip + height * axis, blocks['tip'] + height * blocks['axis']
+    rows = np.arange(len(blocks['tip']))
+    contour, orientation = vertex_tolerances(plan)
+    nearest, _ = _approach_widely(plan, tip, blocks['tip'], contour)
+    ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
+    nearest_top, where = _approach_widely(plan, top, vertex_top, orientation)
+    ledger.judge('vertex missed by top', nearest_top, orientation, slack=SLACK, rows=rows)
+    for name, sample, row in (('first', 0, 0), ('last', len(tip) - 1, len(rows) - 1)):
+        gap = max(
+            float(np.linalg.norm(tip[sample] - blocks['tip'][row])),
+            float(np.linalg.norm(top[sample] - vertex_top[row])),
+        )
+        ledger.demand(
+            gap <= SLACK,
+            f'the motion is {gap * 1e3:.3g} mm off the {name} pose (line {blocks["line"][row]})',
+        )
+    if plan.position.shape[1] == 5:
+        _prove_rotary_words(ledger, plan, where)
+    stops = np.flatnonzero(blocks['exact_stop'])
+    if len(stops):
+        ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
+        # Through rest an axis moves less than J T^3 / 3 in one period.
+        crawl = machine.max_jerk * plan.period**3 / 3.0
+        use = np.r_[np.max(np.abs(np.diff(plan.position, axis=0)) / crawl, axis=1), 0.0]
+        slowest = [float(use[max(i - 1, 0) : i + 2].min()) for i in where[stops]]
+        moving = stops[np.array(slowest) > ROUNDING]
+        ledger.demand(
+            not len(moving),
+            f'no rest at the exact stop of line {blocks["line"][moving[:1]]}, '
+            f'stops missed: {len(moving)}',
+        )
+
+
+def _approach_widely(
+    plan: PlanFiles, points: FloatArray, vertices: FloatArray, tolerance: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Look for each vertex among the samples around it, and further off where it is missed."""
+    label = np.maximum.accumulate(plan.block)
+    rows = np.arange(len(vertices))
+
+    def samples(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
+        low = np.searchsorted(label, first) - 1
+        high = np.searchsorted(label, last, 'right')
+        return np.clip(low, 0, len(points) - 2), np.clip(high, 1, len(points) - 1)
+
+    # A vertex lies between its own block and the next; rounding may shift labels by one more, but
+    # not at a stop: there a tool that comes back has passed the vertex in the block before.
+    spread = np.where(plan.blocks['exact_stop'], 0, 1)
+    nearest, where = approach(points, vertices, *samples(rows - spread, rows + 1 + spread))
+    far = nearest > tolerance + SLACK
+    if far.any():
+        way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
+        reach = REACH * tolerance[far]
+        first = np.searchsorted(way, way[far] - reach)
+        last = np.searchsorted(way, way[far] + reach, 'right')
+        first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
+        nearest[far], where[far] = approach(points, vertices[far], *samples(first, last))
+    return nearest, where
+
+
+def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> None:
+    """Demand that rotary words keep their turns, and are met where the tip rests."""
+    rotary = np.array(plan.blocks['rotary'], dtype=float)
+    rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
+    rows = rows[rows > 0]
+    if not len(rows):
+        return
+    flat = np.zeros((len(plan.position), 1))
+    points = np.hstack([plan.position[:, -2:], flat])
+    words = np.hstack([np.nan_to_num(rotary), np.zeros((len(rotary), 1))])
+    angle = vertex_tolerances(plan)[1] / max(plan.flank_height, 1e-3)
+    gap, passed = _approach_widely(plan, points, words, angle)
+    tilted = rows[np.linalg.norm(plan.blocks['axis'][rows, :2], axis=1) > 1e-3]
+    ledger.judge('turns of rotary words', gap[tilted], np.pi, rows=tilted)
+    still = rows[program_of(plan).by_axes[rows]]
+    ledger.judge('rotary word missed', gap[still], angle[still], slack=SLACK, rows=still)
+    # About its own axis a tool turns without a trace in the workpiece frame.
+    where[still] = passed[still]
+
+
+def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
+    """Judge the tip speed by the feed of the executed block, at a border of either one."""
+    blocks, period = plan.blocks, plan.period
+    duration = np.asarray(blocks['duration'], dtype=float)
+    chord = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
+    timed = np.isfinite(duration) & (duration > 0.0)
+    feed = np.where(np.isnan(blocks['feed']), np.inf, blocks['feed'])
+    feed[timed] = chord[timed] / duration[timed]
+    feed[np.asarray(blocks['rapid'], dtype=bool) | (chord < SLACK)] = np.inf
+    feed[0] = feed[1]
+    speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / period
+    before, after = np.sort(np.stack([plan.block[:-1], plan.block[1:]]), axis=0)
+    spans = np.stack([before, after + 1], axis=1).ravel()
+    allowed = np.maximum.reduceat(np.r_[feed, -np.inf], spans)[::2]
+    contour = vertex_tolerances(plan)[0]
+    for i in np.flatnonzero(speed > allowed * ROUNDING):
+        near = speed[i] * period + contour[before[i]]
+        for vertex, row in ((before[i] - 1, before[i] - 1), (after[i], after[i] + 1)):
+            if not 0 < row < len(feed):
+                continue
+            gap = np.linalg.norm(tip[i : i + 2] - blocks['tip'][vertex], axis=1)
+            if gap.min() <= near:
+                allowed[i] = max(allowed[i], feed[row])
+    finite = np.isfinite(allowed)
+    ledger.judge('tip feed', np.where(finite, speed, 0.0), allowed, allowed=ROUNDING, slack=SLACK)
+    turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK))
+    if len(turning):
+        spent = np.bincount(plan.block, minlength=len(feed))[turning] * period
+        shortest = duration[turning] / ROUNDING - 2.0 * period
+        ledger.judge('rotation time', shortest, np.maximum(spent, 1e-12), rows=turning)
+
+
+def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
+    """Compare commanded velocity and acceleration with differences of the positions."""
+    held = np.pad(plan.position, ((1, 1), (0, 0)), mode='edge')
+    central = (held[2:] - held[:-2]) / (2.0 * plan.period)
+    second = np.diff(held, 2, axis=0) / plan.period**2
+    # Under bounded jerk a velocity departs from its mean by J T^2 / 6, an acceleration by J T / 3.
+    for name, column, mean, room in (
+        ('velocity column', plan.setpoints['velocity'], central, plan.period**2 / 2.0),
+        ('acceleration column', plan.setpoints['acceleration'], second, plan.period),
+    ):
+        allowed = machine.max_jerk * room * ROUNDING
+        for j, axis in enumerate(machine.axis_names):
+            gap = np.abs(column[:, j] - mean[:, j])
+            ledger.check(f'{name}', gap, float(allowed[j]), axis)
+
+
+def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
+    """Judge the planner's grid: poses, continuity, deviation between samples, feed in limits."""
+    path, height = plan.path, plan.flank_height
+    rows = np.asarray(path['block'], dtype=np.int64)
+    tip, axis = Transform.of(machine).forward(path['q'])
+    gap = np.linalg.norm(tip - path['tip'], axis=1)
+    gap = np.maximum(gap, height * np.linalg.norm(axis - path['axis'], axis=1))
+    ledger.check('path pose against its axes', gap, ROUND_TRIP, rows=rows)
+    steps = np.diff(path['s'])
+    ledger.demand(bool((steps > 0.0).all()), 'path.npz: s does not increase everywhere')
+    deviation = _measure_widely(program_of(plan), plan, tip, axis, rows)
+    contour, _ = corner_tolerances(plan, deviation)
+    ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)
+    feed = np.asarray(path['feed'], dtype=float)
+    programmed = np.asarray(path['programmed_feed'], dtype=float)
+    around = np.maximum(
+        programmed, np.maximum(np.r_[programmed[1:], 0.0], np.r_[0.0, programmed[:-1]])
+    )
+    ledger.check('planned feed', feed, around, allowed=ROUNDING, rows=rows)
+    if 'cell_left' in path and 'cell_right' in path:
+        left, right = path['cell_left'], path['cell_right']
+        torn = np.abs(left[0, 1:] - right[0, :-1]).max(axis=1, initial=0.0)
+        ledger.check('axes across path cells', torn, ROUND_TRIP, rows=rows[1:-1])
+        for j, name in enumerate(machine.axis_names):
+            rate = np.maximum(np.abs(left[1, :, j]) * feed[:-1], np.abs(right[1, :, j]) * feed[1:])
+            limit = float(machine.max_velocity[j])
+            ledger.check('planned velocity', rate, limit, name, ROUNDING, rows=rows[:-1])
+    # Eq. 10 ignores tangential acceleration and jerk; with them a law may rightly exceed it.
+    bounded = path['feed_limit'] > 0.0
+    ledger.remarks['largest_feed_over_limit'] = float(
+        np.max(feed[bounded] / path['feed_limit'][bounded], initial=0.0)
+    )

@@ -1,0 +1,1 @@
+"""Blocks to chunks of setpoints with stop tails: one chain for everybody."""

@@ -1,0 +1,171 @@
+"""The course: the path of a run from the last place released on, cut into legs."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.stop_law import between
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
+from cnc_interp.run.chunk import Wait
+
+PORTION = 500
+"""Cells of the path planned at a time."""
+
+FINE = 64
+"""Cells planned at a time where the drives wait for the first of them."""
+
+AHEAD = 4000
+"""Cells of the path looked at for a stop."""
+
+ENVELOPE = 24
+"""Cells into which the way down to a lower feed is cut."""
+
+ABOVE = 1.02
+"""How far the feed may lie above the fastest stop on the way down."""
+
+
+SAME = 1e-13
+"""Places nearer than this are one: no cell is made so short [m]."""
+
+
+@dataclass(frozen=True)
+class LegEnd:
+    """The end of a leg between parts of the path."""
+
+    wait: Wait
+
+
+class Course:
+    """Parts of the path and the ends of legs between them, in order."""
+
+    def __init__(self) -> None:
+        self.items: deque[AxisPath | LegEnd] = deque()
+
+    def push(self, path: AxisPath) -> list[AxisPath]:
+        """Take a part of the path; returns it in portions."""
+        portions = portions_of(path, PORTION)
+        self.items.extend(portions)
+        return portions
+
+    def end_leg(self, wait: Wait) -> LegEnd:
+        """End the leg here."""
+        end = LegEnd(wait)
+        self.items.append(end)
+        return end
+
+    def release(self, s: float) -> None:
+        """Forget what lies before a place."""
+        while len(self.items) > 1:
+            first = self.items[0]
+            if isinstance(first, AxisPath) and first.s[-1] >= s:
+                return
+            following = self.items[1]
+            if isinstance(first, LegEnd) and not (
+                isinstance(following, AxisPath) and following.s[0] < s
+            ):
+                return
+            self.items.popleft()
+
+    @property
+    def first_block(self) -> int:
+        """The block in which the path kept begins; 0 where none is kept."""
+        parts = (item for item in self.items if isinstance(item, AxisPath))
+        return next((int(part.cell_block[0]) for part in parts), 0)
+
+    def ahead(self, s: float) -> AxisPath:
+        """Return the path from the part in which s lies up to the end of its leg."""
+        parts: list[AxisPath] = []
+        cells = 0
+        for item in self.items:
+            if isinstance(item, LegEnd):
+                if parts:
+                    break
+            elif item.s[-1] > s or parts:
+                parts.append(item)
+                cells += len(item.s)
+                if cells > AHEAD:
+                    break
+        return AxisPath.join(parts)
+
+    def after(self, s: float) -> deque[AxisPath | LegEnd]:
+        """Return all that follows a place, the part in which it lies cut there."""
+        rest: deque[AxisPath | LegEnd] = deque()
+        passed = False
+        for item in self.items:
+            if isinstance(item, LegEnd):
+                # at the very place: only the end of the program still counts
+                if passed or item.wait is Wait.END:
+                    rest.append(item)
+            elif item.s[-1] > s + SAME:
+                passed = True
+                rest.append(item if item.s[0] > s - SAME else from_place(item, s))
+        return rest
+
+
+def portions_of(path: AxisPath, cells: int) -> list[AxisPath]:
+    """Cut a path into portions of so many cells; the last may have fewer."""
+    borders = [*range(0, len(path.s) - 1, cells), len(path.s) - 1]
+    return [cut(path, a, b) for a, b in pairwise(borders)]
+
+
+def finely(items: deque[AxisPath | LegEnd]) -> deque[AxisPath | LegEnd]:
+    """Cut the first parts into small portions: the first motion is there after few of them."""
+    rest: deque[AxisPath | LegEnd] = deque()
+    cells = 0
+    for item in items:
+        if isinstance(item, LegEnd) or cells >= PORTION:
+            rest.append(item)
+        else:
+            rest.extend(portions_of(item, FINE))
+            cells += len(item.s) - 1
+    return rest
+
+
+def from_place(path: AxisPath, s: float) -> AxisPath:
+    """Cut off what lies before a place inside."""
+    nearest = int(np.argmin(np.abs(path.s - s)))
+    if abs(path.s[nearest] - s) <= SAME:
+        return cut(path, nearest, len(path.s) - 1)
+    return between(path, s, float(path.s[-1]), np.array([s]))
+
+
+def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> AxisPath:
+    """
+    Scale the programmed feed of a part; above it only where the motion cannot be slower yet.
+
+    Parameters
+    ----------
+    path : AxisPath
+        Part of the path.
+    override : float
+        Factor on the feed of all but rapids [-].
+    way_down : PlannedPiece or None
+        A stop from where planning begins; the feed may lie a little above it.
+
+    """
+    if way_down is None or path.s[0] >= way_down.path.s[-1]:
+        return replace(path, cell_feed=path.cell_feed * override)
+    law = way_down.law
+    begin, end = float(law.s[0]), float(way_down.path.s[-1])
+    fine = refine(path, np.linspace(begin, end, ENVELOPE))
+    fastest = fastest_in_cells(law.time, way_down, fine.s)
+    feed = np.maximum(fine.cell_feed * override, ABOVE * fastest)
+    return replace(fine, cell_feed=feed)
+
+
+def fastest_in_cells(time: FloatArray, way_down: PlannedPiece, s: FloatArray) -> FloatArray:
+    """Return the largest speed of a stop in each cell between positions; 0 behind its end."""
+    law = way_down.law
+    instants = np.linspace(time[0], law.end_time, 20 * ENVELOPE)
+    place, speed, _, _ = law.evaluate(instants)
+    at = np.interp(s, place, speed, left=float(speed[0]), right=0.0)
+    fastest = np.maximum(at[:-1], at[1:])
+    cell = np.clip(np.searchsorted(s, place, side='right') - 1, 0, len(s) - 2)
+    np.maximum.at(fastest, cell, speed)
+    return fastest

@@ -1,0 +1,124 @@
+"""MotionLaw -> Setpoints: sample the axes once per interpolation period, piece by piece."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import MS
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import evaluate
+
+
+@dataclass(frozen=True)
+class Setpoints:
+    """
+    What the drives are told, one row per interpolation period.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+        Time since the start of the motion, whole multiples of the period [s].
+    position, velocity, acceleration, jerk : ndarray, shape (K, n_axes)
+        Commanded axes and their time derivatives [m or rad, per s, per s2, per s3].
+    block : ndarray of int, shape (K,)
+        Row of the block being executed.
+    s : ndarray, shape (K,)
+        Path position [m].
+
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    block: IntArray
+    s: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            getattr(self, field.name).flags.writeable = False
+
+    def __len__(self) -> int:
+        """Count the samples."""
+        return len(self.time)
+
+    @staticmethod
+    def concatenate(parts: list[Setpoints]) -> Setpoints:
+        """Join chunks end to end."""
+        names = [field.name for field in fields(Setpoints)]
+        return Setpoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+
+class Interpolator:
+    """
+    Sample planned pieces as they come; sample k lies at k times the period.
+
+    Parameters
+    ----------
+    period : float
+        Interpolation period T [s].
+    first : int
+        Number of the first sample.
+
+    """
+
+    def __init__(self, period: float = 1.0 * MS, first: int = 0):
+        self.period = period
+        self.next_number = first
+        self._rest: Setpoints | None = None
+
+    def push(self, piece: PlannedPiece) -> Setpoints:
+        """
+        Sample one piece.
+
+        Parameters
+        ----------
+        piece : PlannedPiece
+            The piece that follows the one pushed before.
+
+        Returns
+        -------
+        Setpoints
+            The samples that lie in the piece, its end excluded; possibly none.
+
+        """
+        law, path = piece.law, piece.path
+        last = int(np.ceil(law.end_time / self.period - 1e-9))
+        time = np.arange(self.next_number, last) * self.period
+        self.next_number = max(self.next_number, last)
+        k = law.piece_at(time)
+        s, s_dot, s_ddot, s_dddot = law.evaluate(time, k)
+        q, q_s, q_ss, q_sss = evaluate(path, s, law.cell[k])
+        v, a, j = s_dot[:, None], s_ddot[:, None], s_dddot[:, None]
+        self._rest = self._at_rest(piece)
+        return Setpoints(
+            time=time,
+            position=q,
+            velocity=q_s * v,  # Eq. 6
+            acceleration=q_ss * (v * v) + q_s * a,  # Eq. 7
+            jerk=q_sss * v**3 + 3.0 * q_ss * v * a + q_s * j,  # Eq. 8
+            block=path.cell_block[law.cell[k]],
+            s=s,
+        )
+
+    def finish(self) -> Setpoints:
+        """Return the last sample, at rest on the end of the path."""
+        assert self._rest is not None, 'nothing was pushed'
+        return self._rest
+
+    def _at_rest(self, piece: PlannedPiece) -> Setpoints:
+        """Return the sample after the piece, as if the motion ended there."""
+        still: FloatArray = np.zeros((1, piece.path.cell_left.shape[2]))
+        return Setpoints(
+            time=np.array([self.next_number * self.period]),
+            position=piece.path.cell_right[0, -1:].copy(),
+            velocity=still,
+            acceleration=still,
+            jerk=still,
+            block=piece.path.cell_block[-1:].copy(),
+            s=piece.path.s[-1:].copy(),
+        )

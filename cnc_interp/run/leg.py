@@ -1,0 +1,123 @@
+"""A leg: motion from rest to rest with a planner and a clock of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import fields, replace
+from itertools import pairwise
+
+import numpy as np
+
+from cnc_interp.core.arrays import IntArray
+from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.run.chunk import Wait
+from cnc_interp.run.interpolator import Interpolator, Setpoints
+
+SLICE = 0.5
+"""Motion that is interpolated at a time [s]."""
+
+STILL = 1e-9
+"""Speed below which the end of a law is rest [m/s]."""
+
+
+def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
+    """Cut the motion of a planned piece into short stretches, on the same path."""
+    law = without_long_rows(piece.law)
+    stretch = np.floor((law.time - law.time[0]) / SLICE)
+    borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
+    return [
+        PlannedPiece(piece.path, rows_of(law, np.arange(first, last)))
+        for first, last in pairwise(borders)
+    ]
+
+
+def rows_of(law: MotionLaw, rows: IntArray) -> MotionLaw:
+    """Take some rows of a motion law."""
+    return MotionLaw(*(getattr(law, field.name)[rows] for field in fields(MotionLaw)))
+
+
+def without_long_rows(law: MotionLaw) -> MotionLaw:
+    """Cut rows that are longer than a stretch: a slow line is one row of many minutes."""
+    parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
+    if (parts == 1).all():
+        return law
+    row = np.repeat(np.arange(len(law)), parts)
+    place = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
+    duration = law.duration[row] / parts[row]
+    time = law.time[row] + place * duration
+    s, s_dot, s_ddot, _ = law.evaluate(time, row)
+    cut_law = rows_of(law, row)
+    return replace(cut_law, time=time, duration=duration, s=s, s_dot=s_dot, s_ddot=s_ddot)
+
+
+class Leg:
+    """
+    One leg of a stream: planned, then sampled slice by slice.
+
+    Parameters
+    ----------
+    limits : AxisLimits
+        Limits of the axes.
+    period : float
+        Interpolation period [s].
+    begun : int
+        Samples of the leg, on its own clock, that are there already.
+    start : tuple of float
+        s_dot and s_ddot at the last of them [m/s, m/s2]; without any, the leg begins at rest.
+
+    """
+
+    def __init__(
+        self,
+        limits: AxisLimits,
+        period: float,
+        begun: int = 0,
+        start: tuple[float, float] = (0.0, 0.0),
+    ):
+        self.period = period
+        self.planner = FeedPlanner(limits, None, start, max(begun - 1, 0) * period)
+        self.interpolator = Interpolator(period, begun)
+        self.slices: deque[PlannedPiece] = deque()
+        self.wait: Wait | None = None
+        self.moves = False
+        self.number_of_zero: int | None = None  # number in the stream of the sample at time 0
+
+    def push(self, path: AxisPath) -> None:
+        """Plan a part of the path."""
+        for piece in self.planner.push(path):
+            self.slices.extend(sliced(piece))
+        self.moves = True
+
+    def finish(self, wait: Wait) -> None:
+        """Plan down to rest at the end of the leg."""
+        for piece in self.planner.finish():
+            self.slices.extend(sliced(piece))
+        self.wait = wait
+
+    def drive(self, piece: PlannedPiece, wait: Wait) -> None:
+        """Take a law that is known already, down to rest, instead of planning."""
+        self.slices.extend(sliced(piece))
+        self.moves, self.wait = True, wait
+
+    @property
+    def planned(self) -> float:
+        """Motion planned but not sampled [s]."""
+        if not self.slices:
+            return 0.0
+        return float(self.slices[-1].law.end_time - self.slices[0].law.time[0])
+
+    def state_at(self, number: int, piece: PlannedPiece) -> tuple[float, float, float]:
+        """Return s, s_dot and s_ddot at a sample that lies in a slice."""
+        assert self.number_of_zero is not None
+        time = (number - self.number_of_zero) * self.period
+        s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
+        if time >= piece.law.end_time and v < STILL:  # the sample at rest behind the last slice
+            return s, 0.0, 0.0
+        return s, v, a
+
+    def last_sample(self) -> Setpoints:
+        """Return the sample at rest at the end."""
+        return self.interpolator.finish()

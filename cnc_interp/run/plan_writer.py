@@ -1,0 +1,381 @@
+"""
+Setpoints and all that led to them -> plan files, while planning goes on; flat memory.
+
+Columns grow in files of their own; at the end they are put together into ``.npz`` archives as
+NumPy writes them. Figures of the summary are kept up to date on the way.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import fields
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, BinaryIO
+from zipfile import ZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cnc_interp import __version__
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.feedrate.limits import feed_limit
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
+
+Columns = Mapping[str, NDArray[Any]]
+#: Columns of shape (4, cells, axes): they grow along their second axis.
+_CELLS = ('cell_left', 'cell_right')
+
+
+class PlanFigures:
+    """
+    What ``summary.json`` tells, brought up to date by every batch.
+
+    Parameters
+    ----------
+    machine : Machine
+        Gives names and limits of the axes.
+    period, flank_height : float
+        Interpolation period [s], and height at which orientation is measured [m].
+
+    """
+
+    def __init__(self, machine: Machine, period: float, flank_height: float):
+        self._machine, self._period, self._height = machine, period, flank_height
+        self._limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
+        self._use = np.zeros((3, len(machine.axis_names)))
+        self._last: FloatArray | None = None  # the last three positions
+        self._deviation, self._share = np.zeros(2), np.zeros(2)
+        self._curved = self._spans = 0  # blocks that became curves, and spans of these
+        self._on_curve, self._last_row = False, 0  # where the last segment ended
+        # Where tolerances change, or native splines begin or end: the row, and what holds from it.
+        self._marks = np.zeros((0, 4))
+        self._samples = self._segments = self._blocks = 0
+        self._planned = self._spanned = self._path_length = 0.0
+
+    def blocks(self, blocks: Blocks) -> None:
+        """Count further rows of the program, and note where their tolerances change."""
+        rows = self._blocks + np.arange(len(blocks))
+        told = np.column_stack(
+            [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
+        )
+        known = self._marks[-1:, 1:] if len(self._marks) else np.full((1, 3), np.nan)
+        changed = np.diff(told[:, 1:], axis=0, prepend=known).astype(bool).any(axis=1)
+        self._marks = np.concatenate([self._marks, told[changed]])
+        self._blocks += len(blocks)
+
+    def segments(self, segments: PathSegments) -> None:
+        """Count further segments; their blocks have been told."""
+        if not len(segments):
+            return
+        self._segments += len(segments)
+        self._deviation = np.maximum(self._deviation, segments.deviation.max(axis=0))
+        place = np.searchsorted(self._marks[:, 0], segments.block, 'right') - 1
+        tolerance = self._marks[place, 1:3].min(axis=1)
+        self._share = np.maximum(self._share, (segments.deviation / tolerance).max(axis=0))
+        self._count_curves(segments, native=self._marks[place[:, 1], 3] > 0.0)
+        self._marks = self._marks[place.min() :]
+
+    def _count_curves(self, segments: PathSegments, native: BoolArray) -> None:
+        """Count the spans of curves, and the blocks from the first to the last one of each."""
+        spans = (segments.kind == SPLINE) & ~native
+        before = np.append(self._last_row, segments.block[:-1, 1])
+        goes_on = np.append(self._on_curve, (spans & ~segments.stop)[:-1])
+        first = np.where(goes_on, before + 1, np.maximum(before + 1, segments.block[:, 0]))
+        self._curved += int((segments.block[:, 1] - first + 1)[spans].sum())
+        self._spans += int(spans.sum())
+        self._on_curve = bool(spans[-1] and not segments.stop[-1])
+        self._last_row = int(segments.block[-1, 1])
+
+    def piece(self, piece: PlannedPiece) -> None:
+        """Take note of how long the motion is by now."""
+        self._planned = piece.law.end_time
+
+    def setpoints(self, samples: Setpoints) -> None:
+        """Measure the use of every limit by differences of the positions."""
+        if not len(samples):
+            return
+        self._samples += len(samples)
+        self._path_length = float(samples.s[-1])
+        self._spanned = float(samples.time[-1])
+        self._measure(samples.position)
+
+    @property
+    def cycle_time(self) -> float:
+        """Time of the motion [s]; an executed one with holds or overrides is not the planned."""
+        as_planned = abs(self._spanned - self._planned) <= self._period
+        return self._planned if as_planned else self._spanned
+
+    def _measure(self, position: FloatArray) -> None:
+        before = np.repeat(position[:1], 3, axis=0) if self._last is None else self._last
+        held = np.concatenate([before, position])
+        for k, limit in enumerate(self._limits):
+            order = k + 1
+            change = np.abs(np.diff(held[3 - order :], order, axis=0)).max(axis=0)
+            self._use[k] = np.maximum(self._use[k], change / (limit * self._period**order))
+        self._last = held[-3:]
+
+    def summary(self, source: str, seconds: Mapping[str, float]) -> dict[str, Any]:
+        """
+        Return the summary at the end of the motion; SI units.
+
+        Parameters
+        ----------
+        source : str
+            The program.
+        seconds : mapping
+            Planning time of every room [s].
+
+        """
+        if self._last is not None:
+            self._measure(np.repeat(self._last[-1:], 3, axis=0))  # stays where it is
+        machine = self._machine
+        return {
+            'program': source,
+            'machine': machine.file or machine.name,
+            'cycle_time': self.cycle_time,
+            'interpolation_period': self._period,
+            'flank_height': self._height,
+            'samples': self._samples,
+            'blocks': self._blocks - 1,
+            'segments': self._segments,
+            'path_length': self._path_length,
+            'planning_time': sum(seconds.values()),
+            'planning_time_by_room': dict(seconds),
+            'largest_use': {
+                name: dict(zip(machine.axis_names, use.tolist(), strict=True))
+                for name, use in zip(('velocity', 'acceleration', 'jerk'), self._use, strict=True)
+            },
+            'largest_contour_error': float(self._deviation[0]),
+            'largest_orientation_error': float(self._deviation[1]),
+            'tolerance_used': {
+                'contour': float(self._share[0]),
+                'orientation': float(self._share[1]),
+            },
+            'curves': {'blocks': self._curved, 'spans': self._spans},
+            'versions': versions(),
+        }
+
+
+class PlanWriter:
+    """
+    Writes the plan files of one program (README, "Plan files"); everything in SI.
+
+    Used as a context: what has been spooled is removed when it is left without ``finish``.
+
+    Parameters
+    ----------
+    directory : Path
+        Created if missing; files in it are replaced by ``finish``, not before.
+    machine : Machine
+        The machine.
+    period, flank_height : float
+        Interpolation period [s], and height at which orientation is measured [m].
+
+    """
+
+    def __init__(self, directory: Path, machine: Machine, period: float, flank_height: float):
+        self._directory, self._height = directory, flank_height
+        self._machine, self._transform = machine, Transform.of(machine)
+        self.figures = PlanFigures(machine, period, flank_height)
+        self._created = not directory.exists()
+        directory.mkdir(parents=True, exist_ok=True)
+        self._spool = tempfile.TemporaryDirectory(prefix='.plan-', dir=directory)
+        self._archives = {
+            name: _Archive(Path(self._spool.name), name)
+            for name in ('blocks', 'segments', 'path', 'setpoints')
+        }
+        self._tip: FloatArray | None = None  # of the last block
+        self._path: tuple[AxisPath, float] | None = None  # the last cell, and its s_dot
+
+    def __enter__(self) -> PlanWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        for archive in self._archives.values():
+            archive.drop()
+        self._spool.cleanup()
+        if kind is not None and self._created:
+            with suppress(OSError):
+                self._directory.rmdir()
+
+    def blocks(self, blocks: Blocks) -> None:
+        """Write further rows of the program."""
+        self.figures.blocks(blocks)
+        self._archives['blocks'].append(block_columns(blocks, self._tip))
+        self._tip = blocks.tip[-1] if len(blocks) else self._tip
+
+    def segments(self, segments: PathSegments) -> None:
+        """Write further segments."""
+        self.figures.segments(segments)
+        columns = {field.name: getattr(segments, field.name) for field in fields(segments)}
+        self._archives['segments'].append(columns)
+
+    def piece(self, piece: PlannedPiece) -> None:
+        """Write the grid of a further piece but its last point, which belongs to the next too."""
+        self.figures.piece(piece)
+        path, speed = piece.path, piece.law.s_dot  # one piece of the law in every cell
+        if self._path is not None:
+            path = AxisPath.join([self._path[0], path])
+            speed = np.concatenate([[self._path[1]], speed])
+        new = slice(0 if self._path is None else 1, len(path.s) - 1)
+        self._grid(path, np.append(speed, 0.0), new)
+        cells = len(path.s) - 1
+        self._archives['path'].append(
+            {
+                'cell_left': path.cell_left[:, new.start :],
+                'cell_right': path.cell_right[:, new.start :],
+            }
+        )
+        self._path = cut(path, cells - 1, cells), float(speed[-1])
+
+    def _grid(self, path: AxisPath, feed: FloatArray, rows: slice) -> None:
+        """Write columns at the grid points; their neighbours on both sides must be in the path."""
+        tip, axis = self._transform.forward(path.q)
+        cells = path.cell_feed
+        columns = {
+            's': path.s,
+            'tip': tip,
+            'axis': axis,
+            'q': path.q,
+            'programmed_feed': np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]]),
+            'feed_limit': feed_limit(path, self._machine),
+            'feed': feed,
+            'block': np.r_[path.cell_block, path.cell_block[-1:]],
+            'stop': path.stop,
+        }
+        self._archives['path'].append({name: column[rows] for name, column in columns.items()})
+
+    def setpoints(self, samples: Setpoints) -> None:
+        """Write further samples."""
+        self.figures.setpoints(samples)
+        columns = {field.name: getattr(samples, field.name) for field in fields(samples)}
+        self._archives['setpoints'].append(columns)
+
+    def finish(self, source: str, seconds: Mapping[str, float]) -> dict[str, Any]:
+        """Put the files together and return the summary; see ``PlanFigures.summary``."""
+        if self._path is not None:
+            self._grid(self._path[0], np.zeros(2), slice(1, 2))
+        for name, archive in self._archives.items():
+            archive.save(self._directory / f'{name}.npz')
+        summary = self.figures.summary(source, seconds)
+        text = json.dumps(summary, indent=2)
+        (self._directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
+        return summary
+
+
+class _Archive:
+    """Columns of one ``.npz`` file, each in a growing file of its own."""
+
+    def __init__(self, folder: Path, name: str):
+        self._folder, self._name = folder, name
+        self._columns: dict[str, _Column] = {}
+
+    def append(self, columns: Columns) -> None:
+        """Write further rows."""
+        for name, rows in columns.items():
+            if name not in self._columns:
+                self._columns[name] = _Column(self._folder / f'{self._name}.{name}', rows, name)
+            self._columns[name].append(rows)
+
+    def save(self, file: Path) -> None:
+        """Copy the columns into an archive."""
+        with ZipFile(file, 'w', allowZip64=True) as archive:
+            for name, column in self._columns.items():
+                with archive.open(f'{name}.npy', 'w', force_zip64=True) as out:
+                    header = column.header()
+                    np.lib.format.write_array_header_2_0(out, header)  # type: ignore[no-untyped-call]
+                    for lane in column.lanes:
+                        lane.seek(0)
+                        shutil.copyfileobj(lane, out, 1 << 20)
+
+    def drop(self) -> None:
+        """Close the files."""
+        for column in self._columns.values():
+            for lane in column.lanes:
+                lane.close()
+
+
+class _Column:
+    """A growing column; one that grows along its second axis has a file (lane) for each row."""
+
+    def __init__(self, file: Path, like: NDArray[Any], name: str):
+        self._along, self._count = int(name in _CELLS), 0
+        self._shape, self._dtype = like.shape, like.dtype
+        number = like.shape[0] if self._along else 1
+        self.lanes: list[BinaryIO] = [
+            file.with_name(f'{file.name}.{k}').open('w+b') for k in range(number)
+        ]
+
+    def append(self, rows: NDArray[Any]) -> None:
+        """Write further rows."""
+        for lane, part in zip(self.lanes, rows if self._along else [rows], strict=True):
+            lane.write(np.ascontiguousarray(part, dtype=self._dtype).data)
+        self._count += rows.shape[self._along]
+
+    def header(self) -> dict[str, Any]:
+        """Describe the whole column as NumPy's file format does."""
+        shape = list(self._shape)
+        shape[self._along] = self._count
+        return {'descr': self._dtype.str, 'fortran_order': False, 'shape': tuple(shape)}
+
+
+def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[str, Any]:
+    """Return the columns of ``blocks.npz``; ``tip_before`` as for `effective_feed`."""
+    return {
+        'tip': blocks.tip,
+        'axis': blocks.axis,
+        'feed': effective_feed(blocks, tip_before),
+        'line': blocks.line_number,
+        'contour_tolerance': blocks.contour_tolerance,
+        'orientation_tolerance': blocks.orientation_tolerance,
+        'rapid': blocks.rapid,
+        'rotary': blocks.rotary,
+        'duration': blocks.duration,
+        'exact_stop': blocks.exact_stop,
+        'top': blocks.top,
+        'knot_interval': blocks.knot_interval,
+    }
+
+
+def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:
+    """
+    Return the programmed speed of each row [m/s], shape (n,).
+
+    Inverse-time feeds become length / duration; rotations of the resting tip have none (infinite).
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Consecutive rows.
+    tip_before : ndarray, shape (3,), optional
+        Tool tip of the row before them [m]; none for the start pose.
+
+    """
+    before = blocks.tip[:1] if tip_before is None else tip_before[None]
+    length = np.sqrt((np.diff(blocks.tip, axis=0, prepend=before) ** 2).sum(axis=1))
+    timed = np.isfinite(blocks.duration) & (length > 0.0)
+    feed = np.where(timed, length / np.where(timed, blocks.duration, 1.0), blocks.feedrate)
+    return np.where(np.isnan(feed), np.inf, feed)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what made the plan."""
+    found = {'cnc_interp': __version__, 'python': platform.python_version()}
+    for name in ('numpy', 'numba', 'scipy', 'toppra', 'ruckig'):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,154 @@
+"""Segments of one program -> chunks of one run, as they come; no ROS, no clock."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import PlanningError
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.approach import approach
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.course import SAME, from_place
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.smoothing.segments import PathSegments
+
+#: A machine farther from the path than this is not on it [m, rad].
+ON_PATH = 1e-8
+#: Source lines that may come before those of executed blocks are looked for and forgotten.
+LINES_KEPT = 4096
+
+
+class RunPlanner:
+    """
+    The planning of one run: the approach, then the program; or the rest of a program.
+
+    ``push``, ``work``, ``revise`` and ``resume`` may take long and run in one thread of their own.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's transformation.
+    flank_height : float
+        Height that measures rotations [m].
+    period : float
+        Interpolation period [s].
+    chunk_size : int
+        Setpoints in a chunk.
+    stands : ndarray, shape (n_axes,)
+        Where the machine stands, at rest [m, rad].
+    continue_at : float
+        Path length from which the program goes on; NaN or below 0 from its start [m].
+
+    """
+
+    def __init__(
+        self,
+        transform: Transform,
+        flank_height: float,
+        period: float,
+        chunk_size: int,
+        stands: FloatArray,
+        continue_at: float = math.nan,
+    ):
+        self._transform, self._flank_height, self._stands = transform, flank_height, stands
+        self._builder = AxisPathBuilder(transform, flank_height)
+        self.stream = MotionStream(transform.machine, period, chunk_size, self.line_of)
+        self._lines: dict[int, int] = {}
+        self._lines_left = 0  # when some were forgotten last
+        self._begun = False
+        self._continue_at = continue_at if continue_at > 0.0 else None
+
+    def push(self, segments: PathSegments, pauses: set[int]) -> None:
+        """
+        Take further segments; behind the blocks in ``pauses`` cycle_start is waited for.
+
+        Raises
+        ------
+        InterpError
+            If the path cannot be run on the machine; the message names line, axis and value.
+
+        """
+        self._note_lines(segments)
+        self.stream.pause_blocks |= pauses
+        path = self._builder.push(segments)
+        if path is None:
+            return
+        if not self._begun:
+            found = self._begin(path)
+            if found is None:
+                return
+            path = found
+        self.stream.push(path)
+
+    def _begin(self, path: AxisPath) -> AxisPath | None:
+        """Put the approach before the program, or skip what was executed before a loss."""
+        if self._continue_at is None:
+            start = np.array(path.cell_left[0, 0])
+            way = approach(self._transform, self._flank_height, self._stands, start)
+            if way is not None:
+                self.stream.push(way)
+                self.stream.end_leg(Wait.NOTHING)
+            self._begun = True
+            return path
+        if path.s[-1] <= self._continue_at + SAME:
+            return None
+        there = evaluate(path, np.array([self._continue_at]))[0][0]
+        off = np.abs(there - self._stands)
+        if off.max() > ON_PATH:
+            axis = self._transform.machine.axis_names[int(np.argmax(off))]
+            raise PlanningError(
+                f'the machine does not stand on the path any more: {axis} is {off.max():.3g} '
+                '(m, rad) away; reset and run the program again'
+            )
+        self._begun = True
+        return from_place(path, self._continue_at)
+
+    def finish(self) -> None:
+        """Let the path end here."""
+        if not self._begun:
+            raise PlanningError('the program ends before the place to go on from; reset')
+        self.stream.end_leg(Wait.END)
+
+    def work(self, sample: bool, executed: float) -> list[Chunk]:
+        """
+        Sample a slice of the motion, or plan another portion of the path.
+
+        The path before the place ``executed`` [m] is forgotten.
+        """
+        self.stream.release(executed)
+        if sample and self.stream.can_sample:
+            return self.stream.sample()
+        if self.stream.can_plan:
+            self.stream.plan()
+        return []
+
+    def resume(self, s: float) -> list[Chunk]:
+        """Plan anew from rest at a place on the path."""
+        self.stream.resume(s)
+        return []
+
+    def _note_lines(self, segments: PathSegments) -> None:
+        """Remember the source line of each block; forget those of path that is forgotten."""
+        lines = self._lines
+        if len(lines) > LINES_KEPT + 2 * self._lines_left:
+            first = self.stream.first_block
+            lines = {block: line for block, line in lines.items() if block >= first}
+            self._lines_left = len(lines)
+        for (first, last), line in zip(segments.block, segments.line_number, strict=True):
+            lines.setdefault(int(first), int(line))
+            lines[int(last)] = int(line)
+        self._lines = lines
+
+    def line_of(self, block: int) -> int:
+        """Return the source line of a block."""
+        return self._lines.get(block, 0)
+
+    def lines_of(self, samples: Setpoints) -> list[int]:
+        """Return the source line of each setpoint."""
+        return [self._lines.get(block, 0) for block in samples.block.tolist()]

@@ -1,0 +1,1 @@
+"""The choices of a user, each declared once."""

@@ -1,0 +1,1 @@
+"""One vertex between two blocks: rounded, stopped at, or passed."""

@@ -1,0 +1,301 @@
+"""The skeleton of the program as it grows: vertices, lines between them, and where curves end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.dense import skeleton
+from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
+
+#: A tip that moves less than this stands still [m].
+STANDSTILL = 1e-9
+#: Two poses that differ less are one [m].
+REPEATED = 1e-10
+#: Kinds of segments: short enough for a curve, too long, or never part of a curve.
+SHORT, LONG, FIXED = 0, 1, 2
+#: A block of so many tolerances is too long, whatever else: curves hold their form within them.
+LONGEST = 500.0
+#: Least way of the tip on a curve, as share of the way of the top.
+LEAST_TIP = 0.02
+
+
+@dataclass
+class Chain:
+    """
+    Vertices of the skeleton, one row each; the segment of a row leads to its vertex.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        What the program says; feeds are those of all rows dropped on the way together.
+    top : ndarray, shape (n, 3)
+        Points at flank height [m].
+    row : ndarray of int, shape (n,)
+        Rows of the program.
+    used : ndarray, shape (n, 2)
+        Deviation of the segment from the rows it stands for [m].
+    feed : ndarray, shape (n,)
+        Programmed speed of the tip on the segment [m/s].
+    turning : ndarray of bool, shape (n,)
+        Whether the tool turns on it.
+    kind : ndarray of int, shape (n,)
+        SHORT, LONG or FIXED.
+    stop, closed : ndarray of bool, shape (n,)
+        Whether the tool rests at the vertex; whether the program ends any curve there.
+    corner : ndarray of bool, shape (n,)
+        Whether curves end there as well.
+    u : ndarray, shape (n,)
+        Way of tip and top [m].
+    turn : ndarray, shape (n,)
+        By how much the path turns, where that is known already [rad].
+
+    """
+
+    blocks: Blocks
+    top: FloatArray
+    row: IntArray
+    used: FloatArray
+    feed: FloatArray
+    turning: BoolArray
+    kind: IntArray
+    stop: BoolArray
+    closed: BoolArray
+    corner: BoolArray
+    u: FloatArray
+    turn: FloatArray
+
+    def __len__(self) -> int:
+        """Count the vertices."""
+        return len(self.row)
+
+    def join(self, other: Chain) -> Chain:
+        """Return the chain with more vertices."""
+        return Chain(
+            Blocks.concatenate([self.blocks, other.blocks]),
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)[1:]
+            ),
+        )
+
+    def after(self, first: int) -> Chain:
+        """Return the chain without its first vertices."""
+        return Chain(*(getattr(self, field.name)[first:] for field in fields(self)))
+
+    @property
+    def ends(self) -> BoolArray:
+        """Whether a curve must end at a vertex, shape (n,)."""
+        return self.closed | self.corner
+
+    @property
+    def tolerance(self) -> FloatArray:
+        """Contour and orientation tolerance of each segment, shape (n, 2) [m]."""
+        return np.stack([self.blocks.contour_tolerance, self.blocks.orientation_tolerance], axis=1)
+
+
+class ChainBuilder:
+    """
+    Thin a stream of blocks to its skeleton.
+
+    Parameters
+    ----------
+    compression : Compression
+        What becomes a curve.
+    height : float
+        Flank height [m].
+    pole : tuple of float or None
+        Direction at which a rotary axis is undefined.
+    pole_cone : float
+        Angle around it within which a turning tool stops [rad].
+    row : int
+        Row in the program of the first block to come.
+    joined : bool
+        Whether the first block stays a line.
+
+    """
+
+    def __init__(
+        self,
+        compression: Compression,
+        height: float,
+        pole: tuple[float, float, float] | None,
+        pole_cone: float,
+        row: int,
+        joined: bool,
+    ):
+        self._compression, self._height = compression, height
+        self._pole, self._pole_cone = pole, pole_cone
+        self._raw: Blocks | None = None  # from the last vertex of the chain on
+        self._row = row  # in the program, of its first block
+        self._joined = joined
+        self.chain: Chain | None = None
+
+    def push(self, blocks: Blocks | None, final: bool, joined: bool = False) -> None:
+        """Take further blocks; ``final`` when they are the last, ``joined`` to keep that line."""
+        known = [part for part in (self._raw, blocks) if part is not None]
+        if not known:
+            return
+        raw = Blocks.concatenate(known)
+        height, n = self._height, len(raw)
+        tolerance = np.stack([raw.contour_tolerance, raw.orientation_tolerance], axis=1)
+        top = raw.tip + height * raw.axis
+        if self.chain is None:
+            self.chain = self._start(raw, top)
+        kind, stop, closed = self._marks(raw, top, final, joined)
+        must = stop | closed | (kind != SHORT)
+        must[:-1] |= kind[1:] != SHORT
+        # what a vertex is can be told when the block after it is known
+        m = n if final else n - 1
+        kept, used = skeleton.thin(raw.tip[:m], top[:m], tolerance[:m], must[:m])
+        self._raw = raw
+        if len(kept):
+            self._append(raw, top, kept, used, kind, stop, closed)
+            self._raw = raw[int(kept[-1]) :]
+            self._row += int(kept[-1])
+
+    def _start(self, raw: Blocks, top: FloatArray) -> Chain:
+        """Return the chain of the start pose, where the tool rests."""
+        yes, no = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
+        return Chain(
+            raw[:1], top[:1], np.array([self._row]), np.zeros((1, 2)), np.full(1, np.inf),
+            no, np.full(1, FIXED), yes, yes.copy(), no.copy(), np.zeros(1), np.zeros(1),
+        )  # fmt: skip
+
+    def _marks(
+        self, raw: Blocks, top: FloatArray, final: bool, joined: bool
+    ) -> tuple[IntArray, BoolArray, BoolArray]:
+        """Return kind, stop and closed of the rows; those of row 0 are not asked for."""
+        height = self._height
+        length = norm(np.diff(raw.tip, axis=0))
+        turn = norm(rotations_between(raw.axis[:-1], raw.axis[1:]))
+        reversed_axis = dot(raw.axis[:-1], raw.axis[1:]) < -0.99
+        words = np.isfinite(raw.rotary).all(axis=1)
+        rotary = np.where(words[:, None], raw.rotary, 0.0)
+        spins = words[1:] & words[:-1] & (np.abs(np.diff(rotary, axis=0)).max(axis=1) > 1e-9)
+        tolerance = raw.orientation_tolerance[1:]
+        resting = length < STANDSTILL
+        resting &= (height * turn > skeleton.DROP * tolerance) | (spins & (turn < 1e-12))
+        n = len(raw)
+        near, at_pole = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        if self._pole is not None:
+            angle = angles_between(
+                raw.axis, np.broadcast_to(np.asarray(self._pole), raw.axis.shape)
+            )
+            angle = np.minimum(angle, np.pi - angle)
+            near = angle < self._pole_cone + 1.5 * raw.orientation_tolerance / height
+            at_pole = angle < self._pole_cone
+        kind = np.full(n, SHORT)
+        narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
+        kind[1:][length > np.minimum(self._compression.longest_block, LONGEST * narrow)] = LONG
+        fixed = resting | raw.rapid[1:] | reversed_axis | ((near[1:] | near[:-1]) & (turn > 0.0))
+        kind[1:][fixed] = FIXED
+        if self._joined and self.chain is not None and len(self.chain) == 1:
+            kind[1:2] = FIXED
+        if joined:
+            kind[1:][-1:] = FIXED
+        stop = raw.exact_stop.copy()
+        stop[1:][resting] = True
+        stop[:-1][resting] = True
+        stop[1:] |= at_pole[1:] & (turn > 0.0)
+        stop[:-1] |= at_pole[:-1] & (turn > 0.0)
+        closed = kind == FIXED
+        closed[:-1] |= kind[1:] == FIXED
+        for name in ('contour_tolerance', 'orientation_tolerance'):
+            column = getattr(raw, name)
+            closed[1:-1] |= column[1:-1] != column[2:]
+        if final:
+            stop[-1] = True
+        return kind, stop, closed | stop
+
+    def _append(
+        self,
+        raw: Blocks,
+        top: FloatArray,
+        kept: IntArray,
+        used: FloatArray,
+        kind: IntArray,
+        stop: BoolArray,
+        closed: BoolArray,
+    ) -> None:
+        """Add the vertices kept to the chain."""
+        assert self.chain is not None
+        chain = self.chain
+        # Row 0 may have learnt what follows it.
+        chain.stop[-1] |= stop[0]
+        chain.closed[-1] |= closed[0] | stop[0]
+        # a repeated point with a mark hands it to the point before
+        before = np.concatenate([[0], kept[:-1]])
+        step = np.abs(raw.tip[kept] - raw.tip[before]).max(axis=1)
+        step = np.maximum(step, np.abs(top[kept] - top[before]).max(axis=1))
+        repeated = (step < REPEATED) & (kind[kept] != FIXED)
+        feed = self._feeds(raw, before, kept)
+        if repeated.any():
+            for k in np.flatnonzero(repeated)[::-1]:
+                if k == 0:
+                    chain.stop[-1] |= stop[kept[0]]
+                    chain.closed[-1] |= closed[kept[0]]
+                else:
+                    stop[kept[k - 1]] |= stop[kept[k]]
+                    closed[kept[k - 1]] |= closed[kept[k]]
+            kept, before, used, feed = (x[~repeated] for x in (kept, before, used, feed))
+            if not len(kept):
+                return
+        tip_step, top_step = raw.tip[kept] - raw.tip[before], top[kept] - top[before]
+        length, top_length = norm(tip_step), norm(top_step)
+        kind, stop, closed = kind[kept], stop[kept], closed[kept]
+        # Steps at rest, each too small to count, may add up to a rotation.
+        slow = (kind == SHORT) & (length < LEAST_TIP * top_length)
+        resting = slow & (length < STANDSTILL) & (top_length > STANDSTILL)
+        kind = np.where(slow, FIXED, kind)
+        closed = closed | slow
+        stop = stop | resting
+        if slow[0]:
+            chain.closed[-1] = True
+        if resting[0]:
+            chain.stop[-1] = True
+        closed[:-1] |= slow[1:]
+        stop[:-1] |= resting[1:]
+        moving = length >= STANDSTILL
+        timed = np.isfinite(raw.duration[kept])
+        turning = norm(rotations_between(raw.axis[before], raw.axis[kept])) > 0.0
+        blocks = Blocks(
+            tip=raw.tip[kept], axis=raw.axis[kept], rotary=raw.rotary[kept],
+            feedrate=np.where(moving & timed, feed, raw.feedrate[kept]),
+            duration=np.where(moving, np.nan, raw.duration[kept]),
+            rapid=raw.rapid[kept], exact_stop=raw.exact_stop[kept],
+            contour_tolerance=raw.contour_tolerance[kept],
+            orientation_tolerance=raw.orientation_tolerance[kept],
+            line_number=raw.line_number[kept],
+        )  # fmt: skip
+        du = np.sqrt(0.5 * (length**2 + top_length**2))
+        u = np.cumsum(np.concatenate([chain.u[-1:], du]))[1:]
+        nothing = np.zeros(len(kept))
+        more = Chain(
+            blocks, top[kept], self._row + kept, used, feed, turning, kind, stop, closed | stop,
+            np.zeros(len(kept), dtype=bool), u, nothing,
+        )  # fmt: skip
+        self.chain = chain.join(more)
+
+    def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
+        """
+        Return way / time of the rows between vertices, exactly F where all are equal.
+
+        It is never more than F of the last row: only that one may be longer than the tolerance.
+        """
+        length = np.concatenate([[0.0], norm(np.diff(raw.tip, axis=0))])
+        timed = np.isfinite(raw.duration)
+        feed = np.where(timed, length / np.where(timed, raw.duration, 1.0), raw.feedrate)
+        time = np.where(timed, raw.duration, length / np.where(raw.feedrate > 0, raw.feedrate, 1))
+        last = int(kept[-1]) + 1
+        way = np.add.reduceat(length[:last], before + 1)
+        spent = np.add.reduceat(time[:last], before + 1)
+        low = np.minimum.reduceat(feed[:last], before + 1)
+        high = np.maximum.reduceat(feed[:last], before + 1)
+        mean = way / np.where(spent > 0.0, spent, 1.0)
+        mean = np.minimum(mean, np.where(length[kept] > 0.0, feed[kept], np.inf))
+        return np.asarray(np.where((low == high) | (spent <= 0.0), feed[kept], mean))

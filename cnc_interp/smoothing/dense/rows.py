@@ -1,0 +1,153 @@
+"""Rows: what the compressor makes of the blocks - some stay lines, some become curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.program.blocks import Blocks
+
+
+@dataclass(frozen=True)
+class Spans:
+    """
+    Spans of curves in path order, quintic Bezier curves over [0, 1] each.
+
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (n, 6, 3)
+        Bezier points of the tool tip and of a point on the tool axis [m].
+    feed : ndarray, shape (n, 2)
+        Programmed ds/dt in the first and second half [m/s].
+    block : ndarray of int, shape (n, 2)
+        Rows of the program in the middle of the first and second half.
+    line_number : ndarray of int, shape (n,)
+        Line of the program in the middle of the second half.
+    deviation : ndarray, shape (n, 2)
+        Bound of the contour and orientation deviation from the program [m].
+
+    """
+
+    bottom: FloatArray
+    top: FloatArray
+    feed: FloatArray
+    block: IntArray
+    line_number: IntArray
+    deviation: FloatArray
+
+    def __len__(self) -> int:
+        """Count the spans."""
+        return len(self.bottom)
+
+    def __getitem__(self, rows: slice) -> Spans:
+        """Take some of the spans."""
+        return Spans(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @staticmethod
+    def concatenate(parts: list[Spans]) -> Spans:
+        """Join batches end to end."""
+        names = [field.name for field in fields(Spans)]
+        return Spans(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+
+    @staticmethod
+    def none() -> Spans:
+        """Return no spans."""
+        whole, real = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))
+        points = np.zeros((0, 6, 3))
+        return Spans(points, points, real, whole, whole[:, 0], real)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """
+    Lines and curves that stand for blocks; row 0 of a program is the start pose.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        The end pose of each row and what the program says about it; tolerances are what is left.
+    row : ndarray of int, shape (n,)
+        Row of the program at the end of which, or inside of which, the row ends.
+    used : ndarray, shape (n, 2)
+        Contour and orientation deviation of a line from the blocks it stands for [m].
+    smooth : ndarray of bool, shape (n,)
+        True where a curve joins a line or a curve smoothly at the start of the row.
+    leads : ndarray of bool, shape (n,)
+        True for lines at whose end a curve begins smoothly.
+    count : ndarray of int, shape (n,)
+        Spans of the row; none for lines.
+    spans : Spans
+        The spans of all rows.
+
+    """
+
+    blocks: Blocks
+    row: IntArray
+    used: FloatArray
+    smooth: BoolArray
+    leads: BoolArray
+    count: IntArray
+    spans: Spans
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self.row)
+
+    def __getitem__(self, rows: slice) -> Rows:
+        """Take a slice of rows."""
+        first, last, _ = rows.indices(len(self))
+        ends = np.concatenate([[0], np.cumsum(self.count)])
+        return Rows(
+            self.blocks[rows], self.row[rows], self.used[rows], self.smooth[rows],
+            self.leads[rows], self.count[rows], self.spans[ends[first] : ends[max(first, last)]],
+        )  # fmt: skip
+
+    @staticmethod
+    def concatenate(parts: list[Rows]) -> Rows:
+        """Join batches end to end."""
+        return Rows(
+            blocks=Blocks.concatenate([part.blocks for part in parts]),
+            row=np.concatenate([part.row for part in parts]),
+            used=np.concatenate([part.used for part in parts]),
+            smooth=np.concatenate([part.smooth for part in parts]),
+            leads=np.concatenate([part.leads for part in parts]),
+            count=np.concatenate([part.count for part in parts]),
+            spans=Spans.concatenate([part.spans for part in parts]),
+        )
+
+    @staticmethod
+    def plain(blocks: Blocks, first: int) -> Rows:
+        """Return blocks as they are; ``first`` is the row of the first one in the program."""
+        n = len(blocks)
+        no = np.zeros(n, dtype=bool)
+        return Rows(
+            blocks, first + np.arange(n), np.zeros((n, 2)), no, no,
+            np.zeros(n, dtype=np.int64), Spans.none(),
+        )  # fmt: skip
+
+    @staticmethod
+    def line(block: Blocks, row: int, used: FloatArray, smooth: bool, leads: bool) -> Rows:
+        """Return one line; ``block`` is its only row."""
+        return Rows(
+            block, np.array([row]), used[None].copy(), np.array([smooth]), np.array([leads]),
+            np.zeros(1, dtype=np.int64), Spans.none(),
+        )  # fmt: skip
+
+    @staticmethod
+    def curve(block: Blocks, spans: Spans, smooth: bool) -> Rows:
+        """Return one piece of a curve; ``block`` tells where it ends."""
+        return Rows(
+            block, spans.block[-1:, 1].copy(), np.zeros((1, 2)), np.array([smooth]),
+            np.zeros(1, dtype=bool), np.array([len(spans)]), spans,
+        )  # fmt: skip
+
+    @staticmethod
+    def none() -> Rows:
+        """Return no rows."""
+        real, no = np.zeros(0), np.zeros(0, dtype=bool)
+        lines = np.zeros(0, dtype=np.int64)
+        points = np.zeros((0, 3))
+        blocks = Blocks(points, points, np.zeros((0, 2)), real, real, no, no, real, real, lines)
+        return Rows.plain(blocks, 0)

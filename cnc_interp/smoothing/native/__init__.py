@@ -1,0 +1,1 @@
+"""Native 5-axis B-splines: their spans and their connection."""

@@ -1,0 +1,252 @@
+"""
+The general connection of two 5-axis portions [B2013, section 2.6 and Fig. 4].
+
+Two portions meet in one point with one tool axis. By the arc length s of the tip, the second one
+begins with other p_s, p_ss, o_s, o_ss than the first one ends with, and each jump would bring the
+feed down. Here a polynomial span takes up the jets of its neighbours:
+
+* the tip's two inner Bezier points next to the join are moved so that p_s and p_ss go on;
+* the orientation goes on by the connection E of ``connection.py``, a polynomial added to the top
+  curve, zero at both ends. With rho the length of the tool vector D = top - bottom, E', E'' (and
+  E''' with the septic) are what (rho o)', ''  and ''' of the neighbour exceed those of D by.
+
+The length rho needs no continuity and follows D. All of it is linear in the jumps, so the
+deviation from the programmed curves is bounded by the polynomials' coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bezier import derivatives
+from cnc_interp.smoothing.corners.connection import hermite
+from cnc_interp.smoothing.orientation import cross, dot, norm
+
+
+@dataclass(frozen=True)
+class Jets:
+    """
+    Tip and tool axis with their derivatives by the tip's arc length, at n places.
+
+    Parameters
+    ----------
+    tip : ndarray, shape (4, n, 3)
+        p, p_s, p_ss, p_sss [m, -, 1/m, 1/m2].
+    axis : ndarray, shape (4, n, 3)
+        o, o_s, o_ss, o_sss [-, 1/m, 1/m2, 1/m3].
+
+    """
+
+    tip: FloatArray
+    axis: FloatArray
+
+    def backwards(self) -> Jets:
+        """Return the jets of the same path run the other way."""
+        sign = np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
+        return Jets(sign * self.tip, sign * self.axis)
+
+    def jumps(self, other: Jets, height: float) -> FloatArray:
+        """
+        Return how far two jets differ, shape (2, n).
+
+        First the angle between both directions of motion, of the tip or of the point at flank
+        height [rad], then the difference of their second derivatives [1/m].
+        """
+        found = []
+        for order in (1, 2):
+            tip = norm(self.tip[order] - other.tip[order])
+            found.append(np.maximum(tip, height * norm(self.axis[order] - other.axis[order])))
+        return np.stack(found)
+
+
+def line_jets(tip: FloatArray, direction: FloatArray, axis: FloatArray, rate: FloatArray) -> Jets:
+    """
+    Return the jets of lines: o_s = w k x o, o_ss = -w^2 o, o_sss = -w^2 o_s [B2013, Eq. 4].
+
+    Parameters
+    ----------
+    tip, direction, axis : ndarray, shape (n, 3)
+        Place [m], unit direction of motion and tool axis there [-].
+    rate : ndarray, shape (n, 3)
+        Rotation vector per metre of path [rad/m].
+
+    """
+    turn, square = cross(rate, axis), dot(rate, rate)[:, None]
+    rest = np.zeros_like(tip)
+    return Jets(
+        np.stack([tip, direction, rest, rest]),
+        np.stack([axis, turn, -square * axis, -square * turn]),
+    )
+
+
+def span_jets(bottom: FloatArray, top: FloatArray, connection: FloatArray) -> Jets:
+    """
+    Return the jets at the beginning of polynomial spans [B2013, Eq. 5, B.3-B.5].
+
+    Parameters
+    ----------
+    bottom, top, connection : ndarray, shape (n, k, 3)
+        Bezier points of tip, second point and connection E, each of its own degree [m]. Reversed
+        points give the jets at the other end, seen inward.
+
+    """
+    p, d = derivatives(bottom), derivatives(top) - derivatives(bottom) + derivatives(connection)
+    s1, s2, s3 = arc_length(p)
+    # unit vector o of D: rho' = D' . o, then order by order
+    d0 = top[:, 0] - bottom[:, 0] + connection[:, 0]
+    rho = norm(d0)[:, None]
+    o = d0 / rho
+    rho1 = dot(d[0], o)[:, None]
+    o1 = (d[0] - rho1 * o) / rho
+    rho2 = dot(d[1], o)[:, None] + rho * dot(o1, o1)[:, None]
+    o2 = (d[1] - rho2 * o - 2.0 * rho1 * o1) / rho
+    rho3 = (dot(d[2], o) + dot(3.0 * rho * o1 - 3.0 * rho1 * o, o2))[:, None]
+    o3 = (d[2] - rho3 * o - 3.0 * rho2 * o1 - 3.0 * rho1 * o2) / rho
+    return Jets(
+        np.stack([bottom[:, 0], *_by_arc_length(p, s1, s2, s3)]),
+        np.stack([o, *_by_arc_length(np.stack([o1, o2, o3]), s1, s2, s3)]),
+    )
+
+
+def arc_length(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return s', s'', s''', shape (n, 1), of curves with derivatives p, shape (3, n, 3)."""
+    s1 = norm(p[0])[:, None]
+    s2 = dot(p[0], p[1])[:, None] / s1
+    s3 = (dot(p[1], p[1]) + dot(p[0], p[2]))[:, None] / s1 - s2**2 / s1
+    return s1, s2, s3
+
+
+def _by_arc_length(
+    x: FloatArray, s1: FloatArray, s2: FloatArray, s3: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Turn derivatives by u, shape (3, n, 3), into derivatives by s."""
+    x_s = x[0] / s1
+    x_ss = (x[1] - x_s * s2) / s1**2
+    return x_s, x_ss, (x[2] - 3.0 * x_ss * s1 * s2 - x_s * s3) / s1**3
+
+
+@dataclass(frozen=True)
+class Connected:
+    """
+    Spans that take up the jets of their neighbours.
+
+    Parameters
+    ----------
+    bottom : ndarray, shape (n, 6, 3)
+        Bezier points of the tip [m].
+    connection : ndarray, shape (n, points, 3)
+        Bezier points of E, added to the top curve [m].
+    deviation : ndarray, shape (n, 2)
+        Bounds on how far tip and point at flank height lie from the given spans [m].
+
+    """
+
+    bottom: FloatArray
+    connection: FloatArray
+    deviation: FloatArray
+
+
+def connected(
+    bottom: FloatArray,
+    top: FloatArray,
+    first: Jets | None,
+    last: Jets | None,
+    height: float,
+    points: int = 6,
+) -> Connected:
+    """
+    Connect spans to their neighbours.
+
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (n, 6, 3)
+        Quintic Bezier points of tip and second point [m].
+    first, last : Jets or None
+        How the path arrives at u = 0 and how it goes on at u = 1; None where the span is free.
+    height : float
+        Flank height, at which the orientation deviation counts [m].
+    points : int
+        6 for the quintic E (tip and axis C2 by arc length), 8 for the septic (axis C3).
+
+    Returns
+    -------
+    Connected
+        The same ends, the neighbours' derivatives, and bounds on the deviation.
+
+    """
+    n = len(bottom)
+    moved = bottom.copy()
+    free = np.zeros((3, n, 3))
+    lacking = [free, free]
+    for side, jets in enumerate((first, None if last is None else last.backwards())):
+        if jets is not None:
+            inward = (moved, top) if side == 0 else (moved[:, ::-1], top[:, ::-1])
+            _take_up_tip(inward[0], jets)
+    for side, jets in enumerate((first, None if last is None else last.backwards())):
+        if jets is not None:
+            inward = (moved, top) if side == 0 else (moved[:, ::-1], top[:, ::-1])
+            lacking[side] = _lacking(*inward, jets)
+    # What moving the tip does to D far from a join is not E's affair: E acts at the joins only.
+    connection = hermite(lacking[0], lacking[1], points)
+    tip = _largest(moved - bottom)
+    tool = tip + _largest(connection)
+    ratio = tool / shortest_tool(bottom, top)
+    chord = np.where(ratio < 1.0, 2.0 * np.sin(0.5 * np.arcsin(np.minimum(ratio, 1.0))), np.inf)
+    return Connected(moved, connection, np.stack([tip, tip + height * chord], axis=1))
+
+
+def _largest(points: FloatArray) -> FloatArray:
+    """Bound the length of Bezier curves by the largest values of the Bernstein polynomials."""
+    k, degree = np.arange(points.shape[1]), points.shape[1] - 1
+    share = k / degree
+    weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
+    return np.asarray((weight * norm(points)).sum(axis=1))
+
+
+def _take_up_tip(bottom: FloatArray, jets: Jets) -> None:
+    """Move the second and third Bezier point so that p_s and p_ss are those of the jets."""
+    p = derivatives(bottom)
+    tangent = jets.tip[1]
+    speed = dot(p[0], tangent)[:, None]
+    second = speed**2 * jets.tip[2] + dot(p[1], tangent)[:, None] * tangent
+    bottom[:, 1] = bottom[:, 0] + speed * tangent / 5.0
+    bottom[:, 2] = 2.0 * bottom[:, 1] - bottom[:, 0] + second / 20.0
+
+
+def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
+    """Return what D lacks to go on as the jets' axis: (rho o - D)', '' and ''', (3, n, 3)."""
+    p = derivatives(bottom)
+    d1, d2, d3 = derivatives(top) - p
+    s1, s2, s3 = arc_length(p)
+    o, o_s, o_ss, o_sss = jets.axis
+    o1 = o_s * s1
+    o2 = o_ss * s1**2 + o_s * s2
+    o3 = o_sss * s1**3 + 3.0 * o_ss * s1 * s2 + o_s * s3
+    rho = norm(top[:, 0] - bottom[:, 0])[:, None]
+    rho1 = dot(d1, o)[:, None]
+    rho2 = dot(d2 - rho * o2, o)[:, None]
+    rho3 = dot(d3 - 3.0 * rho1 * o2 - rho * o3, o)[:, None]
+    return np.stack(
+        [
+            rho1 * o + rho * o1 - d1,
+            rho2 * o + 2.0 * rho1 * o1 + rho * o2 - d2,
+            rho3 * o + 3.0 * rho2 * o1 + 3.0 * rho1 * o2 + rho * o3 - d3,
+        ]
+    )
+
+
+def shortest_tool(bottom: FloatArray, top: FloatArray) -> FloatArray:
+    """
+    Bound the length of the tool vector of spans from below, shape (n,) [m].
+
+    Every point of D lies in the hull of its Bezier points, so along any direction it reaches at
+    least as far as the nearest of them; the direction is that of their mean.
+    """
+    tool = top - bottom
+    mean = tool.sum(axis=1)
+    direction = mean / np.maximum(norm(mean), 1e-300)[:, None]
+    return np.asarray(np.maximum(dot(tool, direction[:, None]).min(axis=1), 1e-300))

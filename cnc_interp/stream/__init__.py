@@ -1,1 +1,0 @@
-"""AxisPath -> chunks of setpoints with their stop tails; planned anew at any sample."""

@@ -1,0 +1,1 @@
+"""Dataclasses to ROS messages and back, their checks, and the window protocol."""

@@ -1,0 +1,105 @@
+"""Chunks of setpoints <-> ROS messages, bit for bit; ``soundness`` checks them first."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import SetpointChunk
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.wire.path_messages import packed
+
+
+def chunk_message(
+    chunk: Chunk, lines: list[int], tail_lines: list[int], run: str, plan: int, first: int,
+    period: float,
+) -> SetpointChunk:  # fmt: skip
+    """
+    Turn a chunk into a message.
+
+    Parameters
+    ----------
+    chunk : Chunk
+        Setpoints and their stop tail.
+    lines, tail_lines : list of int
+        Line of the source text of each setpoint.
+    run : str
+        The run.
+    plan, first : int
+        Number of the plan in the run, and of the first setpoint in the plan.
+    period : float
+        Interpolation period [s].
+
+    """
+    samples, tail = chunk.samples, chunk.tail
+    return SetpointChunk(
+        program_id=run,
+        plan=plan,
+        first_sample=first,
+        period=period,
+        axis_count=samples.position.shape[1],
+        positions=packed(samples.position),
+        velocities=packed(samples.velocity),
+        accelerations=packed(samples.acceleration),
+        jerks=packed(samples.jerk),
+        sequences=_counts(samples.block),
+        line_numbers=lines,
+        path_positions=packed(samples.s),
+        tail_positions=packed(tail.position),
+        tail_velocities=packed(tail.velocity),
+        tail_accelerations=packed(tail.acceleration),
+        tail_jerks=packed(tail.jerk),
+        tail_sequences=_counts(tail.block),
+        tail_line_numbers=tail_lines,
+        tail_path_positions=packed(tail.s),
+        wait=int(chunk.wait),
+        end_of_program=chunk.wait is Wait.END,
+    )
+
+
+def _counts(values: IntArray) -> array[int]:
+    return array('Q', values.astype(np.uint64).tobytes())
+
+
+def setpoints_from(message: SetpointChunk) -> Setpoints:
+    """Return the setpoints of a message, checked before; time counts from the plan's first one."""
+    n = len(message.sequences)
+    return _setpoints(
+        message, n, (message.first_sample + np.arange(n)) * message.period, message.positions,
+        message.velocities, message.accelerations, message.jerks, message.sequences,
+        message.path_positions,
+    )  # fmt: skip
+
+
+def chunk_from(message: SetpointChunk) -> Chunk:
+    """Return the chunk of a message, checked before."""
+    samples, n = setpoints_from(message), len(message.tail_sequences)
+    last = message.first_sample + len(samples)
+    tail = _setpoints(
+        message, n, (last + np.arange(n)) * message.period, message.tail_positions,
+        message.tail_velocities, message.tail_accelerations, message.tail_jerks,
+        message.tail_sequences, message.tail_path_positions,
+    )  # fmt: skip
+    return Chunk(samples, tail, Wait(message.wait))
+
+
+def _setpoints(
+    message: SetpointChunk, n: int, time: FloatArray, positions: Any, velocities: Any,
+    accelerations: Any, jerks: Any, blocks: Any, s: Any,
+) -> Setpoints:  # fmt: skip
+    def table(values: Any) -> FloatArray:
+        return np.frombuffer(values).reshape(n, message.axis_count)
+
+    return Setpoints(
+        time=time,
+        position=table(positions),
+        velocity=table(velocities),
+        acceleration=table(accelerations),
+        jerk=table(jerks),
+        block=np.frombuffer(blocks, dtype=np.uint64).astype(np.int64),
+        s=np.array(s),
+    )

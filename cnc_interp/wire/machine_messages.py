@@ -1,0 +1,109 @@
+"""What the machine says: its state and its joints as messages."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from sensor_msgs.msg import JointState
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.playback import Executed, Playback
+from cnc_interp.machine.simulated import Feedback
+from cnc_interp.machine.states import State
+from cnc_interp.wire.path_messages import packed
+
+STATES = {
+    State.INACTIVE: MachineState.IDLE,
+    State.IDLE: MachineState.IDLE,
+    State.RUNNING: MachineState.RUNNING,
+    State.HOLDING: MachineState.HOLDING,
+    State.STARVED: MachineState.STARVED,
+    State.STOPPING: MachineState.STOPPED,
+    State.FAULT: MachineState.FAULT,
+}
+
+
+def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
+    """Return the actual axes; a joint is named like its axis."""
+    message = JointState(
+        name=list(machine.axis_names),
+        position=feedback.position.tolist(),
+        velocity=feedback.velocity.tolist(),
+    )
+    message.header.stamp = stamp
+    message.header.frame_id = 'base_link'
+    return message
+
+
+def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]:
+    """Return the setpoints executed since the last call, numbered through the run."""
+    told = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    plans = groupby(told, key=lambda executed: (executed.program_id, executed.plan))
+    messages = [_executed_of_plan(list(executed), period) for _, executed in plans]
+    if messages:
+        messages[-1].end_of_program = playback.completed
+    return messages
+
+
+def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
+    first, rows = executed[0], [entry.row for entry in executed]
+    return SetpointChunk(
+        program_id=first.program_id,
+        plan=first.plan,
+        first_sample=first.number,
+        period=period,
+        axis_count=len(rows[0].position),
+        positions=packed(np.array([row.position for row in rows])),
+        velocities=packed(np.array([row.velocity for row in rows])),
+        accelerations=packed(np.array([row.acceleration for row in rows])),
+        jerks=packed(np.array([row.jerk for row in rows])),
+        sequences=[row.block for row in rows],
+        line_numbers=[row.line for row in rows],
+        path_positions=[row.s for row in rows],
+    )
+
+
+def machine_state(playback: Playback, period: float) -> MachineState:
+    """Return state and figures of the run; the caller stamps it."""
+    machine, feedback, last = playback.machine, playback.feedback, playback.last
+    least = playback.least_buffered
+    recent = machine.take_recent_use()
+    held = machine.state is State.HOLDING and playback.resting
+    message = MachineState(
+        state=MachineState.HELD if held else STATES[machine.state],
+        program_id=playback.program_id,
+        plan=playback.plan,
+        plan_over=playback.plan_over,
+        start_wanted=playback.start_wanted,
+        completed=playback.completed,
+        interpolation_period=period,
+        samples=playback.played,
+        approach_samples=playback.approach_samples,
+        sequence=last.block if last else 0,
+        line_number=last.line if last else 0,
+        path_position=last.s if last else 0.0,
+        positions=feedback.position.tolist(),
+        commanded_positions=feedback.setpoint.tolist(),
+        tip=feedback.tip,
+        axis=feedback.axis,
+        following_error=feedback.following_error.tolist(),
+        largest_following_error=playback.largest_following_error.tolist(),
+        contour_error=feedback.contour_error,
+        largest_contour_error=playback.largest_contour_error,
+        velocity_use=machine.largest_use[0].tolist(),
+        acceleration_use=machine.largest_use[1].tolist(),
+        jerk_use=machine.largest_use[2].tolist(),
+        feedrate=feedback.feedrate,
+        recent_velocity_use=recent[0].tolist(),
+        recent_acceleration_use=recent[1].tolist(),
+        recent_jerk_use=recent[2].tolist(),
+        buffered_time=playback.buffer.count * period,
+        least_buffered_time=least * period if np.isfinite(least) else np.nan,
+        starvations=playback.starvations,
+        message=machine.message,
+    )
+    message.header.frame_id = 'workpiece'
+    return message

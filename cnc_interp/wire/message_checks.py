@@ -1,0 +1,179 @@
+"""What a message must be like to be let in: finite, of the right shape, meaning something."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.setpoint_checks import refuse_setpoints
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE
+from cnc_interp.wire.path_messages import (
+    CONNECTION_POINTS,
+    CURVES,
+    LINE_CURVE,
+    SPAN_DEGREE,
+)
+
+#: A tool axis may differ from length 1 by rounding only.
+UNIT = 1e-9
+
+
+def check_block(message: G1Block) -> None:
+    """Refuse a block with values that no program can mean."""
+    name = f'block {message.sequence} (line {message.line_number})'
+    _check_pose(name, message.tip, message.axis, message.rotary)
+    _check_control_point(name, message)
+    for field in ('contour_tolerance', 'orientation_tolerance', 'flank_height'):
+        value = getattr(message, field)
+        if not 0.0 < value < np.inf:
+            raise StreamError(f'{name}: {field} is {value:g} m; it must be greater than 0')
+    if message.program_stop > G1Block.OPTIONAL_STOP:
+        raise StreamError(f'{name}: program_stop is {message.program_stop}; it must be 0, 1 or 2')
+    if message.sequence == 0:
+        return
+    timed = not np.isnan(message.duration)
+    value = message.duration if timed else message.feedrate
+    if not value > 0.0 or (timed and value == np.inf):
+        word = 'duration' if timed else 'feedrate'
+        raise StreamError(f'{name}: {word} is {value:g}; it must be greater than 0')
+
+
+def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray) -> None:
+    """Refuse a tip or a tool axis that is none."""
+    if not np.isfinite(tip).all():
+        raise StreamError(f'{name}: the tool tip is not finite; send numbers')
+    length = float(np.sqrt((axis**2).sum()))
+    if not abs(length - 1.0) <= UNIT:
+        raise StreamError(f'{name}: the tool axis has length {length:.6g}; it must be 1')
+    if np.isinf(rotary).any() or np.isnan(rotary).any() != np.isnan(rotary).all():
+        raise StreamError(f'{name}: name both rotary axes, or none (NaN)')
+
+
+def _check_control_point(name: str, message: G1Block) -> None:
+    """Refuse a control point of splines that is not finite or lies off the tool axis."""
+    if not message.spline:
+        return
+    if not 0.0 <= message.knot_interval < np.inf:
+        raise StreamError(
+            f'{name}: knot_interval is {message.knot_interval:g}; it must not be negative'
+        )
+    tool = message.top - message.tip
+    length = float(np.sqrt(tool @ tool))
+    if not np.abs(tool - length * message.axis).max() <= UNIT * length:
+        raise StreamError(f'{name}: top must be a point on the tool axis above the tip')
+
+
+def check_segment(message: PathSegment) -> None:
+    """Refuse a segment whose curves or values do not fit its kind."""
+    name = f'segment {message.sequence} (line {message.line_number})'
+    kind, curved = message.kind, message.kind in CURVES
+    if kind not in (LINE, CORNER, ROTATION, SPLINE):
+        raise StreamError(f'{name}: kind {kind} is unknown; send LINE, CORNER, ROTATION or SPLINE')
+    _check_spline(f'{name}: bottom', message.bottom, kind)
+    if curved:
+        _check_spline(f'{name}: top', message.top, kind)
+        if len(message.connection) not in [3 * points for points in CONNECTION_POINTS]:
+            raise StreamError(f'{name}: connection must hold 6 or 8 points of 3 values')
+    if kind == CORNER:
+        _check_parametrization(f'{name}: parametrization', message.parametrization)
+    for rotary in (message.rotary_start, message.rotary_end):
+        _check_pose(name, np.zeros(3), message.axis, rotary)
+    values = [*message.rotation, message.contour_deviation, message.orientation_deviation]
+    values += message.connection
+    if not np.isfinite(values).all():
+        raise StreamError(f'{name}: a value is not finite; send numbers')
+    if not 0.0 < message.flank_height < np.inf:
+        raise StreamError(f'{name}: flank_height must be greater than 0')
+    if not (message.feedrate > 0.0).all():
+        raise StreamError(f'{name}: the feedrate must be greater than 0')
+    if not (curved or 0.0 <= message.length < np.inf):
+        raise StreamError(f'{name}: length is {message.length:g} m; it must not be negative')
+
+
+def _check_spline(name: str, spline: BSpline, kind: int) -> None:
+    """Refuse a curve of another shape than its kind has."""
+    degree, knots, points = CURVES.get(kind, LINE_CURVE)
+    count = 3 * points
+    if (spline.degree, spline.dimension, spline.knots) != (degree, 3, knots):
+        raise StreamError(f'{name} must be of degree {degree} in 3-D with knots {knots.tolist()}')
+    if len(spline.control_points) != count:
+        raise StreamError(f'{name} needs {count} values, not {len(spline.control_points)}')
+    if not np.isfinite(np.frombuffer(spline.control_points)).all():
+        raise StreamError(f'{name} has a control point that is not finite')
+
+
+def _check_parametrization(name: str, spline: BSpline) -> None:
+    """Refuse a u_top = f(u) that is not made of sextic spans or does not rise from 0 to 1."""
+    knots, values = np.array(spline.knots), np.array(spline.control_points)
+    if not len(knots) and not len(values):
+        return
+    spans, left_over = divmod(len(values) - 1, SPAN_DEGREE)
+    if spline.degree != SPAN_DEGREE or spline.dimension != 1 or left_over or spans < 1:
+        raise StreamError(f'{name} must be scalar, of degree {SPAN_DEGREE}, in whole spans')
+    inner = np.array(knots[SPAN_DEGREE + 1 : -SPAN_DEGREE - 1]).reshape(-1, SPAN_DEGREE)
+    ends = np.concatenate([[0.0], inner[:, 0], [1.0]])
+    expected = np.repeat(ends, [SPAN_DEGREE + 1, *[SPAN_DEGREE] * len(inner), SPAN_DEGREE + 1])
+    if (
+        len(inner) != spans - 1
+        or not np.array_equal(knots, expected)
+        or (np.diff(ends) <= 0).any()
+    ):
+        raise StreamError(f'{name} needs rising knots from 0 to 1, {SPAN_DEGREE} at each break')
+    rises = values[0] == 0.0 and values[-1] == 1.0 and (np.diff(values[::SPAN_DEGREE]) > 0).all()
+    if not np.isfinite(values).all() or not rises:
+        raise StreamError(f'{name} must rise from 0 to 1')
+
+
+def check_chunk(
+    message: SetpointChunk, machine: Machine, period: float, before: FloatArray
+) -> None:
+    """
+    Refuse setpoints of a wrong shape, for another machine or period, or beyond its limits.
+
+    ``before`` are the three setpoints before them, shape (3, n_axes).
+    """
+    name = f'setpoints from {message.first_sample}'
+    n, axis_count = len(message.sequences), len(machine.axis_names)
+    if message.axis_count != axis_count:
+        raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
+    if message.period != period:
+        raise StreamError(
+            f'{name}: period {message.period:g} s, but the machine runs at {period:g} s; '
+            'give both nodes the same interpolation_period'
+        )
+    if n == 0:
+        raise StreamError(f'{name}: the chunk is empty; send at least one setpoint')
+    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+        _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
+    _check_rows(f'{name}: path_positions', message.path_positions, n)
+    tail = len(message.tail_sequences)
+    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+        values = getattr(message, f'tail_{field}')
+        _check_rows(f'{name}: tail_{field}', values, tail * axis_count)
+    _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
+    if (len(message.line_numbers), len(message.tail_line_numbers)) != (n, tail):
+        raise StreamError(f'{name}: each setpoint needs a line number')
+    if message.wait > SetpointChunk.END or message.end_of_program != (
+        message.wait == SetpointChunk.END
+    ):
+        raise StreamError(f'{name}: wait {message.wait} does not fit end_of_program')
+    rows = np.concatenate(
+        [np.frombuffer(message.positions), np.frombuffer(message.tail_positions)]
+    ).reshape(-1, axis_count)
+    try:
+        refuse_setpoints(machine, period, before, rows, at_rest=True)
+    except StreamError as fault:
+        raise StreamError(f'{name}: {fault}') from None
+
+
+def _check_rows(name: str, values: array[float], count: int) -> None:
+    """Refuse a list of another length than it must have, or with values that are no numbers."""
+    if len(values) != count:
+        raise StreamError(f'{name} has {len(values)} values, not {count}')
+    if not np.isfinite(np.frombuffer(values)).all():
+        raise StreamError(f'{name} has a value that is not finite')

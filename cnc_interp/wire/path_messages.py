@@ -1,0 +1,207 @@
+"""Arrows of the flow <-> ROS messages, bit for bit; ``soundness`` checks them first."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
+
+CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
+LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
+QUINTIC_KNOTS = array('d', [0.0] * 6 + [1.0] * 6)
+#: Degree, knots and number of control points of each kind's curves.
+CURVES = {CORNER: (3, CUBIC_KNOTS, 5), SPLINE: (5, QUINTIC_KNOTS, 6)}
+LINE_CURVE = (1, LINEAR_KNOTS, 2)
+#: Bezier points of a connection, quintic or septic, and degree of the parametrization's spans.
+CONNECTION_POINTS = (6, 8)
+SPAN_DEGREE = 6
+
+
+def block_messages(
+    blocks: Blocks, program_id: str, first_sequence: int, flank_height: float, end: bool
+) -> list[G1Block]:
+    """
+    Turn rows of a program into messages.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Consecutive rows.
+    program_id : str
+        The run.
+    first_sequence : int
+        Number of the first row in the program.
+    flank_height : float
+        Height over the tip at which the orientation tolerance counts [m].
+    end : bool
+        True when the last row is the program's last.
+
+    """
+    spline = blocks.on_spline
+    return [
+        G1Block(
+            program_id=program_id,
+            sequence=first_sequence + i,
+            line_number=int(blocks.line_number[i]),
+            tip=blocks.tip[i],
+            axis=blocks.axis[i],
+            rotary=blocks.rotary[i],
+            spline=bool(spline[i]),
+            top=blocks.top[i],
+            knot_interval=float(blocks.knot_interval[i]),
+            feedrate=float(blocks.feedrate[i]),
+            duration=float(blocks.duration[i]),
+            rapid=bool(blocks.rapid[i]),
+            contour_tolerance=float(blocks.contour_tolerance[i]),
+            orientation_tolerance=float(blocks.orientation_tolerance[i]),
+            flank_height=flank_height,
+            exact_stop=bool(blocks.exact_stop[i]),
+            program_stop=int(blocks.program_stop[i]),
+            end_of_program=end and i == len(blocks) - 1,
+        )
+        for i in range(len(blocks))
+    ]
+
+
+def blocks_from(messages: list[G1Block]) -> Blocks:
+    """Collect messages, checked before, into rows."""
+
+    def column(field: str, kind: Any = np.float64) -> Any:
+        return np.array([getattr(message, field) for message in messages], dtype=kind)
+
+    linear = ~column('spline', np.bool_)
+    top, knot_interval = column('top'), column('knot_interval')
+    top[linear], knot_interval[linear] = np.nan, np.nan
+    return Blocks(
+        tip=column('tip'),
+        axis=column('axis'),
+        rotary=column('rotary'),
+        feedrate=column('feedrate'),
+        duration=column('duration'),
+        rapid=column('rapid', np.bool_),
+        exact_stop=column('exact_stop', np.bool_),
+        contour_tolerance=column('contour_tolerance'),
+        orientation_tolerance=column('orientation_tolerance'),
+        line_number=column('line_number', np.int64),
+        top=top,
+        knot_interval=knot_interval,
+        program_stop=column('program_stop', np.int64),
+    )
+
+
+def segment_messages(
+    segments: PathSegments, program_id: str, first_sequence: int, flank_height: float, end: bool
+) -> list[PathSegment]:
+    """Turn consecutive segments into messages; ``end`` marks the last one of the program."""
+    last = len(segments) - 1
+    return [
+        _segment_message(
+            segments, i, program_id, first_sequence + i, flank_height, end and i == last
+        )
+        for i in range(len(segments))
+    ]
+
+
+def _segment_message(
+    segments: PathSegments, i: int, program_id: str, sequence: int, height: float, end: bool
+) -> PathSegment:
+    """Turn one segment into a message."""
+    kind = int(segments.kind[i])
+    message = PathSegment(
+        program_id=program_id,
+        sequence=sequence,
+        kind=kind,
+        bottom=_spline(segments.bottom[i], kind),
+        flank_height=height,
+        axis=segments.axis[i],
+        rotation=segments.rotation[i],
+        rotary_start=segments.rotary[i, 0],
+        rotary_end=segments.rotary[i, 1],
+        length=float(segments.length[i]),
+        feedrate=segments.feed[i],
+        contour_deviation=float(segments.deviation[i, 0]),
+        orientation_deviation=float(segments.deviation[i, 1]),
+        first_block=int(segments.block[i, 0]),
+        last_block=int(segments.block[i, 1]),
+        line_number=int(segments.line_number[i]),
+        stop=bool(segments.stop[i]),
+        end_of_program=end,
+    )
+    if kind in CURVES:
+        message.top = _spline(segments.top[i], kind)
+        message.connection = packed(segments.connection[i])
+        message.parametrization = _parametrization(segments.parametrization[i])
+    return message
+
+
+def _spline(points: FloatArray, kind: int) -> BSpline:
+    """Describe the control points that a kind of segment uses as a clamped B-spline."""
+    degree, knots, count = CURVES.get(kind, LINE_CURVE)
+    return BSpline(degree=degree, dimension=3, knots=knots, control_points=packed(points[:count]))
+
+
+def _parametrization(spans: FloatArray) -> BSpline:
+    """Describe the spans of u_top = f(u), shape (k, 8), as a B-spline; without spans empty."""
+    if not len(spans):
+        return BSpline()
+    inner = np.repeat(spans[1:, 0], SPAN_DEGREE)
+    knots = np.concatenate([np.zeros(SPAN_DEGREE + 1), inner, np.ones(SPAN_DEGREE + 1)])
+    points = np.concatenate([spans[:, 1:-1].ravel(), spans[-1:, -1]])
+    return BSpline(
+        degree=SPAN_DEGREE, dimension=1, knots=packed(knots), control_points=packed(points)
+    )
+
+
+def _spans_of(spline: BSpline) -> FloatArray:
+    """Take a parametrization apart into its spans, shape (k, 8)."""
+    points = np.frombuffer(spline.control_points)
+    first = np.arange(0, len(points) - 1, SPAN_DEGREE)
+    starts = np.frombuffer(spline.knots)[first + SPAN_DEGREE]
+    values = points[first[:, None] + np.arange(SPAN_DEGREE + 1)]
+    return np.concatenate([starts[:, None], values], axis=1)
+
+
+def packed(values: FloatArray) -> array[float]:
+    """Flatten to the message's array type without touching a bit."""
+    return array('d', np.ascontiguousarray(values, dtype=np.float64).tobytes())
+
+
+def segments_from(messages: list[PathSegment]) -> PathSegments:
+    """Collect messages, checked before, into segments."""
+    n = len(messages)
+    bottom, top = np.zeros((n, POINTS, 3)), np.zeros((n, POINTS, 3))
+    points_of_e = max([len(m.connection) // 3 for m in messages], default=0)
+    spans = max([len(m.parametrization.control_points) for m in messages], default=0)
+    connection = np.zeros((n, max(points_of_e, CONNECTION_POINTS[0]), 3))
+    parametrization = np.zeros((n, spans // SPAN_DEGREE, SPAN_DEGREE + 2))
+    for i, message in enumerate(messages):
+        points = np.frombuffer(message.bottom.control_points).reshape(-1, 3)
+        bottom[i, : len(points)] = points
+        if message.kind in CURVES:
+            top[i, : len(points)] = np.frombuffer(message.top.control_points).reshape(-1, 3)
+            if len(message.connection):
+                connection[i] = np.frombuffer(message.connection).reshape(-1, 3)
+            if len(message.parametrization.knots):
+                parametrization[i] = _spans_of(message.parametrization)
+    return PathSegments(
+        kind=np.array([m.kind for m in messages], dtype=np.int64),
+        bottom=bottom,
+        top=top,
+        connection=connection,
+        parametrization=parametrization,
+        axis=np.array([m.axis for m in messages]),
+        rotation=np.array([m.rotation for m in messages]),
+        rotary=np.array([(m.rotary_start, m.rotary_end) for m in messages]),
+        length=np.array([m.length for m in messages]),
+        feed=np.array([m.feedrate for m in messages]),
+        block=np.array([(m.first_block, m.last_block) for m in messages], dtype=np.int64),
+        line_number=np.array([m.line_number for m in messages], dtype=np.int64),
+        stop=np.array([m.stop for m in messages], dtype=np.bool_),
+        deviation=np.array([(m.contour_deviation, m.orientation_deviation) for m in messages]),
+    )

@@ -1,0 +1,264 @@
+"""
+Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
+
+Items carry gap-free numbers within a program. The receiver says what it expects next and how far
+it may be sent; the sender keeps every item until it is acknowledged and, when nothing has been for
+a while, starts again at the first one that was not. An item may count for several numbers (a chunk
+of setpoints).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from cnc_interp.core.errors import StreamError
+from cnc_interp.run.run_id import goes_on
+
+Item = TypeVar('Item')
+#: Programs whose late messages are recognised as such.
+REMEMBERED = 64
+#: Time that a repetition asked for may take to arrive [s].
+SETTLE = 0.05
+#: A sender waits no longer than this many times its first patience.
+MOST_PATIENT = 16.0
+
+
+@dataclass(frozen=True)
+class Numbered(Generic[Item]):
+    """An item with the number of its first element and how many it has."""
+
+    first: int
+    count: int
+    item: Item
+
+    @property
+    def after(self) -> int:
+        """Number that follows the item."""
+        return self.first + self.count
+
+
+class WindowedSender(Generic[Item]):
+    """
+    The sending end.
+
+    Parameters
+    ----------
+    resend_after : float
+        Time without an acknowledgement after which sending starts again [s]; twice as long after
+        each time that was in vain, so that a receiver that is only slow is not buried in repeats.
+
+    """
+
+    def __init__(self, resend_after: float):
+        self.resend_after = self._patience = resend_after
+        self.program_id = ''
+        self._begin()
+
+    def _begin(self) -> None:
+        self._items: deque[Numbered[Item]] = deque()  # from the first unacknowledged one
+        self._in_flight = 0  # how many of them are sent
+        self.next_number = 0
+        self.acknowledged = 0
+        self.limit = 0
+        self.sent = 0  # number after the last item that was ever sent
+        self._since = 0.0
+        self._again = -math.inf
+        self._patience = self.resend_after
+
+    def begin(self, program_id: str) -> None:
+        """Start a new program; what is left of the old one is dropped."""
+        self.program_id = program_id
+        self._begin()
+
+    def put(self, item: Item, count: int = 1) -> None:
+        """Queue the next item."""
+        self._items.append(Numbered(self.next_number, count, item))
+        self.next_number += count
+
+    def drop_unsent(self) -> None:
+        """Forget the items that were never sent; their numbers are free again."""
+        while self._items and self._items[-1].first >= self.sent:
+            self.next_number = self._items.pop().first
+
+    @property
+    def unsent(self) -> int:
+        """Numbers queued beyond what was ever sent."""
+        return self.next_number - self.sent
+
+    @property
+    def all_acknowledged(self) -> bool:
+        """Tell whether the receiver has everything."""
+        return not self._items
+
+    def due(self, now: float) -> list[Numbered[Item]]:
+        """
+        Return the items to send now, the window and lost ones considered.
+
+        The very first item may always go: only with it does the receiver learn of the program.
+        """
+        if self._in_flight and now - self._since > self._patience:
+            self._in_flight = 0
+            self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)
+        found = []
+        while self._in_flight < len(self._items):
+            item = self._items[self._in_flight]
+            if item.after > self.limit and item.first > 0:
+                break
+            if self._in_flight == 0:
+                self._since = now
+            found.append(item)
+            self._in_flight += 1
+            self.sent = max(self.sent, item.after)
+        return found
+
+    def take_back(self, items: int) -> None:
+        """Count the last few items returned by ``due`` as not sent: the line was busy."""
+        self._in_flight = max(0, self._in_flight - items)
+
+    def acknowledge(
+        self, program_id: str, next_number: int, window_limit: int, now: float, gap: bool = False
+    ) -> None:
+        """
+        Take note of what the receiver says; words about another program are ignored.
+
+        On a gap sending starts again at once, but not again before that had time to arrive.
+        """
+        if program_id != self.program_id or next_number > self.sent:
+            return
+        if gap and now - self._again > SETTLE:
+            self._in_flight, self._again = 0, now
+        while self._items and self._items[0].after <= next_number:
+            self._items.popleft()
+            self._in_flight = max(0, self._in_flight - 1)
+            self._since, self._patience = now, self.resend_after
+        self.acknowledged = max(self.acknowledged, next_number)
+        self.limit = max(self.limit, window_limit)
+
+
+class WindowedReceiver:
+    """
+    The receiving end.
+
+    Parameters
+    ----------
+    stream : str
+        Name of the stream, for the messages.
+    window : int
+        Numbers that may be sent beyond what was consumed.
+
+    """
+
+    def __init__(self, stream: str, window: int):
+        self.stream, self.window = stream, window
+        self.program_id = ''
+        self.next_number = 0
+        self.consumed = 0
+        self.complete = False
+        self.refusal = self._closed = ''
+        self._past: deque[str] = deque(maxlen=REMEMBERED)
+
+    @property
+    def active(self) -> bool:
+        """Tell whether a program is being received."""
+        return bool(self.program_id) and not self.complete and not self.refusal
+
+    @property
+    def limit(self) -> int:
+        """Number of the first item that must not be sent yet."""
+        return self.consumed + self.window if self.active else self.next_number
+
+    def expect(self, program_id: str, first: int) -> None:
+        """
+        Check that an item is the next one, or the first of a new program.
+
+        Raises
+        ------
+        StreamError
+            On a gap, a repeat, a foreign or an old program; nothing changes.
+
+        """
+        if not program_id:
+            raise StreamError(f'{self.stream}: {first} has no program id; name the program')
+        if program_id != self.program_id:
+            self._expect_new(program_id, first)
+        elif self.refusal:
+            raise StreamError(f'{self.stream}: {first} after the refusal: {self.refusal}')
+        elif first < self.next_number:
+            raise StreamError(
+                f'{self.stream}: repeat of {first}; {self.next_number} is next and was not touched'
+            )
+        elif self.complete:
+            over = f'{self.stream}: {first} after the end of the program'
+            raise StreamError(self._closed or over)
+        elif first > self.next_number:
+            raise StreamError(
+                f'{self.stream}: gap: {first} came, but {self.next_number} is next; send again '
+                f'from {self.next_number}'
+            )
+
+    def _expect_new(self, program_id: str, first: int) -> None:
+        """Check that another program may begin here."""
+        if self.active and not goes_on(program_id, self.program_id):
+            raise StreamError(
+                f'{self.stream}: foreign program {program_id} while {self.program_id} runs; '
+                'wait for its end'
+            )
+        if program_id in self._past:
+            raise StreamError(f'{self.stream}: {first} of old program {program_id}')
+        if first != 0:
+            raise StreamError(
+                f'{self.stream}: gap: {first} of unknown program {program_id}; a program begins '
+                'with 0'
+            )
+
+    def take(self, program_id: str, count: int = 1, end: bool = False) -> None:
+        """Count an item that ``expect`` let through and that is sound."""
+        if program_id != self.program_id:
+            self._begin(program_id)
+        self.next_number += count
+        self.complete = end
+
+    def _begin(self, program_id: str) -> None:
+        if self.program_id:
+            self._past.append(self.program_id)
+        self.program_id = program_id
+        self.next_number = self.consumed = 0
+        self.complete, self.refusal, self._closed = False, '', ''
+
+    def refuse(self, program_id: str, reason: str) -> None:
+        """Let nothing more of a program through."""
+        if program_id != self.program_id:
+            self._begin(program_id)
+        self.refusal = reason
+
+    def close(self, reason: str) -> None:
+        """Expect nothing more of this program; what comes still gets the reason as its answer."""
+        self.complete, self._closed = True, reason
+
+    def consume(self, count: int) -> None:
+        """Open the window by items that were worked off."""
+        self.consumed += count
+
+
+class Silence:
+    """
+    Time spent waiting for somebody; no clock of its own.
+
+    Work of one's own does not count, nor the time in which nothing was wanted.
+    """
+
+    def __init__(self) -> None:
+        self._heard = -math.inf
+        self._waits_since = math.inf
+
+    def hear(self, now: float) -> None:
+        """Take note of a word."""
+        self._heard = now
+
+    def waited(self, waits: bool, now: float) -> float:
+        """Return how long the others have been silent while something was wanted of them [s]."""
+        self._waits_since = min(self._waits_since, now) if waits else math.inf
+        return now - max(self._heard, self._waits_since) if waits else 0.0

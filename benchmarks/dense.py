@@ -1,5 +1,5 @@
 """
-Dense programs as curves and corner by corner: the tables of docs/compressor.md.
+Dense programs as curves and corner by corner: the tables of docs/how_it_works/dense_programs.md.
 
     PYTHONPATH=. python benchmarks/dense.py [--most N] [--only NAME ...]
     PYTHONPATH=. python benchmarks/dense.py --growth 1000 10000 100000

@@ -4,7 +4,7 @@ Every public program: read, compared with LinuxCNC's interpreter, planned and pr
     python benchmarks/programs.py [--only NAME ...]
 
 One process per program, its plan files in a temporary folder, its figures in ``out/programs``; the
-table, ``docs/programs_table.md``, is made of all figures that are there. Programs whose motion is
+table, ``docs/measured/programs_table.md``, is made of all figures that are there. Programs whose motion is
 long are proven in parts of about ten minutes, each from its own start pose.
 """
 
@@ -37,7 +37,7 @@ from cnc_interp.run.chain import plan_program, summary_of, write_plan
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ROOT.parent / 'shared' / 'programs'
-TABLE, RESULTS = ROOT / 'docs' / 'programs_table.md', ROOT / 'out' / 'programs'
+TABLE, RESULTS = ROOT / 'docs' / 'measured' / 'programs_table.md', ROOT / 'out' / 'programs'
 #: A part of a program takes about this long [s], if its feed were reached.
 PART = 600.0
 
@@ -197,7 +197,7 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
         '',
         f'{len(ran)} of {len(CASES)} programs run with every sample proven. Made by '
         '`python benchmarks/programs.py`;',
-        'what is refused, and why, is in [programs.md](programs.md).',
+        'what is refused, and why, is in [programs.md](../operate/programs.md).',
         '',
         'klines/s: reading alone. First: time to the first blocks [ms]. LinuxCNC: motions in '
         'which its interpreter and',

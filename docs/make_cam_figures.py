@@ -5,7 +5,7 @@ Draw the figures of the iso-scallop paper [TL2008] on numbers of this package.
     python docs/make_cam_figures.py --times   table and picture of machining times (ten minutes)
 
 writes ``docs/pictures/cam_*.png`` and the table between the two marker comments of
-``docs/cam.md``. Needs matplotlib beside the package.
+``docs/how_it_works/cam.md``. Needs matplotlib beside the package.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from cnc_interp.core.units import DEG, MM, UM
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / 'examples'
-PAGE = HERE / 'cam.md'
+PAGE = HERE / 'how_it_works' / 'cam.md'
 MARKERS = '<!-- times: begin -->', '<!-- times: end -->'
 MILL, HEIGHT = Cutter(5 * MM, 1.5 * MM), 10 * UM
 Y = np.array([0.0, 1.0, 0.0])
@@ -270,7 +270,7 @@ def _save(figure: Any, name: str) -> None:
 
 def main() -> None:
     """Draw the pictures, or measure the times."""
-    parser = argparse.ArgumentParser(description='Figures and table of docs/cam.md.')
+    parser = argparse.ArgumentParser(description='Figures and table of docs/how_it_works/cam.md.')
     parser.add_argument('--times', action='store_true', help='machining times only')
     mpl.use('Agg')
     with mpl.rc_context(STYLE):

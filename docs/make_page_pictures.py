@@ -6,7 +6,7 @@ Take pictures of the operator page while the nodes run a program.
 makes a program of constant scallop height from ``examples/bumps.json``, runs it with
 ``cnc-interp panel`` in a real browser, and writes the animation ``docs/pictures/page.gif`` for the
 README; then runs it again and writes ``page.png``, ``page_wide.png`` and ``page_phone.png`` for
-docs/operation.md. Needs Chromium, requirements/panel.txt and Pillow.
+docs/operate/operation.md. Needs Chromium, requirements/panel.txt and Pillow.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Draw the figures of the corner-rounding paper [B2013] on numbers of this package
     python docs/make_paper_figures.py
 
 writes ``docs/pictures/corner_*.png`` and the tables between the two marker comments of
-``docs/corner_rounding.md``. Needs matplotlib beside the package.
+``docs/how_it_works/corner_rounding.md``. Needs matplotlib beside the package.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from cnc_interp.smoothing.corners.corner_curves import spline_points, top_parame
 from cnc_interp.smoothing.segments import CORNER
 
 HERE = Path(__file__).parent
-PAGE = HERE / 'corner_rounding.md'
+PAGE = HERE / 'how_it_works' / 'corner_rounding.md'
 MARKERS = '<!-- tables: begin -->', '<!-- tables: end -->'
 GREEN = '#2e7d4f'
 FEED = 3000.0

@@ -1,5 +1,5 @@
 """
-Faces of STEP files as surfaces (ISO 10303-42; docs/cam.md, "STEP files").
+Faces of STEP files as surfaces (ISO 10303-42; docs/how_it_works/cam.md, "STEP files").
 
 Parameters are those of the standard: lengths along planes, angles about the axis of the placement
 [rad], knots of B-splines. The face says on which side of its surface the material lies.

@@ -1,5 +1,5 @@
 """
-Surface files: STEP, or JSON with lengths in mm and angles in degrees (docs/cam.md).
+Surface files: STEP, or JSON with lengths in mm and angles in degrees (docs/how_it_works/cam.md).
 
     {"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
      "placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}

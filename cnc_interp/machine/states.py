@@ -34,7 +34,7 @@ class Event(Enum):
     FAIL = 'fail'
 
 
-# docs/operation.md has this table in words; a test compares the two.
+# docs/operate/operation.md has this table in words; a test compares the two.
 TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.INACTIVE, Event.ACTIVATE): State.IDLE,
     (State.IDLE, Event.DEACTIVATE): State.INACTIVE,

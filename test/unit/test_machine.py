@@ -172,7 +172,9 @@ def test_every_pair_of_state_and_event(state, event):
 
 def test_the_table_in_the_docs_is_that_of_the_code():
     """A row for each state, a column for each event but the switching of the drives."""
-    text = (Path(__file__).parents[2] / 'docs' / 'operation.md').read_text(encoding='utf-8')
+    text = (Path(__file__).parents[2] / 'docs' / 'operate' / 'operation.md').read_text(
+        encoding='utf-8'
+    )
     rows = [
         [cell.strip() for cell in line.strip('|').split('|')]
         for line in text.splitlines()

@@ -9,7 +9,7 @@ Where the slopes hardly differ, the speed hardly changes and wants the least q_s
 1.5, at which the curvature is a triangle. Where they differ much, the tool brakes into the corner
 anyway and gains by turning early: 2. On a side where the axes move less per metre than on the
 other, the tip comes faster and wants a longer leg. The constants are fitted to planned machining
-times of random corners; ``docs/corner_rounding.md`` has the figures.
+times of random corners; ``docs/how_it_works/corner_rounding.md`` has the figures.
 """
 
 from __future__ import annotations

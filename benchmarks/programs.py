@@ -4,8 +4,8 @@ Every public program: read, compared with LinuxCNC's interpreter, planned and pr
     python benchmarks/programs.py [--only NAME ...]
 
 One process per program, its plan files in a temporary folder, its figures in ``out/programs``; the
-table, ``docs/measured/programs_table.md``, is made of all figures that are there. Programs whose motion is
-long are proven in parts of about ten minutes, each from its own start pose.
+table ``programs_table.md`` of docs/measured is made of all figures that are there.
+Programs whose motion is long are proven in parts of about ten minutes, each from its own start pose.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """
-Cycle times with L2/L1 fixed and chosen for each corner, as the table of docs/how_it_works/corner_rounding.md.
+Cycle times with L2/L1 fixed and chosen for each corner, as the table of corner_rounding.md.
 
     PYTHONPATH=. python benchmarks/ratios.py [--search]
 

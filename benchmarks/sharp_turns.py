@@ -3,7 +3,7 @@ Rounded corners against exact stops where the path almost reverses.
 
     PYTHONPATH=. python benchmarks/sharp_turns.py
 
-prints the table of docs/how_it_works/corner_rounding.md: cycle time rounded / with a stop, for random pairs of
+prints the table of corner_rounding.md: cycle time rounded / with a stop, for random pairs of
 lines, the tool axis at rest or turning.
 """
 

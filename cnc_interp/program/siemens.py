@@ -4,7 +4,7 @@ Native 5-axis B-splines of the Siemens 840D -> spline rows of Blocks [B2013, sec
 ``BSPLINE SD=3`` opens a curve; each block then gives one control point of the tool tip (X Y Z),
 one of a second point on the tool axis (XH YH ZH) and a knot interval (PL). Words not given keep
 their value, PL is then 1. The first control point is where the tool is.
-``docs/how_it_works/native_splines.md`` has the whole convention; ``splines.py`` follows the blocks.
+``native_splines.md`` has the whole convention; ``splines.py`` follows the blocks.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """
 The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> plan files.
 
-The ROS nodes run the same rooms in the same order, one room per node; see ``docs/how_it_works/data_flow.md``.
+The ROS nodes run the same rooms in the same order, one room per node; see ``data_flow.md``.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ Every public program: read, compared with LinuxCNC's interpreter, planned and pr
 
 One process per program, its plan files in a temporary folder, its figures in ``out/programs``; the
 table ``programs_table.md`` of docs/measured is made of all figures that are there.
-Programs whose motion is long are proven in parts of about ten minutes, each from its own start pose.
+Programs whose motion is long are proven in parts of about ten minutes.
 """
 
 from __future__ import annotations

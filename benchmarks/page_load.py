@@ -1,10 +1,10 @@
 """
 What the operator page costs the 1 kHz stream: one program, again and again.
 
-``PYTHONPATH=.:test/ros:test/page python benchmarks/page_load.py`` runs it with no page, with an open page in
-a real browser, with ten tabs, and with a page that is started and opened while the machine
-moves; in turn, several rounds, through the same nodes. The machine's clock says how late its
-periods began, each run for itself; the browser counts how often the page in front changed.
+``PYTHONPATH=.:test/ros:test/page python benchmarks/page_load.py`` runs it with no page, with an
+open page in a real browser, with ten tabs, and with a page that is started and opened while the
+machine moves; in turn, several rounds, through the same nodes. The machine's clock says how late
+its periods began, each run for itself; the browser counts how often the page in front changed.
 Lateness is the median over the rounds, the rest the worst of them.
 """
 

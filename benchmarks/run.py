@@ -1,5 +1,5 @@
 """
-Measure, then write RESULTS.md and the README's table.
+Measure, then write RESULTS.md and the table of docs/measured.
 
     python benchmarks/run.py                    # everything, about half an hour of one core
     python benchmarks/run.py --only speed       # one section; the others keep their figures

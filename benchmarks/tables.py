@@ -1,4 +1,4 @@
-"""RESULTS.md and the README's table, from the figures that were measured."""
+"""RESULTS.md and the table of docs/measured, from the figures that were measured."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from figures import ROOT, column, load, where
 from cnc_interp.core.arrays import FloatArray
 
 RESULTS = Path(__file__).with_name('RESULTS.md')
-README = ROOT / 'README.md'
+MEASURED = ROOT / 'docs' / 'measured' / 'README.md'
 BEGIN, END = '<!-- made by benchmarks/run.py -->', '<!-- to here -->'
 
 
@@ -27,10 +27,10 @@ def write_tables() -> None:
         if load(section):
             lines += ['', f'## {title}', '', *table()]
     RESULTS.write_text('\n'.join(lines) + '\n', encoding='utf-8')
-    before, rest = README.read_text(encoding='utf-8').split(BEGIN + '\n')
+    before, rest = MEASURED.read_text(encoding='utf-8').split(BEGIN + '\n')
     after = rest.split(END + '\n')[1]
     text = '\n'.join([before + BEGIN, *summary(), END, after])
-    README.write_text(text, encoding='utf-8')
+    MEASURED.write_text(text, encoding='utf-8')
 
 
 def closed_form() -> Iterator[str]:
@@ -183,7 +183,7 @@ TABLES = {
 
 
 def summary() -> Iterator[str]:
-    """Write the README's table."""
+    """Write the table of docs/measured."""
     yield '| what | goal | measured |'
     yield '|---|---|---|'
     for section, text in (('first', ''), ('optimum', ', corrected between its instants')):

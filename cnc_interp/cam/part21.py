@@ -20,16 +20,20 @@ from cnc_interp.cam.surface import SurfaceError
 Kind = TypeVar('Kind')
 Tokens = list[tuple[str, str]]
 
-SPACE = r'(?:\s|/\*.*?\*/)*+'
-#: A statement up to its semicolon, which may also stand in strings and comments.
-STATEMENT = re.compile(r"(?:[^;'/]++|'[^']*'|/\*.*?\*/|/(?!\*))*+;", re.DOTALL)
-INSTANCE = re.compile(rf'{SPACE}#(\d{{1,18}}){SPACE}=', re.DOTALL)
-END = re.compile(rf'{SPACE}END-ISO-10303-21{SPACE};', re.DOTALL)
+# Each pattern matches a text in one way only, so that a malformed file is refused in linear time.
+COMMENT = r'/\*[^*]*\*+(?:[^/*][^*]*\*+)*/'
+SPACE = rf'\s*(?:{COMMENT}\s*)*'
+#: A part of a statement; the semicolon ends the statement, in strings and comments it does not.
+PART = re.compile(rf"[^;'/]+|'[^']*'|{COMMENT}|/(?!\*)|;")
+INSTANCE = re.compile(rf'{SPACE}#(\d{{1,18}}){SPACE}=')
+BEGIN = re.compile(rf'{SPACE}ISO-10303-21{SPACE};')
+END = re.compile(rf'{SPACE}END-ISO-10303-21{SPACE};')
 TOKEN = re.compile(
     SPACE
-    + r"""(?:(?P<text>'(?:[^']|'')*+'|"[0-9A-F]*")|(?P<number>[+-]?\d+(?:\.\d*)?(?:E[+-]?\d+)?)
+    + r"""(?:(?P<text>'[^']*(?:''[^']*)*'(?!')|"[0-9A-F]*")
+    |(?P<number>[+-]?\d+(?:\.\d*)?(?:E[+-]?\d+)?)
     |\#(?P<reference>\d{1,18})|\.(?P<enumeration>\w+)\.|(?P<keyword>!?[A-Z_]\w*)|(?P<sign>[(),;$*]))""",
-    re.DOTALL | re.IGNORECASE | re.VERBOSE,
+    re.IGNORECASE | re.VERBOSE,
 )
 
 
@@ -111,16 +115,15 @@ class StepFile:
             self._text = path.read_text(encoding='latin-1')
         except OSError as error:
             raise SurfaceError(f'{path}: cannot be opened: {error.strerror}') from error
-        if not re.match(rf'{SPACE}ISO-10303-21{SPACE};', self._text, re.DOTALL):
+        if not BEGIN.match(self._text):
             raise SurfaceError(f'{path}: is not STEP: it does not begin with ISO-10303-21;')
         self._statements: dict[int, tuple[int, int]] = {}
         end = 0
-        while found := STATEMENT.match(self._text, end):
-            end = found.end()
-            if END.match(found.group()):
+        for start, end in _statements(self._text):
+            if END.match(self._text, start, end):
                 return
-            if name := INSTANCE.match(found.group()):
-                self._statements[int(name[1])] = found.start() + name.end(), end
+            if name := INSTANCE.match(self._text, start, end):
+                self._statements[int(name[1])] = name.end(), end
         line = len(self._text[:end].splitlines()) + 1
         raise SurfaceError(
             f'{path}:{line}: the file ends early: END-ISO-10303-21; is missing after this place'
@@ -132,7 +135,7 @@ class StepFile:
 
     def having(self, keyword: str) -> Iterator[int]:
         """Find the instances with a keyword, in the order of the file."""
-        word = re.compile(rf'(?<![\w-]){keyword}{SPACE}\(', re.DOTALL | re.IGNORECASE)
+        word = re.compile(rf'(?<![\w-]){keyword}{SPACE}\(', re.IGNORECASE)
         for number, (start, end) in self._statements.items():
             if word.search(self._text, start, end) and keyword in self.records(number):
                 yield number
@@ -170,6 +173,16 @@ class StepFile:
             yield next(
                 (kind, text) for kind, text in found.groupdict().items() if text is not None
             )
+
+
+def _statements(text: str) -> Iterator[tuple[int, int]]:
+    """Find where each statement of a text begins and ends; the semicolon belongs to it."""
+    start = end = 0
+    while part := PART.match(text, end):
+        end = part.end()
+        if part.group() == ';':
+            yield start, end
+            start = end
 
 
 # The parsers below take from the end of the reversed tokens.

@@ -27,10 +27,10 @@ from cnc_interp.program.source import Place, Source
 _FARTHEST = 1e5 * MM
 _UNIT_VECTOR = 5e-3  # published points carry four decimals
 
-_NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:E[-+]?\d++)?'
+_NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:E[-+]?\d+)?'
 _NEXT = rf'(?:\s*,\s*|\s+)({_NUMBER})'
 _GOTO = re.compile(rf'GOTO\s*/?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
-_NUMBERS = re.compile(rf'{_NUMBER}(?:\s*,\s*{_NUMBER})*+')
+_NUMBERS = re.compile(rf'{_NUMBER}(?:\s*,\s*{_NUMBER})*')
 _STATEMENT = re.compile(r'([A-Z][A-Z0-9]*)\s*(?:/\s*(.*)|(.*))')
 
 _NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_PER_MIN'

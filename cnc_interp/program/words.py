@@ -17,14 +17,15 @@ from cnc_interp.program.expressions import (
     parse,
 )
 
-# Possessive quantifiers: a line of a million digits must fail at once, not be tried in every way.
-_NUMBER = r'[-+]?(?:\d++(?:\.\d*+)?|\.\d++)'
+# A look-ahead after each number and name refuses every shorter match, so that a line of a million
+# digits fails in linear time. Possessive quantifiers do so too, but fail in Python 3.11.2.
+_NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)'
 _TOKEN = re.compile(
     rf"""
-    (?P<letter>[A-Z])\s*=?\s*(?P<number>{_NUMBER})(?![\d.=])(?!\s*=)
+    (?P<letter>[A-Z])\s*(?:=\s*)?(?P<number>{_NUMBER})(?![\d.=])(?!\s*=)
     | (?P<name>[XYZ]H|[ABC]3|PL|SD|PW)\s*=\s*(?P<value>{_NUMBER})(?![\d.]|EX|\s*[-+*/\[])
     | (?P<text>T\s*=\s*"[^"]*")
-    | (?P<key>\#\s*TRAFO\s+(?:ON|OFF)\b | [A-Z_][A-Z_]++\w*+(?!\s*[=(]))
+    | (?P<key>\#\s*TRAFO\s+(?:ON|OFF)\b | [A-Z_]{{2}}\w*(?!\w|\s*[=(]))
     | (?P<space>\s+)
     """,
     re.VERBOSE,

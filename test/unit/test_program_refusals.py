@@ -167,7 +167,13 @@ def test_options_must_be_greater_than_zero(bad):
 
 
 def test_a_line_of_a_million_characters_fails_at_once():
-    for text in ('X' + '1' * 1000000 + 'Q', '(' * 1000000, 'Y' * 1000000, '1' * 1000000):
+    for text in (
+        'X' + '1' * 1000000 + 'Q',
+        'X' + ' ' * 1000000 + 'Q',
+        '(' * 1000000,
+        'Y' * 1000000,
+        '1' * 1000000,
+    ):
         assert len(str(refused(text))) < 200
 
 

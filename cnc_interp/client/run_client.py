@@ -181,6 +181,7 @@ class Client:
             starvations=outcome.starvations,
             least_buffered_time=outcome.least_buffered_time,
             contour_error=outcome.contour_error,
+            axis_units={axis.name: axis.unit for axis in machine.axes},
             following_error=by_axis(outcome.following_error),
             velocity_use=by_axis(outcome.velocity_use),
             acceleration_use=by_axis(outcome.acceleration_use),

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS, UM
+from cnc_interp.kinematics.axes import error_text
 from cnc_interp.nodes.node_processes import Children, begin_loading
 from cnc_interp.smoothing.dense.compression import Compression
 
@@ -172,6 +173,8 @@ class RunResult:
         Least motion time the machine held while it ran [s].
     contour_error : float
         Largest distance of the actual tip from the commanded path [m].
+    axis_units : dict
+        'm' for linear axes, 'rad' for rotary ones.
     following_error, velocity_use, acceleration_use, jerk_use : dict
         Largest per axis [m, rad; share of the limit].
     position : dict
@@ -196,6 +199,7 @@ class RunResult:
     starvations: int = 0
     least_buffered_time: float = float('nan')
     contour_error: float = 0.0
+    axis_units: dict[str, str] = field(default_factory=dict)
     following_error: dict[str, float] = field(default_factory=dict)
     velocity_use: dict[str, float] = field(default_factory=dict)
     acceleration_use: dict[str, float] = field(default_factory=dict)
@@ -219,8 +223,8 @@ class RunResult:
             f'{self.least_buffered_time / MS:.0f} ms held ready',
             f'drives         contour error {self.contour_error / UM:.1f} um; following error '
             + '  '.join(
-                f'{axis} {error / UM:.1f} um' if k < 3 else f'{axis} {error / DEG:.4f} deg'
-                for k, (axis, error) in enumerate(self.following_error.items())
+                f'{axis} {error_text(error, self.axis_units.get(axis, "m"))}'
+                for axis, error in self.following_error.items()
             ),
         ]
         for name in ('velocity', 'acceleration', 'jerk'):

@@ -198,12 +198,10 @@ def axis_joint(
     machine: Machine, k: int, parent: str, child: str, origin: Vector, along: Vector
 ) -> Joint:
     """Return the joint of an axis; an endless rotary axis has no travel."""
-    low, high = (float(x) for x in machine.travel[k])
-    endless = not np.isfinite([low, high]).all()
-    kind = 'prismatic' if k < 3 else 'continuous' if endless else 'revolute'
-    travel = (-UNLIMITED, UNLIMITED) if endless else (low, high)
-    speed = float(machine.max_velocity[k])
-    return Joint(machine.axis_names[k], kind, parent, child, origin, along, travel, speed)
+    axis = machine.axes[k]
+    kind = 'prismatic' if axis.linear else 'continuous' if axis.endless else 'revolute'
+    travel = (-UNLIMITED, UNLIMITED) if axis.endless else axis.travel
+    return Joint(axis.name, kind, parent, child, origin, along, travel, axis.max_velocity)
 
 
 def vector(values: FloatArray) -> Vector:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
+from cnc_interp.kinematics.axes import Axis
 
 #: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
 LINEAR_KEYS = {
@@ -84,10 +86,38 @@ class Machine:
     singular_cone: float
     file: str = ''
 
+    @cached_property
+    def is_linear(self) -> BoolArray:
+        """True for linear axes, False for rotary ones, shape (n_axes,)."""
+        linear = np.ones(len(self.axis_names), dtype=np.bool_)
+        linear[3:] = False
+        linear.flags.writeable = False
+        return linear
+
+    @cached_property
+    def limits(self) -> FloatArray:
+        """Velocity, acceleration and jerk limits, shape (3, n_axes) [m or rad, per s, s2, s3]."""
+        table = np.stack([self.max_velocity, self.max_acceleration, self.max_jerk])
+        table.flags.writeable = False
+        return table
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        """All axes in order: name, kind, unit, limits and travel of each."""
+        columns = zip(self.axis_names, self.is_linear, *self.limits, self.travel, strict=True)
+        return tuple(
+            Axis(name, bool(linear), float(v), float(a), float(j), (float(low), float(high)))
+            for name, linear, v, a, j, (low, high) in columns
+        )
+
+    def axis(self, name: str) -> Axis:
+        """Return the axis of that name."""
+        return self.axes[self.axis_names.index(name)]
+
     @property
     def has_rotary(self) -> bool:
-        """Tell whether the machine has two rotary axes."""
-        return len(self.axis_names) == 5
+        """True where the machine has two rotary axes."""
+        return not self.is_linear.all()
 
     @staticmethod
     def load(path_or_name: str | Path) -> Machine:

@@ -386,12 +386,12 @@ class AxisPathBuilder:
         if not len(outside):
             return
         row, axis = outside[0]
-        name, value = self.machine.axis_names[axis], float(q[row, axis])
-        unit, word = (MM, 'mm') if axis < 3 else (DEG, 'deg')
+        beyond, value = self.machine.axes[axis], float(q[row, axis])
+        unit, word = beyond.shown_size, beyond.shown_unit
         raise TravelError(
-            f'axis {name} would have to go to {value / unit:.3f} {word}, outside its travel '
-            f'{low[axis] / unit:g} ... {high[axis] / unit:g} {word}; move the workpiece',
+            f'axis {beyond.name} would have to go to {value / unit:.3f} {word}, outside its '
+            f'travel {low[axis] / unit:g} ... {high[axis] / unit:g} {word}; move the workpiece',
             int(lines[row]),
-            name,
+            beyond.name,
             value,
         )

@@ -67,8 +67,7 @@ def refuse_setpoints(
         raise StreamError(f'{beyond}; move the workpiece or the program')
     parts = [before, positions] + ([np.tile(positions[-1:], (3, 1))] if at_rest else [])
     course = np.concatenate(parts)
-    limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
-    for order, limit in enumerate(limits, start=1):
+    for order, limit in enumerate(machine.limits, start=1):
         use = np.abs(np.diff(course, order, axis=0)) / (limit * period**order)
         if not use.max() <= ROUNDING:
             k = int(np.argmax(use.max(axis=0)))

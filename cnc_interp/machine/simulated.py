@@ -120,9 +120,7 @@ class SimulatedMachine:
         self._model = self.drives.discretise(period)
         lag = 1.0 / self.drives.position_gain + self.drives.time_constant
         self._memory = min(LONGEST_MEMORY, int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1)
-        self._limits = np.stack(
-            [machine.max_velocity, machine.max_acceleration, machine.max_jerk]
-        ) * np.array([[period], [period**2], [period**3]])
+        self._limits = machine.limits * np.array([[period], [period**2], [period**3]])
         self.place(position)
 
     def place(self, position: FloatArray) -> None:

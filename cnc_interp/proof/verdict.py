@@ -35,6 +35,8 @@ class Finding:
         Line of the part program.
     exceeded : int
         How many places exceed the limit.
+    linear : bool
+        False where the axis is a rotary one, so that value and limit count in rad.
 
     """
 
@@ -47,6 +49,7 @@ class Finding:
     time: float
     line: int
     exceeded: int
+    linear: bool = True
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,8 @@ class Proof:
 class Ledger:
     """Collects findings and failures while a plan is being proven."""
 
-    def __init__(self, plan: PlanFiles):
-        self.plan = plan
+    def __init__(self, plan: PlanFiles, machine: Machine):
+        self.plan, self.machine = plan, machine
         self.findings: list[Finding] = []
         self.failures: list[str] = []
         self.remarks: dict[str, float] = {}
@@ -156,6 +159,7 @@ class Ledger:
             what, axis, float(value[worst]), float(limit[worst]), float(ratio[worst]), sample,
             float(self.plan.setpoints['time'][sample]) if rows is None else float('nan'),
             int(self.plan.blocks['line'][row]), int(np.count_nonzero(exceeded)),
+            not axis or self.machine.axis(axis).linear,
         )  # fmt: skip
         self.findings.append(finding)
         if finding.exceeded:
@@ -186,9 +190,9 @@ class Ledger:
         if not holds:
             self.failures.append(fault)
 
-    def close(self, machine: Machine) -> Proof:
+    def close(self) -> Proof:
         """Sum up."""
-        plan = self.plan
+        plan, machine = self.plan, self.machine
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
             plan.period, (len(plan.position) - 1) * plan.period, tuple(self.findings),
@@ -204,8 +208,7 @@ def _place(finding: Finding) -> str:
 
 def _spoken(finding: Finding) -> tuple[str, str]:
     """Write value and limit in the units of the shop floor."""
-    rotary = finding.axis and finding.axis not in 'XYZUVW'
-    scale, unit = (180.0 / np.pi, 'deg') if rotary else (1e3, 'mm')
+    scale, unit = (1e3, 'mm') if finding.linear else (180.0 / np.pi, 'deg')
     order = dict(DIFFERENCES).get(finding.what.removeprefix('planned ').removesuffix(' column'))
     if finding.what == 'tip feed':
         scale, unit = 60e3, 'mm/min'

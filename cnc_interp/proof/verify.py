@@ -59,12 +59,12 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
     """Prove a plan that is in memory; without ``path`` the planner's grid is not looked at."""
-    ledger, programmed = Ledger(plan), len(plan.blocks['tip']) - 1
+    ledger, programmed = Ledger(plan, machine), len(plan.blocks['tip']) - 1
     axes = machine.axis_names
     if plan.position.shape[1] != len(axes):
         count = plan.position.shape[1]
         ledger.failures.append(f'{count} axes in the plan, {len(axes)} on machine {machine.name}')
-        return ledger.close(machine)
+        return ledger.close()
     tip, axis = Transform.of(machine).forward(plan.position)
     _prove_limits(ledger, plan, machine)
     _prove_order(ledger, plan)
@@ -76,14 +76,14 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     _prove_columns(ledger, plan, machine)
     if plan.path:
         _prove_path(ledger, plan, machine)
-    return replace(ledger.close(machine), blocks=programmed)
+    return replace(ledger.close(), blocks=programmed)
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     """Judge travel, and the differences of the positions including both ends at rest."""
     held = np.pad(plan.position, ((3, 3), (0, 0)), mode='edge')
-    limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
-    for order, ((kind, _), limit) in enumerate(zip(DIFFERENCES, limits, strict=True), start=1):
+    orders = zip(DIFFERENCES, machine.limits, strict=True)
+    for order, ((kind, _), limit) in enumerate(orders, start=1):
         difference = np.abs(np.diff(held, order, axis=0)) / plan.period**order
         # Entry i of these belongs to the middle of its stencil, counted in samples.
         middle = difference[3 - (order + 1) // 2 :]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.plan_files import PlanFiles
@@ -76,8 +76,6 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
     tip, axis = Transform.of(machine).forward(plan.position)
     deviation = measure(plan, machine, tip, axis)
     contour, orientation = corner_tolerances(plan, deviation)
-    limits = np.stack([machine.max_velocity, machine.max_acceleration, machine.max_jerk])
-    linear = np.array([name in 'XYZUVW' for name in machine.axis_names])
     s, grid = plan.setpoints['s'], plan.path['s']
     cell = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
     return Series(
@@ -88,10 +86,10 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         feed=np.abs(np.gradient(s, plan.period)) / MM_PER_MIN,
         programmed_feed=np.asarray(plan.path['programmed_feed'][cell], float) / MM_PER_MIN,
         feed_limit=_between(plan.path['feed_limit'], grid, cell, s) / MM_PER_MIN,
-        axis_use=axis_use(plan, limits),
-        axis_limits=limits / np.where(linear, MM, DEG),
+        axis_use=axis_use(plan, machine.limits),
+        axis_limits=machine.limits / np.array([one.shown_size for one in machine.axes]),
         axis_names=machine.axis_names,
-        axis_units=tuple('mm' if is_linear else 'deg' for is_linear in linear),
+        axis_units=tuple(one.shown_unit for one in machine.axes),
         contour_error=deviation.contour / UM,
         orientation_error=deviation.orientation / UM,
         contour_tolerance=contour / UM,

@@ -49,7 +49,7 @@ def approach(
     way = end - start
     if np.abs(way).max() <= THERE:
         return None
-    weight = np.where(np.arange(len(way)) < 3, 1.0, flank_height)
+    weight = np.where(machine.is_linear, 1.0, flank_height)
     length = float(np.sqrt(((weight * way) ** 2).sum()))
     jet = np.zeros((4, 1, len(way)))
     jet[1, 0] = way / length

@@ -53,7 +53,7 @@ class PlanFigures:
 
     def __init__(self, machine: Machine, period: float, flank_height: float):
         self._machine, self._period, self._height = machine, period, flank_height
-        self._limits = (machine.max_velocity, machine.max_acceleration, machine.max_jerk)
+        self._limits = machine.limits
         self._use = np.zeros((3, len(machine.axis_names)))
         self._last: FloatArray | None = None  # the last three positions
         self._deviation, self._share = np.zeros(2), np.zeros(2)

@@ -72,3 +72,15 @@ def test_unknown_machine_lists_the_bundled_ones(tmp_path):
     broken.write_text('limits: [1, 2\n')
     with pytest.raises(MachineError, match='cannot be read as YAML'):
         Machine.load(broken)
+
+
+def test_the_machine_says_kind_unit_limits_and_travel_of_every_axis():
+    machine = Machine.load('xyzac')
+    assert [axis.name for axis in machine.axes] == list('XYZAC')
+    assert machine.is_linear.tolist() == [True, True, True, False, False]
+    assert [axis.shown_unit for axis in machine.axes] == ['mm'] * 3 + ['deg'] * 2
+    z, c = machine.axis('Z'), machine.axis('C')
+    assert (z.max_velocity, z.max_acceleration, z.max_jerk) == (0.5, 2.1, 50.0)
+    assert z.travel == (-0.5, 0.5) and c.endless and not z.endless
+    assert z.position_text(0.0123456) == '12.346' and c.position_text(np.pi / 3) == '60.0000'
+    assert np.array_equal(machine.limits[2], machine.max_jerk)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from cnc_interp.core.units import MM_PER_MIN
 
 INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
-AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0')
+#: Colours of the axes in their order; a machine with more axes begins again.
+AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0', '#c9b458')
 #: Shares of the limit are shown.
 KINDS = ('velocity', 'acceleration', 'jerk')
 #: Limits on straight lines and rapids are far above the rest: the chart ends this much above
@@ -35,7 +37,7 @@ class Charts:
     def __init__(self, axis_names: tuple[str, ...]):
         names = (('feed', FEED), ('programmed', ASKED), ('axes allow', LIMIT))
         self._feed = chart('feed, mm/min', names, None)
-        axes = tuple(zip(axis_names, AXES, strict=False))
+        axes = tuple(zip(axis_names, cycle(AXES), strict=False))
         self._use = [chart(f'{kind} %', axes, 110) for kind in KINDS]
 
     def show(self, desk: Desk) -> None:

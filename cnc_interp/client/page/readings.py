@@ -8,7 +8,7 @@ from html import escape
 from cnc_interp.client.operator import STATE_NAMES, Alarm, MachineState
 from cnc_interp.client.page.desk import Desk, Job
 from cnc_interp.client.page.preview import Preview
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS, UM
+from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
 from cnc_interp.kinematics.machine import Machine
 
 NOTHING = '–'
@@ -37,9 +37,10 @@ def readings(desk: Desk) -> dict[str, str]:
 
 def axis_words(state: MachineState, machine: Machine) -> dict[str, str]:
     """Return machine axes, tool tip and tool axis."""
-    words = {}
-    for k, (name, value) in enumerate(zip(machine.axis_names, state.positions, strict=False)):
-        words[f'axis {name}'] = f'{value / MM:.3f}' if k < 3 else f'{value / DEG:.4f}'
+    words = {
+        f'axis {axis.name}': axis.position_text(value)
+        for axis, value in zip(machine.axes, state.positions, strict=False)
+    }
     for name, tip, axis in zip('xyz', state.tip, state.axis, strict=True):
         words[f'tip {name}'] = f'{tip / MM:.3f}'
         words[f'tool {name}'] = f'{axis:+.5f}'

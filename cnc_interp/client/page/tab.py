@@ -91,13 +91,13 @@ class Page:
             marked(self._take.props('dense outline no-caps size=sm'), 'take over')
 
     def _build_readouts(self) -> None:
-        names = self._desk.machine.axis_names if self._desk.machine else ()
+        axes = self._desk.machine.axes if self._desk.machine else ()
         ui.html('<h2>machine axes</h2>', sanitize=False)
-        for k, name in enumerate(names):
+        for axis in axes:
             with ui.element('div').classes('place'):
-                ui.label(name).classes('name')
-                self._label(f'axis {name}')
-                ui.label('mm' if k < 3 else '°').classes('unit')
+                ui.label(axis.name).classes('name')
+                self._label(f'axis {axis.name}')
+                ui.label('mm' if axis.linear else '°').classes('unit')
         ui.html('<h2>tool tip in the workpiece, mm</h2>', sanitize=False)
         with ui.element('div').classes('three'):
             for name in 'xyz':

@@ -26,7 +26,6 @@ from nodes_under_test import NodesUnderTest
 from operated import LIMITS, T, waves
 
 from cnc_interp.nodes import qos
-from cnc_interp.run.run_id import same_run
 
 #: Corners and turns that take a minute.
 WAVES_A_MINUTE = 90
@@ -86,7 +85,7 @@ class LongRun(NodesUnderTest):
         self._looks: list[tuple[float, dict[str, float]]] = []
         self.clock: dict[str, str] = {}
         self.scheduling = ''
-        self._received: dict[int, int] = {}
+        self._received: dict[tuple[int, int], int] = {}
         self._sent = 0
         self.executed = self.lost = 0
         self._last: np.ndarray | None = None
@@ -103,7 +102,7 @@ class LongRun(NodesUnderTest):
 
     def _see_received(self, status: StreamStatus) -> None:
         if status.stream == 'setpoints' and status.program_id == self.run:
-            self._received[status.plan] = status.next_sequence
+            self._received[status.attempt, status.plan] = status.next_sequence
 
     @property
     def received(self) -> int:
@@ -151,7 +150,7 @@ class LongRun(NodesUnderTest):
             self.states.clear()
             self.diagnostics.clear()
             state, length = self.peers.state, self.loaded[-1].path_length
-            share = state.path_position / length if same_run(state.program_id, self.run) else 0.0
+            share = state.path_position / length if state.program_id == self.run else 0.0
             if share * LOOKS >= shown:
                 shown += 1
                 self._looks.append((share, usage.memory()))

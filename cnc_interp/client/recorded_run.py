@@ -18,8 +18,9 @@ from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.run.chain import ChainOptions, Plan, plan_program
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import block_columns
-from cnc_interp.run.run_id import same_run
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.path_messages import blocks_from
+from cnc_interp.wire.run_id_messages import run_id_of
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class RecordedRun:
     Parameters
     ----------
     program_id : str
-        The run; with its number where it was begun again after a loss.
+        The run.
     name : str
         Name of the program.
     machine : str
@@ -76,24 +77,24 @@ def recorded_run(bag: Bag) -> RecordedRun:
     told = bag.read('executed_setpoints')
     if not told:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
-    last = told[-1].program_id
+    last = run_id_of(told[-1])
     blocks = blocks_of(bag, last)
     names = {m.program_id: m.name for m in bag.read('loaded_program')}
     overrides = [m.data for m in bag.read('feed_override') if np.isfinite(m.data)]
     return RecordedRun(
-        program_id=last,
-        name=next((n for run, n in names.items() if same_run(run, last)), str(bag.path)),
+        program_id=last.program_id,
+        name=names.get(last.program_id, str(bag.path)),
         machine=str(bag.parameters.get('machine_node.machine', '')),
         options=chain_options(bag.parameters, blocks[0].flank_height, told[-1].period),
         blocks=blocks,
-        chunks=[m for m in told if same_run(m.program_id, last)],
+        chunks=[m for m in told if m.program_id == last.program_id],
         largest_override=max([1.0, *overrides]),
     )
 
 
-def blocks_of(bag: Bag, program_id: str) -> list[G1Block]:
+def blocks_of(bag: Bag, run_id: RunId) -> list[G1Block]:
     """
-    Return the blocks of a run in order, each once.
+    Return the blocks of an attempt at a run in order, each once.
 
     Raises
     ------
@@ -101,12 +102,12 @@ def blocks_of(bag: Bag, program_id: str) -> list[G1Block]:
         If one is missing.
 
     """
-    found = {m.sequence: m for m in bag.read('blocks') if m.program_id == program_id}
+    found = {m.sequence: m for m in bag.read('blocks') if run_id_of(m).same_attempt(run_id)}
     missing = next((k for k in range(len(found)) if k not in found), None)
     if missing is not None or not found:
         raise InterpError(
-            f'{bag.path}: block {missing or 0} of run {program_id} is not in the bag; record from '
-            'before the start'
+            f'{bag.path}: block {missing or 0} of run {run_id.program_id} is not in the bag; '
+            'record from before the start'
         )
     return [found[k] for k in range(len(found))]
 

@@ -6,7 +6,7 @@ import math
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rclpy
@@ -24,10 +24,12 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.run.chain import smoothing_options
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
+from cnc_interp.wire.run_id_messages import run_id_of
 
 #: Topics that are shown again. The streams are not: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
@@ -42,8 +44,8 @@ class Comparison:
 
     Parameters
     ----------
-    program_id, plan
-        Which plan.
+    run_id : RunId
+        Run, attempt and plan.
     recorded : int
         Setpoints that were recorded.
     same : int
@@ -55,8 +57,7 @@ class Comparison:
 
     """
 
-    program_id: str
-    plan: int
+    run_id: RunId
     recorded: int
     same: int
     difference: float
@@ -69,7 +70,9 @@ class Comparison:
 
     def text(self) -> str:
         """Say it in words."""
-        name = f'run {self.program_id}, plan {self.plan}: {self.recorded} setpoints'
+        run = self.run_id
+        attempt = f', attempt {run.attempt}' if run.attempt else ''
+        name = f'run {run.program_id}{attempt}, plan {run.plan}: {self.recorded} setpoints'
         if self.same == self.recorded:
             return f'{name}, computed again: the same bit for bit'
         reason = 'the feed override changed' if self.overridden else 'DIFFERENT'
@@ -100,24 +103,24 @@ def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
     if not name:
         raise InterpError(f'{bag.path}: does not tell the machine; name it with --machine')
     transform = Transform.of(Machine.load(name))
-    recorded: dict[str, dict[int, dict[int, SetpointChunk]]] = {}
+    recorded: dict[RunId, dict[int, dict[int, SetpointChunk]]] = {}
     for chunk in bag.read('setpoints'):
-        plans = recorded.setdefault(chunk.program_id, {})
+        plans = recorded.setdefault(RunId(chunk.program_id, chunk.attempt), {})
         plans.setdefault(chunk.plan, {}).setdefault(chunk.first_sample, chunk)
     if not recorded:
         raise InterpError(f'{bag.path}: no setpoints in this bag; record a run')
-    for program_id, plans in recorded.items():
-        yield from _compare_run(bag, transform, program_id, plans)
+    for run_id, plans in recorded.items():
+        yield from _compare_run(bag, transform, run_id, plans)
 
 
 def _compare_run(
-    bag: Bag, transform: Transform, program_id: str, plans: dict[int, dict[int, SetpointChunk]]
+    bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, dict[int, SetpointChunk]]
 ) -> Iterator[Comparison]:
-    """Compute the plans of one run again."""
+    """Compute the plans of one attempt at a run again."""
     told = [joined(bag, plans[plan]) for plan in sorted(plans)]
-    blocks = blocks_of(bag, program_id)
+    blocks = blocks_of(bag, run_id)
     period = plans[min(plans)][0].period
-    overrides = _overrides(bag, program_id)
+    overrides = _overrides(bag, run_id)
     # Behind a loss the run went on from where the machine stood when planning began again.
     goes_on = blocks[0].continue_at > 0.0
     planner = RunPlanner(
@@ -136,7 +139,7 @@ def _compare_run(
     rests = {
         m.plan: m.path_position
         for m in bag.read('machine_state')
-        if m.program_id == program_id and m.plan_over
+        if run_id_of(m).same_attempt(run_id) and m.plan_over
     }
     for plan, samples in zip(sorted(plans), told, strict=True):
         if plan > 0:
@@ -145,8 +148,8 @@ def _compare_run(
             planner.resume(rests[plan - 1])
         again = _all_samples(planner, len(samples))
         yield Comparison(
-            program_id, plan, len(samples), _same(samples, again), _difference(samples, again),
-            len(set(overrides)) > 1,
+            replace(run_id, plan=plan), len(samples), _same(samples, again),
+            _difference(samples, again), len(set(overrides)) > 1,
         )  # fmt: skip
 
 
@@ -161,13 +164,13 @@ def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
     return Setpoints.concatenate(parts)
 
 
-def _overrides(bag: Bag, program_id: str) -> list[float]:
+def _overrides(bag: Bag, run_id: RunId) -> list[float]:
     """Return the override at the start of a run, and all that followed during it."""
     found, running = [1.0], False
     for topic, _, data in bag.raw('feed_override', 'setpoints'):
         message = deserialize_message(data, TOPICS[topic][0])
         if topic == 'setpoints':
-            running = running or message.program_id == program_id
+            running = running or run_id_of(message).same_attempt(run_id)
         elif running:
             found.append(float(message.data))
         else:

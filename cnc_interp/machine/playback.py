@@ -18,7 +18,7 @@ from cnc_interp.machine.buffer import Buffer, Held, Row
 from cnc_interp.machine.simulated import Feedback, SimulatedMachine
 from cnc_interp.machine.states import FOLLOWING, Event, State
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.run_id import same_run
+from cnc_interp.run.run_id import NO_RUN, RunId
 
 #: States from which the machine starts by itself when setpoints are there; running, it rests
 #: for an override of 0.
@@ -28,10 +28,9 @@ STOPPED_BY_HAND = 'emergency stop; reset to go on'
 
 
 class Executed(NamedTuple):
-    """A setpoint that was executed: its run and plan, and its number in the run."""
+    """A setpoint that was executed: its plan, and its number in the run."""
 
-    program_id: str
-    plan: int
+    run_id: RunId
     number: int
     row: Row
 
@@ -55,23 +54,23 @@ class Playback:
         self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are told
         self._start_count = start_count
         self.buffer = Buffer(machine.setpoints[-1])
-        self.program_id = self._given_up = ''
+        self._given_up = ''  # the run that was reset last
         self.start_wanted = False
-        self.begin('')
+        self.begin(NO_RUN)
 
-    def begin(self, program_id: str) -> None:
+    def begin(self, run_id: RunId) -> None:
         """Get ready for a run; figures start anew, the axes stay where they are."""
         if self.machine.state in (State.STARVED, State.HOLDING):
             self.machine.handle(Event.RESET)
-        self.program_id = program_id
+        self.run_id = run_id
         self.completed = False
         self.played = self.approach_samples = self.starvations = 0
         self.last: Row | None = None
         self._clear()
-        self.plan, self.plan_over, self.played_of_plan = 0, False, 0
+        self.plan_over, self.played_of_plan = False, 0
         self._forget_figures()
 
-    def make_room(self, program_id: str, plan: int) -> None:
+    def make_room(self, run_id: RunId) -> None:
         """
         Refuse a plan that cannot begin now; else drop what waits in the buffer.
 
@@ -85,28 +84,31 @@ class Playback:
         """
         state = self.machine.state
         if not self.resting:
-            raise StreamError(f'plan {plan} of {program_id} begins while the machine moves')
-        if self._given_up and same_run(program_id, self._given_up):
-            raise StreamError(f'{program_id} was given up by reset; run the program again')
-        goes_on = same_run(program_id, self.program_id) and not self.completed
-        if program_id == self.program_id and not (plan == self.plan + 1 and self.plan_over):
             raise StreamError(
-                f'plan {plan} cannot follow plan {self.plan} here; feedrate_node is out of step, '
-                'reset and run the program again'
+                f'plan {run_id.plan} of {run_id.program_id} begins while the machine moves'
+            )
+        if run_id.program_id == self._given_up:
+            raise StreamError(f'{run_id.program_id} was given up by reset; run the program again')
+        mine = self.run_id
+        goes_on = run_id.program_id == mine.program_id and not self.completed
+        follows = run_id == mine.next_plan() and self.plan_over
+        if run_id.same_attempt(mine) and not follows:
+            raise StreamError(
+                f'plan {run_id.plan} cannot follow plan {mine.plan} here; '
+                'feedrate_node is out of step, reset and run the program again'
             )
         if state is State.HOLDING and not goes_on:
-            raise StreamError(f'{self.program_id} is on hold; cycle_start or reset first')
+            raise StreamError(f'{mine.program_id} is on hold; cycle_start or reset first')
         self.buffer.clear(self.machine.setpoints[-1])
 
-    def begin_plan(self, program_id: str, plan: int) -> None:
+    def begin_plan(self, run_id: RunId) -> None:
         """Get ready for a new run, or for another plan of the run from where the machine rests."""
-        if not same_run(program_id, self.program_id) or self.completed:
-            self.begin(program_id)
-            self.plan = plan
+        if run_id.program_id != self.run_id.program_id or self.completed:
+            self.begin(run_id)
             return
         wanted = self.start_wanted
         self._clear()
-        self.program_id, self.plan, self.start_wanted = program_id, plan, wanted
+        self.run_id, self.start_wanted = run_id, wanted
         self.plan_over, self.played_of_plan = False, 0
 
     def _clear(self) -> None:
@@ -193,8 +195,8 @@ class Playback:
         if not self.resting:
             raise StreamError('the machine is still moving; reset when it rests')
         self.machine.handle(Event.RESET)
-        self._given_up = self.program_id or self._given_up
-        self.begin('')
+        self._given_up = self.run_id.program_id or self._given_up
+        self.begin(NO_RUN)
 
     # The clock ----------------------------------------------------------------------------------
 
@@ -290,7 +292,7 @@ class Playback:
         elif self.last is None or self.last.block == 0:
             self._forget_figures()
         self.feedback = self.machine.step(row.position, row.velocity)
-        self.executed.append(Executed(self.program_id, self.plan, self.played, row))
+        self.executed.append(Executed(self.run_id, self.played, row))
         self.last = row
         self.played += 1
         self.played_of_plan += not self._on_tail

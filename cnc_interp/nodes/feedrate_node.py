@@ -26,13 +26,14 @@ from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.operator_settings import Wishes
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.qos import STATE
-from cnc_interp.nodes.stream_ends import Inlet, Outlet, stream_of
+from cnc_interp.nodes.stream_ends import Inlet, Outlet
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.run_id import GOES_ON, same_run
+from cnc_interp.run.run_id import NO_RUN
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.wire.chunk_messages import chunk_message
 from cnc_interp.wire.message_checks import check_segment
 from cnc_interp.wire.path_messages import segments_from
+from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Segments taken over together.
@@ -57,7 +58,7 @@ class FeedrateNode(LifecycleNode):
         self._segments: deque[PathSegment] = deque()
         self._planner: RunPlanner | None = None
         self._state: MachineState | None = None
-        self._run, self._plan = '', 0
+        self._run_id = NO_RUN
         self._sent_before = 0  # setpoints, in the plans of the run before this one
         self._known = False  # the run to the machine
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='plan')
@@ -111,7 +112,7 @@ class FeedrateNode(LifecycleNode):
     def _see_machine(self, state: MachineState) -> None:
         """Keep what the machine said last, and whether it is on the run."""
         self._state = state
-        if self._run and state.program_id == self._run:
+        if self._run_id and run_id_of(state).same_attempt(self._run_id):
             self._known = not state.completed
 
     def _check(self, segment: PathSegment) -> None:
@@ -126,8 +127,8 @@ class FeedrateNode(LifecycleNode):
             self._planner, self._state, self._job, self._known = None, None, None, False
             self._end_wanted = self._ended = self._end_sent = False
             self._segments.clear()
-            self._run, self._plan, self._sent_before = segment.program_id, 0, 0
-            self._outlet.sender.begin(self._run)
+            self._run_id, self._sent_before = run_id_of(segment), 0
+            self._outlet.sender.begin(self._run_id)
             self._outlet.paused = False
         self._segments.append(segment)
         self._end_wanted = self._end_wanted or segment.end_of_program
@@ -147,9 +148,9 @@ class FeedrateNode(LifecycleNode):
         elif reason := self._outlet.refusal or self._given_up():
             self._segments.clear()
             self._planner = None
-            self._outlet.sender.begin('')  # what is on its way is not sent again
+            self._outlet.sender.begin(NO_RUN)  # what is on its way is not sent again
             if not receiver.refusal:
-                self._inlet.refuse(receiver.program_id, reason)
+                self._inlet.refuse(receiver.run_id, reason)
         elif planner is None:
             self._begin_run()
         elif self._machine_left_the_plan():
@@ -161,7 +162,9 @@ class FeedrateNode(LifecycleNode):
 
     def _given_up(self) -> str:
         """Say that the machine has left the run for good: by a reset, or it was restarted."""
-        left = self._known and self._state is not None and self._state.program_id != self._run
+        state = self._state
+        known = self._known and state is not None
+        left = known and not run_id_of(state).same_attempt(self._run_id)
         return 'machine_node has given up this run; run the program again' if left else ''
 
     def _begin_run(self) -> None:
@@ -170,13 +173,13 @@ class FeedrateNode(LifecycleNode):
         if not self._segments or state is None:
             return
         first = self._segments[0]
-        goes_on = GOES_ON in self._run
+        goes_on = self._run_id.attempt > 0
         # With cycle_start pressed it would have left the hold, had it enough of the old plan.
         held = state.state == MachineState.HELD and (state.plan_over or state.start_wanted)
         starved = state.state == MachineState.STARVED and state.plan_over
         if state.state == MachineState.IDLE or starved or (held and goes_on):
             # It may have executed something since the rest of the program was asked for.
-            mine = goes_on and same_run(state.program_id, self._run)
+            mine = goes_on and state.program_id == self._run_id.program_id
             self._planner = RunPlanner(
                 self._transform, first.flank_height, self._period, self._values['chunk_size'],
                 np.array(state.commanded_positions),
@@ -189,7 +192,7 @@ class FeedrateNode(LifecycleNode):
         state = self._state
         return (
             state is not None
-            and (state.program_id, state.plan) == (self._run, self._plan)
+            and run_id_of(state) == self._run_id
             and state.plan_over
             and state.state in ON_HOLD
         )
@@ -197,10 +200,10 @@ class FeedrateNode(LifecycleNode):
     def _resume(self, planner: RunPlanner) -> None:
         """Plan anew from where the machine rests."""
         assert self._state is not None
-        self._plan += 1
+        self._run_id = self._run_id.next_plan()
         self._sent_before += self._outlet.sender.sent
         self._end_sent = False
-        self._outlet.sender.begin(stream_of(self._run, self._plan))
+        self._outlet.sender.begin(self._run_id)
         self._wishes.tell(planner.stream)
         self._submit(self._queue, planner.resume, self._state.path_position)
 
@@ -258,7 +261,7 @@ class FeedrateNode(LifecycleNode):
         self._ready = unsent + stream.planned
         ahead = self._ready < self._values['plan_ahead']
         state = self._state
-        mine = state is not None and state.program_id == self._run
+        mine = state is not None and run_id_of(state).same_attempt(self._run_id)
         executed = state.path_position if state is not None and mine else -math.inf
         wants = ahead and not stream.has_path
         self._watch.look(wants and not self._segments and self._inlet.receiver.active)
@@ -290,7 +293,7 @@ class FeedrateNode(LifecycleNode):
         try:
             self._done(job.result())
         except InterpError as problem:
-            self._inlet.refuse(self._inlet.receiver.program_id, str(problem))
+            self._inlet.refuse(self._inlet.receiver.run_id, str(problem))
             self._planner = None
         self._work()
 
@@ -316,7 +319,7 @@ class FeedrateNode(LifecycleNode):
         self._end_sent = self._end_sent or chunk.wait is Wait.END
         lines_of = self._planner.lines_of
         return chunk_message(
-            chunk, lines_of(chunk.samples), lines_of(chunk.tail), self._run, self._plan, first,
+            chunk, lines_of(chunk.samples), lines_of(chunk.tail), self._run_id, first,
             self._period,
         )  # fmt: skip
 

@@ -22,6 +22,7 @@ from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.path_messages import blocks_from, segment_messages
+from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Blocks smoothed together, and segments that may wait before smoothing goes on.
@@ -75,14 +76,13 @@ class LookaheadNode(Node):
         self._last = None
         self._program_stops: dict[int, int] = {}
         self._continue_at = block.continue_at
-        self._outlet.sender.begin(block.program_id)
+        self._outlet.sender.begin(run_id_of(block))
 
     def _work(self) -> None:
         """Smooth a batch when the way onward is free, and send what may be sent."""
         self._outlet.pump()
         if self._outlet.refusal and self._inlet.receiver.active:
-            program = self._inlet.receiver.program_id
-            self._inlet.refuse(program, self._outlet.refusal)
+            self._inlet.refuse(self._inlet.receiver.run_id, self._outlet.refusal)
         self._watch.look(self._inlet.receiver.active and not self._blocks)
         if self._blocks and self._lookahead is not None and self._outlet.sender.unsent <= QUEUE:
             self._smooth()
@@ -94,7 +94,7 @@ class LookaheadNode(Node):
         try:
             self._send(self._lookahead.push(blocks_from(batch)), end=False)
         except InterpError as problem:
-            self._inlet.refuse(batch[0].program_id, str(problem))
+            self._inlet.refuse(run_id_of(batch[0]), str(problem))
             return
         self._inlet.receiver.consume(len(batch))
         if batch[-1].end_of_program:
@@ -137,7 +137,7 @@ class LookaheadNode(Node):
     def _queue(self, segments: PathSegments, end: bool) -> None:
         sender = self._outlet.sender
         for message in segment_messages(
-            segments, sender.program_id, sender.next_number, self._flank_height, end
+            segments, sender.run_id, sender.next_number, self._flank_height, end
         ):
             if message.sequence == 0:
                 message.continue_at = self._continue_at

@@ -26,7 +26,7 @@ from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
-from cnc_interp.nodes.stream_ends import Inlet, TooLateError, stream_of
+from cnc_interp.nodes.stream_ends import Inlet, TooLateError
 from cnc_interp.wire.chunk_messages import chunk_from
 from cnc_interp.wire.machine_messages import (
     executed_setpoints,
@@ -34,6 +34,7 @@ from cnc_interp.wire.machine_messages import (
     machine_state,
 )
 from cnc_interp.wire.message_checks import check_chunk
+from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.trajectories import joint_trajectory
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
@@ -143,11 +144,11 @@ class MachineNode(LifecycleNode):
         playback = self._playback
         with self._lock:
             state = self._machine.state
-            mine = (chunk.program_id, chunk.plan) == (playback.program_id, playback.plan)
+            mine = run_id_of(chunk) == playback.run_id
             if mine and playback.left:
                 raise TooLateError(self._left())
             if chunk.first_sample == 0:
-                playback.make_room(chunk.program_id, chunk.plan)
+                playback.make_room(run_id_of(chunk))
             before = playback.buffer.newest
         if state in (State.INACTIVE, State.STOPPING, State.FAULT):
             reason = self._machine.message or 'activate it'
@@ -156,13 +157,13 @@ class MachineNode(LifecycleNode):
 
     def _left(self) -> str:
         """Say once for all setpoints of a plan why they are void; not with the number of each."""
-        return f'setpoints of plan {self._playback.plan} that come after its stop are void'
+        return f'setpoints of plan {self._playback.run_id.plan} that come after its stop are void'
 
     def _take(self, chunk: SetpointChunk) -> None:
         """Put sound setpoints into the buffer; not where the plan was left since their check."""
         with self._lock:
             if chunk.first_sample == 0:
-                self._playback.begin_plan(chunk.program_id, chunk.plan)
+                self._playback.begin_plan(run_id_of(chunk))
                 if not self._playback.played:  # a new run, and its figures
                     self._lateness = Lateness(self._period)
             elif self._playback.left:
@@ -179,18 +180,18 @@ class MachineNode(LifecycleNode):
     def _give_up(self, reason: str) -> None:
         """Tell the senders that the run is over."""
         receiver = self._inlet.receiver
-        if receiver.program_id and not receiver.refusal:
-            self._inlet.refuse(receiver.program_id, reason)
+        if receiver.run_id and not receiver.refusal:
+            self._inlet.refuse(receiver.run_id, reason)
 
     def _work(self) -> None:
         """Open the window by what was played; tell at once when the state changes."""
         playback, receiver = self._playback, self._inlet.receiver
         with self._lock:
-            mine = stream_of(playback.program_id, playback.plan) == receiver.program_id
+            mine = playback.run_id == receiver.run_id
             receiver.consumed = playback.played_of_plan if mine else 0
             over, state = mine and playback.plan_over, self._machine.state
             fault = self._machine.message if state is State.FAULT else ''
-            news = (state, playback.plan, playback.plan_over, playback.start_wanted)
+            news = (state, playback.run_id, playback.plan_over, playback.start_wanted)
         self._inlet.buffered_time = playback.buffer.count * self._period
         if fault:
             self._give_up(fault)

@@ -23,7 +23,6 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS
-from cnc_interp.run.run_id import same_run
 
 #: The frame of programs, see the machines' URDF.
 FRAME = 'workpiece'
@@ -111,7 +110,7 @@ class MarkersNode(Node):
 
     def _begin(self, program_id: str) -> None:
         """Clear the picture when another program begins."""
-        if not same_run(program_id, self._program_id):
+        if program_id != self._program_id:
             self._program_id, self._sequence, self._cleared = program_id, -1, True
             self._programmed.clear()
             self._executed.clear()

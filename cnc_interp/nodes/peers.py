@@ -10,6 +10,8 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
+from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
 #: Each stream with the node that receives it.
@@ -73,18 +75,17 @@ class Peers:
                 return node
         return '' if now - self._state_seen <= timeout else 'machine_node'
 
-    def refusal(self, program_id: str) -> str:
-        """Return why a program was refused, by the first node of the chain that did."""
+    def refusal(self, run_id: RunId) -> str:
+        """Return why a run was refused, by the first node of the chain that did."""
         for stream in reversed(RECEIVERS):
-            status = self._status.get(stream)
-            if status is not None and status.program_id == program_id and status.refusal:
-                return str(status.refusal)
+            if self.knows(stream, run_id) and self._status[stream].refusal:
+                return str(self._status[stream].refusal)
         return ''
 
-    def knows(self, stream: str, program_id: str) -> bool:
-        """Tell whether the receiver of a stream is on a program."""
+    def knows(self, stream: str, run_id: RunId) -> bool:
+        """Tell whether the receiver of a stream is on this attempt of a run."""
         status = self._status.get(stream)
-        return status is not None and status.program_id == program_id
+        return status is not None and run_id_of(status).same_attempt(run_id)
 
 
 class SenderWatch:

@@ -27,7 +27,7 @@ from cnc_interp.nodes.program_queue import Queue
 from cnc_interp.nodes.program_run import CHECKING, ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.stream_ends import Outlet
-from cnc_interp.run.run_id import same_run
+from cnc_interp.run.run_id import NO_RUN
 from cnc_interp.wire.path_messages import block_messages
 
 Result = RunProgram.Result
@@ -114,7 +114,7 @@ class ProgramNode(Node):
         elif not run.started:
             outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
             if run.started:
-                self._outlet.sender.begin(run.program_id)
+                self._outlet.sender.begin(run.run_id)
                 self._loaded.publish(run.loaded())
         else:
             run.fill(self._outlet.sender, QUEUE)
@@ -165,7 +165,7 @@ class ProgramNode(Node):
             raise StreamError('a block was asked for after its run')
         blocks = run.prepared.blocks
         (message,) = block_messages(
-            blocks[row : row + 1], run.program_id, sequence, run.prepared.options.flank_height,
+            blocks[row : row + 1], run.run_id, sequence, run.prepared.options.flank_height,
             end=sequence == run.last_sequence,
         )  # fmt: skip
         if sequence == 0:
@@ -177,7 +177,7 @@ class ProgramNode(Node):
         state = self._peers.state
         if now - self._feedback_at < FEEDBACK or state is None or run.prepared is None:
             return
-        if not same_run(state.program_id, run.program_id):
+        if state.program_id != run.run_id.program_id:
             return
         self._feedback_at = now
         share = min(1.0, max(0.0, state.path_position / run.prepared.path_length))
@@ -198,7 +198,7 @@ class ProgramNode(Node):
         result = run.result(code, message, self._peers, self._outlet.sender.sent)
         level = OK if code == Result.SUCCEEDED else WARN
         self._diagnostics.say('program', level, message, **{WAITING: ''})
-        self._outlet.sender.begin('')
+        self._outlet.sender.begin(NO_RUN)
         run.close()
         self._run = None
         self._answer(self._goal, result)

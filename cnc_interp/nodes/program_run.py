@@ -15,7 +15,7 @@ from cnc_interp_msgs.msg import LoadedProgram, MachineState
 from cnc_interp.core.errors import BlockError, InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Prepared
-from cnc_interp.run.run_id import GOES_ON, same_run
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.window_protocol import WindowedSender
 
 Result = RunProgram.Result
@@ -39,7 +39,7 @@ class ProgramRun:
     """
 
     def __init__(self, goal: Any):
-        self.program_id = uuid.uuid4().hex
+        self.run_id = RunId(uuid.uuid4().hex)
         self.name = Path(goal.program).name if goal.program else '<text>'
         self.preparing: Future[Prepared] | None = None
         self.prepared: Prepared | None = None
@@ -48,7 +48,7 @@ class ProgramRun:
         self.last_sequence = -1
         self.missing = self.lost = ''  # nodes that are silent, and that forgot the run
         self.continue_at = 0.0
-        self._queued = self._times = 0
+        self._queued = 0
         self._state: MachineState | None = None  # the last one of this run
         self._known_by: set[str] = set()
         self._taken = False  # by look-ahead and planner
@@ -107,7 +107,7 @@ class ProgramRun:
         assert self.prepared is not None
         options = self.prepared.options
         return LoadedProgram(
-            program_id=self.program_id,
+            program_id=self.run_id.program_id,
             name=self.name,
             text=self.prepared.text,
             contour_tolerance=options.contour_tolerance,
@@ -128,13 +128,13 @@ class ProgramRun:
     def watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         """Tell when the run is over, and how; a lost node alone does not end it."""
         state = peers.state
-        if state is not None and same_run(state.program_id, self.program_id):
+        if state is not None and state.program_id == self.run_id.program_id:
             self._note(state)
             if state.state == MachineState.FAULT:
                 return Result.STOPPED, state.message
             if state.completed:
                 return Result.SUCCEEDED, 'executed to the end'
-        refusal = peers.refusal(self.program_id)
+        refusal = peers.refusal(self.run_id)
         if refusal and not self._moves(state):
             if self.cancelled:
                 return Result.CANCELED, 'cancelled; the machine rests on the path'
@@ -144,7 +144,7 @@ class ProgramRun:
         if self.missing == 'machine_node':
             return Result.STREAM_LOST, 'machine_node does not answer any more; start it again'
         for stream, node in RECEIVERS.items():
-            if peers.knows(stream, self.program_id):
+            if peers.knows(stream, self.run_id):
                 self._known_by.add(node)
             elif node in self._known_by:
                 self.lost = node
@@ -216,13 +216,12 @@ class ProgramRun:
         All of it, because rounding looks at what lies before: the same blocks give the same path.
         """
         assert self._state is not None
-        self._times += 1
         self.continue_at = self._state.path_position
-        self.program_id = f'{self.program_id.partition(GOES_ON)[0]}{GOES_ON}{self._times}'
+        self.run_id = self.run_id.next_attempt()
         self.lost, self._queued, self._resumed = '', 0, False
         self._wants_since, self._waits_for_more = math.inf, -math.inf
         self._known_by.clear()
-        sender.begin(self.program_id)
+        sender.begin(self.run_id)
 
     def close(self) -> None:
         """Forget the program; a check that still runs ends."""
@@ -232,7 +231,7 @@ class ProgramRun:
 
     def unmoved(self, code: int, message: str) -> RunProgram.Result:
         """Make the result of a run that moved nothing."""
-        result = Result(code=code, message=message, program_id=self.program_id)
+        result = Result(code=code, message=message, program_id=self.run_id.program_id)
         if self.prepared is not None:
             result.notices = list(self.prepared.notices)
         return result

@@ -17,7 +17,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.core.errors import StreamError
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
-from cnc_interp.run.run_id import PLAN
+from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver, WindowedSender
 
 #: Time between acknowledgements when nothing happens [s].
@@ -32,17 +33,15 @@ class TooLateError(StreamError):
     """A sound message of a stream that the receiver has left already."""
 
 
-def numbers_of(message: Any) -> tuple[str, int, int]:
-    """Return the stream of a message, the number of its first item and how many it has."""
+def numbers_of(message: Any) -> tuple[RunId, int, int]:
+    """
+    Return the run of a message, the number of its first item and how many it has.
+
+    Every plan of a run is a stream of its own: it is numbered from 0 and acknowledged alone.
+    """
     if isinstance(message, SetpointChunk):
-        stream = stream_of(message.program_id, message.plan)
-        return stream, message.first_sample, len(message.sequences)
-    return message.program_id, message.sequence, 1
-
-
-def stream_of(program_id: str, plan: int) -> str:
-    """Name the stream of a plan: every plan of a run is numbered from 0 and acknowledged alone."""
-    return f'{program_id}{PLAN}{plan}' if plan else program_id
+        return run_id_of(message), message.first_sample, len(message.sequences)
+    return run_id_of(message), message.sequence, 1
 
 
 def sealed(message: Any) -> bytes:
@@ -131,11 +130,11 @@ class Inlet:
         except StreamError as fault:
             self._ask_again(f'{receiver.stream}: {fault}')
             return
-        stream, first, count = numbers_of(message)
+        run_id, first, count = numbers_of(message)
         try:
-            receiver.expect(stream, first)
+            receiver.expect(run_id, first)
         except StreamError as fault:
-            mine = stream == receiver.program_id
+            mine = run_id == receiver.run_id
             if mine and first > receiver.next_number and receiver.active:
                 self._ask_again(str(fault))
                 return
@@ -149,12 +148,12 @@ class Inlet:
             self._name(WARN, str(fault))
             return
         except StreamError as fault:
-            self.refuse(stream, str(fault))
+            self.refuse(run_id, str(fault))
             return
-        if receiver.program_id != stream:
+        if receiver.run_id != run_id:
             self._refused.clear()
             self._diagnostics.say(receiver.stream, OK, 'no message refused')
-        receiver.take(stream, count, message.end_of_program)
+        receiver.take(run_id, count, message.end_of_program)
         self._gap = False
         self._on_message(message)
 
@@ -165,9 +164,9 @@ class Inlet:
             self._gap = True
             self.tell()
 
-    def refuse(self, program_id: str, reason: str) -> None:
+    def refuse(self, run_id: RunId, reason: str) -> None:
         """Let nothing more of a program in, and tell its sender why."""
-        self.receiver.refuse(program_id, reason)
+        self.receiver.refuse(run_id, reason)
         self._name(ERROR, reason)
         self.tell()
         self._on_refusal()
@@ -188,20 +187,21 @@ class Inlet:
     def _tick(self) -> None:
         """Acknowledge when there is news, else now and then."""
         receiver = self.receiver
-        news = (receiver.program_id, receiver.next_number, receiver.limit, receiver.refusal)
+        news = (receiver.run_id, receiver.next_number, receiver.limit, receiver.refusal)
         if news != self._told or time.monotonic() - self._told_at > HEARTBEAT:
             self.tell()
 
     def tell(self) -> None:
         """Publish how far the stream has come and how far it may go."""
         receiver = self.receiver
-        self._told = (receiver.program_id, receiver.next_number, receiver.limit, receiver.refusal)
+        self._told = (receiver.run_id, receiver.next_number, receiver.limit, receiver.refusal)
         self._told_at = time.monotonic()
-        run, _, plan = receiver.program_id.partition(PLAN)
+        run_id = receiver.run_id
         self._status.publish(
             StreamStatus(
-                program_id=run,
-                plan=int(plan or 0),
+                program_id=run_id.program_id,
+                attempt=run_id.attempt,
+                plan=run_id.plan,
                 gap=self._gap,
                 stream=receiver.stream,
                 next_sequence=receiver.next_number,
@@ -257,22 +257,21 @@ class Outlet:
         now = time.monotonic()
         self.peer, self.peer_seen = status, now
         self.sender.acknowledge(
-            stream_of(status.program_id, status.plan), status.next_sequence, status.window_limit,
-            now, status.gap,
-        )  # fmt: skip
+            run_id_of(status), status.next_sequence, status.window_limit, now, status.gap
+        )
         self.pump()
 
     @property
     def refusal(self) -> str:
         """Why the receiver refused this program; empty while it did not."""
         peer = self.peer
-        if peer is None or stream_of(peer.program_id, peer.plan) != self.sender.program_id:
+        if peer is None or run_id_of(peer) != self.sender.run_id:
             return ''
         return str(peer.refusal)
 
     def pump(self) -> None:
         """Send what may be sent."""
-        if not self.sender.program_id or self.refusal or self.paused:
+        if not self.sender.run_id or self.refusal or self.paused:
             return
         items = self.sender.due(time.monotonic())
         for done, item in enumerate(items):

@@ -1,18 +1,53 @@
-"""Names of runs, of their second starts after a loss, and of their plans."""
+"""Which run, which attempt at it, and which plan of that attempt."""
 
 from __future__ import annotations
 
-#: Separate a run from how often it was begun again, and from the number of a plan.
-GOES_ON, PLAN = '+', '#'
+from dataclasses import dataclass, replace
 
 
-def same_run(program_id: str, other: str) -> bool:
-    """Tell whether one run is the other, or goes on with it after a loss (``RUN+1``)."""
-    return program_id.partition(GOES_ON)[0] == other.partition(GOES_ON)[0]
+@dataclass(frozen=True)
+class RunId:
+    """
+    Identity of a stream of blocks, segments or setpoints.
+
+    Parameters
+    ----------
+    program_id : str
+        The run, the same string from its start to its end; empty for no run.
+    attempt : int
+        How often the run was begun again after the loss of a node.
+    plan : int
+        Number of the plan in the attempt. Blocks and segments always have plan 0.
+
+    """
+
+    program_id: str = ''
+    attempt: int = 0
+    plan: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.program_id)
+
+    def __str__(self) -> str:
+        attempt = f' (attempt {self.attempt})' if self.attempt else ''
+        plan = f', plan {self.plan}' if self.plan else ''
+        return f'{self.program_id}{attempt}{plan}'
+
+    def same_attempt(self, other: RunId) -> bool:
+        """Tell whether both belong to one attempt of one run; their plans may differ."""
+        return (self.program_id, self.attempt) == (other.program_id, other.attempt)
+
+    def continues(self, other: RunId) -> bool:
+        """Tell whether this is a later attempt at the other's run."""
+        return self.program_id == other.program_id and self.attempt > other.attempt
+
+    def next_attempt(self) -> RunId:
+        """Return the identity of the run when it is begun again after a loss."""
+        return RunId(self.program_id, self.attempt + 1)
+
+    def next_plan(self) -> RunId:
+        """Return the identity of the plan that follows this one."""
+        return replace(self, plan=self.plan + 1)
 
 
-def goes_on(program_id: str, other: str) -> bool:
-    """Tell whether a run is another one that was begun again after a loss."""
-    run, _, times = program_id.partition(GOES_ON)
-    other_run, _, other_times = other.partition(PLAN)[0].partition(GOES_ON)
-    return run == other_run and times.isdigit() and int(times) > int(other_times or 0)
+NO_RUN = RunId()

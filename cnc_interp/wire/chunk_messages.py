@@ -11,12 +11,12 @@ from cnc_interp_msgs.msg import SetpointChunk
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.path_messages import packed
 
 
 def chunk_message(
-    chunk: Chunk, lines: list[int], tail_lines: list[int], run: str, plan: int, first: int,
-    period: float,
+    chunk: Chunk, lines: list[int], tail_lines: list[int], run_id: RunId, first: int, period: float
 ) -> SetpointChunk:  # fmt: skip
     """
     Turn a chunk into a message.
@@ -27,18 +27,19 @@ def chunk_message(
         Setpoints and their stop tail.
     lines, tail_lines : list of int
         Line of the source text of each setpoint.
-    run : str
-        The run.
-    plan, first : int
-        Number of the plan in the run, and of the first setpoint in the plan.
+    run_id : RunId
+        Run, attempt and plan.
+    first : int
+        Number of the first setpoint in the plan.
     period : float
         Interpolation period [s].
 
     """
     samples, tail = chunk.samples, chunk.tail
     return SetpointChunk(
-        program_id=run,
-        plan=plan,
+        program_id=run_id.program_id,
+        attempt=run_id.attempt,
+        plan=run_id.plan,
         first_sample=first,
         period=period,
         axis_count=samples.position.shape[1],

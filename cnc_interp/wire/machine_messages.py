@@ -41,7 +41,7 @@ def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
 def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]:
     """Return the setpoints executed since the last call, numbered through the run."""
     told = [playback.executed.popleft() for _ in range(len(playback.executed))]
-    plans = groupby(told, key=lambda executed: (executed.program_id, executed.plan))
+    plans = groupby(told, key=lambda executed: executed.run_id)
     messages = [_executed_of_plan(list(executed), period) for _, executed in plans]
     if messages:
         messages[-1].end_of_program = playback.completed
@@ -51,8 +51,9 @@ def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]
 def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
     first, rows = executed[0], [entry.row for entry in executed]
     return SetpointChunk(
-        program_id=first.program_id,
-        plan=first.plan,
+        program_id=first.run_id.program_id,
+        attempt=first.run_id.attempt,
+        plan=first.run_id.plan,
         first_sample=first.number,
         period=period,
         axis_count=len(rows[0].position),
@@ -74,8 +75,9 @@ def machine_state(playback: Playback, period: float) -> MachineState:
     held = machine.state is State.HOLDING and playback.resting
     message = MachineState(
         state=MachineState.HELD if held else STATES[machine.state],
-        program_id=playback.program_id,
-        plan=playback.plan,
+        program_id=playback.run_id.program_id,
+        attempt=playback.run_id.attempt,
+        plan=playback.run_id.plan,
         plan_over=playback.plan_over,
         start_wanted=playback.start_wanted,
         completed=playback.completed,

@@ -10,6 +10,7 @@ from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.run.run_id import RunId
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
@@ -24,7 +25,7 @@ SPAN_DEGREE = 6
 
 
 def block_messages(
-    blocks: Blocks, program_id: str, first_sequence: int, flank_height: float, end: bool
+    blocks: Blocks, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[G1Block]:
     """
     Turn rows of a program into messages.
@@ -33,8 +34,8 @@ def block_messages(
     ----------
     blocks : Blocks
         Consecutive rows.
-    program_id : str
-        The run.
+    run_id : RunId
+        Run and attempt.
     first_sequence : int
         Number of the first row in the program.
     flank_height : float
@@ -46,7 +47,8 @@ def block_messages(
     spline = blocks.on_spline
     return [
         G1Block(
-            program_id=program_id,
+            program_id=run_id.program_id,
+            attempt=run_id.attempt,
             sequence=first_sequence + i,
             line_number=int(blocks.line_number[i]),
             tip=blocks.tip[i],
@@ -96,25 +98,24 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
 
 
 def segment_messages(
-    segments: PathSegments, program_id: str, first_sequence: int, flank_height: float, end: bool
+    segments: PathSegments, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[PathSegment]:
     """Turn consecutive segments into messages; ``end`` marks the last one of the program."""
     last = len(segments) - 1
     return [
-        _segment_message(
-            segments, i, program_id, first_sequence + i, flank_height, end and i == last
-        )
+        _segment_message(segments, i, run_id, first_sequence + i, flank_height, end and i == last)
         for i in range(len(segments))
     ]
 
 
 def _segment_message(
-    segments: PathSegments, i: int, program_id: str, sequence: int, height: float, end: bool
+    segments: PathSegments, i: int, run_id: RunId, sequence: int, height: float, end: bool
 ) -> PathSegment:
     """Turn one segment into a message."""
     kind = int(segments.kind[i])
     message = PathSegment(
-        program_id=program_id,
+        program_id=run_id.program_id,
+        attempt=run_id.attempt,
         sequence=sequence,
         kind=kind,
         bottom=_spline(segments.bottom[i], kind),

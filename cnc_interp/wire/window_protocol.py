@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from cnc_interp.core.errors import StreamError
-from cnc_interp.run.run_id import goes_on
+from cnc_interp.run.run_id import NO_RUN, RunId
 
 Item = TypeVar('Item')
 #: Programs whose late messages are recognised as such.
@@ -54,7 +54,7 @@ class WindowedSender(Generic[Item]):
 
     def __init__(self, resend_after: float):
         self.resend_after = self._patience = resend_after
-        self.program_id = ''
+        self.run_id = NO_RUN
         self._begin()
 
     def _begin(self) -> None:
@@ -68,9 +68,9 @@ class WindowedSender(Generic[Item]):
         self._again = -math.inf
         self._patience = self.resend_after
 
-    def begin(self, program_id: str) -> None:
+    def begin(self, run_id: RunId) -> None:
         """Start a new program; what is left of the old one is dropped."""
-        self.program_id = program_id
+        self.run_id = run_id
         self._begin()
 
     def put(self, item: Item, count: int = 1) -> None:
@@ -119,14 +119,14 @@ class WindowedSender(Generic[Item]):
         self._in_flight = max(0, self._in_flight - items)
 
     def acknowledge(
-        self, program_id: str, next_number: int, window_limit: int, now: float, gap: bool = False
+        self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
         """
         Take note of what the receiver says; words about another program are ignored.
 
         On a gap sending starts again at once, but not again before that had time to arrive.
         """
-        if program_id != self.program_id or next_number > self.sent:
+        if run_id != self.run_id or next_number > self.sent:
             return
         if gap and now - self._again > SETTLE:
             self._in_flight, self._again = 0, now
@@ -153,24 +153,24 @@ class WindowedReceiver:
 
     def __init__(self, stream: str, window: int):
         self.stream, self.window = stream, window
-        self.program_id = ''
+        self.run_id = NO_RUN
         self.next_number = 0
         self.consumed = 0
         self.complete = False
         self.refusal = self._closed = ''
-        self._past: deque[str] = deque(maxlen=REMEMBERED)
+        self._past: deque[RunId] = deque(maxlen=REMEMBERED)
 
     @property
     def active(self) -> bool:
         """Tell whether a program is being received."""
-        return bool(self.program_id) and not self.complete and not self.refusal
+        return bool(self.run_id) and not self.complete and not self.refusal
 
     @property
     def limit(self) -> int:
         """Number of the first item that must not be sent yet."""
         return self.consumed + self.window if self.active else self.next_number
 
-    def expect(self, program_id: str, first: int) -> None:
+    def expect(self, run_id: RunId, first: int) -> None:
         """
         Check that an item is the next one, or the first of a new program.
 
@@ -180,10 +180,10 @@ class WindowedReceiver:
             On a gap, a repeat, a foreign or an old program; nothing changes.
 
         """
-        if not program_id:
+        if not run_id:
             raise StreamError(f'{self.stream}: {first} has no program id; name the program')
-        if program_id != self.program_id:
-            self._expect_new(program_id, first)
+        if run_id != self.run_id:
+            self._expect_new(run_id, first)
         elif self.refusal:
             raise StreamError(f'{self.stream}: {first} after the refusal: {self.refusal}')
         elif first < self.next_number:
@@ -199,39 +199,38 @@ class WindowedReceiver:
                 f'from {self.next_number}'
             )
 
-    def _expect_new(self, program_id: str, first: int) -> None:
+    def _expect_new(self, run_id: RunId, first: int) -> None:
         """Check that another program may begin here."""
-        if self.active and not goes_on(program_id, self.program_id):
+        if self.active and not run_id.continues(self.run_id):
             raise StreamError(
-                f'{self.stream}: foreign program {program_id} while {self.program_id} runs; '
+                f'{self.stream}: foreign program {run_id} while {self.run_id} runs; '
                 'wait for its end'
             )
-        if program_id in self._past:
-            raise StreamError(f'{self.stream}: {first} of old program {program_id}')
+        if run_id in self._past:
+            raise StreamError(f'{self.stream}: {first} of old program {run_id}')
         if first != 0:
             raise StreamError(
-                f'{self.stream}: gap: {first} of unknown program {program_id}; a program begins '
-                'with 0'
+                f'{self.stream}: gap: {first} of unknown program {run_id}; a program begins with 0'
             )
 
-    def take(self, program_id: str, count: int = 1, end: bool = False) -> None:
+    def take(self, run_id: RunId, count: int = 1, end: bool = False) -> None:
         """Count an item that ``expect`` let through and that is sound."""
-        if program_id != self.program_id:
-            self._begin(program_id)
+        if run_id != self.run_id:
+            self._begin(run_id)
         self.next_number += count
         self.complete = end
 
-    def _begin(self, program_id: str) -> None:
-        if self.program_id:
-            self._past.append(self.program_id)
-        self.program_id = program_id
+    def _begin(self, run_id: RunId) -> None:
+        if self.run_id:
+            self._past.append(self.run_id)
+        self.run_id = run_id
         self.next_number = self.consumed = 0
         self.complete, self.refusal, self._closed = False, '', ''
 
-    def refuse(self, program_id: str, reason: str) -> None:
+    def refuse(self, run_id: RunId, reason: str) -> None:
         """Let nothing more of a program through."""
-        if program_id != self.program_id:
-            self._begin(program_id)
+        if run_id != self.run_id:
+            self._begin(run_id)
         self.refusal = reason
 
     def close(self, reason: str) -> None:

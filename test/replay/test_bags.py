@@ -23,7 +23,6 @@ from cnc_interp.cli import main
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter
 from cnc_interp.client.replay import compute_again
 from cnc_interp.nodes.stream_ends import sealed
-from cnc_interp.run.run_id import same_run
 
 HERE = Path(__file__).parent
 HELD, FAULTY = HERE / 'held', HERE / 'faulty'
@@ -178,7 +177,7 @@ def test_recorded_faults_come_again():
         running.spin_until(lambda: sum(len(m.positions) for m in executed) >= len(wanted))
         found = [p for m in executed for p in m.positions]
         np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-6)  # other processors round
-        assert same_run(executed[0].program_id, chunks[0].program_id)
+        assert executed[0].program_id == chunks[0].program_id
 
         def again():
             mine = [

@@ -17,7 +17,6 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.run.chain import ChainOptions, smoothing_options
-from cnc_interp.run.run_id import same_run
 from cnc_interp.smoothing.lookahead import LookAhead
 
 Result = RunProgram.Result
@@ -112,7 +111,7 @@ class Bench(NodesUnderTest):
         run, count = state.program_id, state.samples
 
         def told():
-            return [m for m in self.executed if same_run(m.program_id, run)]
+            return [m for m in self.executed if m.program_id == run]
 
         self.spin_until(lambda: sum(len(m.sequences) for m in told()) >= count)
         q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])

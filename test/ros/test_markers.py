@@ -20,6 +20,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.path_messages import block_messages
 
 PATIENCE = 120.0
@@ -86,7 +87,7 @@ class Viewer:
     def stream(self, run):
         """Send the blocks of the program, one of them twice, and setpoints along them."""
         blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, ReadOptions()).blocks
-        messages = block_messages(blocks, run, 0, 0.03, end=True)
+        messages = block_messages(blocks, RunId(run), 0, 0.03, end=True)
         for message in [*messages, messages[1]]:
             self.blocks.publish(message)
         share = np.linspace(0.0, len(CORNERS) - 1, 3001)

@@ -14,7 +14,9 @@ from cnc_interp_msgs.msg import MachineState
 from operated import PROGRAM, Bench, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.path_messages import block_messages
+from cnc_interp.wire.run_id_messages import run_id_of
 
 Result = RunProgram.Result
 
@@ -173,14 +175,14 @@ def test_one_cycle_start_is_enough_where_the_planner_still_had_something_to_exec
         bench.kill('lookahead_node')
         assert bench.press('feed_hold').success
         bench.until_state(MachineState.HELD)
-        run = bench.state.program_id
+        run = run_id_of(bench.state)
         bench.spin_until(lambda: bench.state.buffered_time > 0.1)
         bench.children.revive()
         bench.spin_until(lambda: any('was restarted' in text for _, text in bench.diagnostics))
         assert bench.press('cycle_start').success
         result, _ = bench.finish(handle)
         assert result.starvations > 0
-        assert bench.state.program_id == f'{run}+1'
+        assert run_id_of(bench.state).same_attempt(run.next_attempt())
     finally:
         bench.close()
 
@@ -218,7 +220,7 @@ def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
 
 
 def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
-    for message in block_messages(blocks_of(PROGRAM)[:3], 'stranger', 0, 0.03, end=False):
+    for message in block_messages(blocks_of(PROGRAM)[:3], RunId('stranger'), 0, 0.03, end=False):
         bench.blocks.publish(message)
     bench.spin_until(lambda: bench.peers.knows('blocks', 'stranger'))
     result = bench.run(text=PROGRAM)
@@ -235,7 +237,7 @@ def test_only_a_node_that_is_lost_is_called_so_and_no_longer_than_it_is():
     try:
         # An operator far away feeds the blocks: the look-ahead lives but has nothing to send.
         first, rest = blocks_of(PROGRAM)[:12], blocks_of(PROGRAM)[12:]
-        for message in block_messages(first, 'by_hand', 0, 0.03, end=False):
+        for message in block_messages(first, RunId('by_hand'), 0, 0.03, end=False):
             bench.blocks.publish(message)
         program, lookahead = (
             'lookahead_node: sender of blocks',
@@ -250,7 +252,7 @@ def test_only_a_node_that_is_lost_is_called_so_and_no_longer_than_it_is():
         bench.spin_until(lambda: 'is lost' in dict(bench.diagnostics).get(lookahead, ''))
         os.kill(process, signal.SIGCONT)
         bench.spin_until(lambda: 'there again' in dict(bench.diagnostics)[lookahead])
-        for message in block_messages(rest, 'by_hand', 12, 0.03, end=True):
+        for message in block_messages(rest, RunId('by_hand'), 12, 0.03, end=True):
             bench.blocks.publish(message)
         bench.spin_until(lambda: 'there again' in dict(bench.diagnostics)[program])
         bench.spin_until(lambda: bench.state.program_id == 'by_hand' and bench.state.completed)

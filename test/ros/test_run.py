@@ -24,6 +24,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ReadOptions, read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import ChainOptions
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.path_messages import block_messages
 
 Result = RunProgram.Result
@@ -179,7 +180,7 @@ def lives(process):
 
 def sound_blocks(program_id):
     blocks = read_text(PROGRAM, 'part.apt', TRANSFORM, ReadOptions()).blocks
-    return block_messages(blocks, program_id, 0, 0.03, end=True)
+    return block_messages(blocks, RunId(program_id), 0, 0.03, end=True)
 
 
 def named(nodes, word):

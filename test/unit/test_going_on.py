@@ -19,13 +19,13 @@ class Heard:
         self.state = None
         self.restarted = False
 
-    def refusal(self, _program_id):
+    def refusal(self, _run_id):
         return ''
 
     def missing(self, _now, _timeout):
         return ''
 
-    def knows(self, stream, _program_id):
+    def knows(self, stream, _run_id):
         return not (self.restarted and stream == 'blocks')
 
 
@@ -38,7 +38,10 @@ def go_on_at(course):
     assert run.lost == 'lookahead_node'
     for time, code, wanted in course:
         peers.state = MachineState(
-            program_id=run.program_id, state=code, start_wanted=wanted, plan_over=code != RUNNING
+            program_id=run.run_id.program_id,
+            state=code,
+            start_wanted=wanted,
+            plan_over=code != RUNNING,
         )
         peers.state.header.stamp.nanosec = round(time * 1e9)
         run.watch(peers, 0.0, 3.0)

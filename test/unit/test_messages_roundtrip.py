@@ -20,16 +20,19 @@ from cnc_interp.program import ReadOptions, read_program, read_text
 from cnc_interp.run.chain import ChainOptions, smoothing_options
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.run_id import RunId
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 from cnc_interp.wire import chunk_messages
 from cnc_interp.wire import message_checks as soundness
 from cnc_interp.wire import path_messages as messages
+from cnc_interp.wire.run_id_messages import run_id_of
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / 'shared' / 'programs'
 TRANSFORM = Transform.of(Machine.load('xyzac'))
 H = 0.03
+P = RunId('p')
 MOST = 2000
 
 # Every kind of segment: lines, corners, a turn of the resting tool, inverse time, a rapid.
@@ -96,13 +99,13 @@ def test_real_programs_keep_every_bit():
 
 
 def keeps_every_bit(blocks):
-    sent = messages.block_messages(blocks, 'p', 0, H, end=True)
+    sent = messages.block_messages(blocks, P, 0, H, end=True)
     received = checked(over_the_wire(sent), soundness.check_block)
     same_bits(messages.blocks_from(received), blocks)
     assert [m.sequence for m in received] == list(range(len(blocks)))
     assert [m.end_of_program for m in received] == [False] * (len(blocks) - 1) + [True]
     segments = segments_of(blocks)
-    sent = messages.segment_messages(segments, 'p', 5, H, end=True)
+    sent = messages.segment_messages(segments, P, 5, H, end=True)
     received = checked(over_the_wire(sent), soundness.check_segment)
     same_bits(messages.segments_from(received), segments)
     assert [m.sequence for m in received] == list(range(5, 5 + len(segments)))
@@ -118,7 +121,7 @@ def control_points(knot_interval=0.5):
 
 def test_control_points_of_splines_keep_every_bit():
     blocks = control_points()
-    sent = messages.block_messages(blocks, 'p', 0, H, end=True)
+    sent = messages.block_messages(blocks, P, 0, H, end=True)
     received = checked(over_the_wire(sent), soundness.check_block)
     assert [m.spline for m in received] == [False, True, True]
     same_bits(messages.blocks_from(received), blocks)
@@ -135,7 +138,7 @@ def test_control_points_of_splines_keep_every_bit():
     ],
 )
 def test_unsound_control_points_are_refused_by_name(field, value, word):
-    message = messages.block_messages(control_points(), 'p', 0, H, end=True)[2]
+    message = messages.block_messages(control_points(), P, 0, H, end=True)[2]
     check(message)
     setattr(message, field, value)
     with pytest.raises(StreamError, match=word):
@@ -145,7 +148,7 @@ def test_unsound_control_points_are_refused_by_name(field, value, word):
 def test_every_kind_of_segment_keeps_every_bit():
     segments = segments_of(read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, ReadOptions()).blocks)
     assert set(segments.kind.tolist()) == {0, 1, 2}
-    sent = messages.segment_messages(segments, 'p', 0, H, end=False)
+    sent = messages.segment_messages(segments, P, 0, H, end=False)
     assert not any(m.end_of_program for m in sent)
     same_bits(
         messages.segments_from(checked(over_the_wire(sent), soundness.check_segment)), segments
@@ -154,7 +157,7 @@ def test_every_kind_of_segment_keeps_every_bit():
 
 def test_splines_keep_every_bit():
     segments, _ = spline_segments(1)
-    received = over_the_wire(messages.segment_messages(segments, 'p', 0, H, end=True))
+    received = over_the_wire(messages.segment_messages(segments, P, 0, H, end=True))
     same_bits(messages.segments_from(checked(received, soundness.check_segment)), segments)
 
 
@@ -169,7 +172,7 @@ def test_splines_keep_every_bit():
 def test_every_way_to_make_a_corner_keeps_every_bit(options):
     blocks = blocks_of(next(path for path in examples() if path.name == 'pyramid.apt'))
     segments = segments_of(blocks, **options)
-    received = over_the_wire(messages.segment_messages(segments, 'p', 0, H, end=True))
+    received = over_the_wire(messages.segment_messages(segments, P, 0, H, end=True))
     back = messages.segments_from(checked(received, soundness.check_segment))
     corner = segments.kind == CORNER
     same_bits(back[np.flatnonzero(corner)], segments[np.flatnonzero(corner)])
@@ -178,7 +181,7 @@ def test_every_way_to_make_a_corner_keeps_every_bit(options):
 def test_a_parametrization_that_does_not_rise_from_0_to_1_is_refused():
     blocks = blocks_of(next(path for path in examples() if path.name == 'pyramid.apt'))
     segments = segments_of(blocks, parametrization='paper')
-    sent = messages.segment_messages(segments, 'p', 0, H, end=True)
+    sent = messages.segment_messages(segments, P, 0, H, end=True)
     corner = next(m for m in sent if m.kind == CORNER)
     corner.parametrization.control_points[-1] = 0.9
     with pytest.raises(StreamError, match='parametrization must rise from 0 to 1'):
@@ -196,7 +199,7 @@ def setpoints(n=10, axes=5):
 def test_setpoints_keep_every_bit(axes):
     sent = Chunk(setpoints(axes=axes), setpoints(7, axes), Wait.CYCLE_START)
     message = chunk_messages.chunk_message(
-        sent, list(range(10)), list(range(7)), 'p', 3, 20, 0.001
+        sent, list(range(10)), list(range(7)), RunId('p', 1, 3), 20, 0.001
     )
     (received,) = over_the_wire([message])
     back = chunk_messages.chunk_from(received)
@@ -207,7 +210,7 @@ def test_setpoints_keep_every_bit(axes):
     assert back.wait is Wait.CYCLE_START
     assert list(received.line_numbers) == list(range(10))
     assert list(received.tail_line_numbers) == list(range(7))
-    assert (received.plan, received.first_sample) == (3, 20)
+    assert (run_id_of(received), received.first_sample) == (RunId('p', 1, 3), 20)
     assert not received.end_of_program
 
 
@@ -217,11 +220,11 @@ def sound(kind):
             np.arange(10) * 0.001, *np.zeros((4, 10, 5)), np.ones(10, dtype=int), np.zeros(10)
         )
         chunk = Chunk(still, part_of(still, 0, 7), Wait.NOTHING)
-        return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, 'p', 0, 0, 0.001)
+        return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, P, 0, 0.001)
     blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, ReadOptions()).blocks
     if kind is G1Block:
-        return messages.block_messages(blocks, 'p', 0, H, end=True)[1]
-    segments = messages.segment_messages(segments_of(blocks), 'p', 0, H, end=True)
+        return messages.block_messages(blocks, P, 0, H, end=True)[1]
+    segments = messages.segment_messages(segments_of(blocks), P, 0, H, end=True)
     return next(m for m in segments if m.kind == PathSegment.CORNER)
 
 

@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cnc_interp.core.errors import StreamError
+from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.window_protocol import Silence, WindowedReceiver, WindowedSender
 
 RESEND = 0.5
+P, Q, R, OTHER = (RunId(name) for name in ('p', 'q', 'r', 'other'))
 
 
 def receive(receiver, program, first, count=1, end=False):
@@ -24,13 +26,13 @@ def receive(receiver, program, first, count=1, end=False):
 
 
 def acknowledge(sender, receiver, now):
-    sender.acknowledge(receiver.program_id, receiver.next_number, receiver.limit, now)
+    sender.acknowledge(receiver.run_id, receiver.next_number, receiver.limit, now)
 
 
 @pytest.mark.parametrize('count', [1, 7])
 def test_perfect_line_delivers_everything_within_the_window(count):
     sender, receiver = WindowedSender(RESEND), WindowedReceiver('blocks', 20)
-    sender.begin('p')
+    sender.begin(P)
     for i in range(100):
         sender.put(i, count)
     got, now = [], 0.0
@@ -38,7 +40,7 @@ def test_perfect_line_delivers_everything_within_the_window(count):
         now += 0.01
         for item in sender.due(now):
             assert item.after <= receiver.consumed + 20 or item.first == 0
-            assert receive(receiver, 'p', item.first, item.count, item.item == 99)
+            assert receive(receiver, P, item.first, item.count, item.item == 99)
             got.append(item.item)
             receiver.consume(item.count)
         acknowledge(sender, receiver, now)
@@ -57,7 +59,7 @@ def test_perfect_line_delivers_everything_within_the_window(count):
 def test_bad_line_still_delivers_each_item_once_and_in_order(seed, loss, repeat, swap, window):
     line = random.Random(seed)
     sender, receiver = WindowedSender(RESEND), WindowedReceiver('blocks', window)
-    sender.begin('p')
+    sender.begin(P)
     total, got, waiting, now = 60, [], [], 0.0
     for i in range(total):
         sender.put(i)
@@ -73,7 +75,7 @@ def test_bad_line_still_delivers_each_item_once_and_in_order(seed, loss, repeat,
             i = line.randrange(len(waiting) - 1)
             waiting[i], waiting[i + 1] = waiting[i + 1], waiting[i]
         for item in waiting:
-            if receive(receiver, 'p', item.first, 1, item.first == total - 1):
+            if receive(receiver, P, item.first, 1, item.first == total - 1):
                 got.append(item.item)
         waiting = []
         receiver.consumed = line.randint(receiver.consumed, len(got))
@@ -86,14 +88,14 @@ def test_bad_line_still_delivers_each_item_once_and_in_order(seed, loss, repeat,
 
 def test_nothing_goes_beyond_the_window_while_the_receiver_does_not_consume():
     sender, receiver = WindowedSender(RESEND), WindowedReceiver('setpoints', 100)
-    sender.begin('p')
+    sender.begin(P)
     for i in range(50):
         sender.put(i, 10)
     sent = []
     for now in range(20):
         for item in sender.due(0.01 * now):
             sent.append(item)
-            receive(receiver, 'p', item.first, 10)
+            receive(receiver, P, item.first, 10)
         acknowledge(sender, receiver, 0.01 * now)
     assert [item.first for item in sent] == list(range(0, 100, 10))
     receiver.consume(10)
@@ -103,20 +105,20 @@ def test_nothing_goes_beyond_the_window_while_the_receiver_does_not_consume():
 
 def test_only_what_was_not_acknowledged_is_sent_again_and_only_after_a_while():
     sender = WindowedSender(RESEND)
-    sender.begin('p')
+    sender.begin(P)
     for i in range(6):
         sender.put(i)
     assert [i.first for i in sender.due(0.0)] == [0]
-    sender.acknowledge('p', 1, 6, 0.1)
+    sender.acknowledge(P, 1, 6, 0.1)
     assert [i.first for i in sender.due(0.1)] == [1, 2, 3, 4, 5]
-    sender.acknowledge('p', 3, 6, 0.2)
+    sender.acknowledge(P, 3, 6, 0.2)
     assert sender.due(0.2 + 0.9 * RESEND) == []
     assert [i.first for i in sender.due(0.21 + RESEND)] == [3, 4, 5]
 
 
 def test_a_busy_line_is_tried_again():
     sender = WindowedSender(RESEND)
-    sender.begin('p')
+    sender.begin(P)
     sender.put('a')
     assert len(sender.due(0.0)) == 1
     sender.take_back(1)
@@ -125,90 +127,116 @@ def test_a_busy_line_is_tried_again():
 
 def test_words_about_another_program_or_from_the_future_are_ignored():
     sender = WindowedSender(RESEND)
-    sender.begin('p')
+    sender.begin(P)
     sender.put(0)
     sender.put(1)
     sender.due(0.0)
-    sender.acknowledge('other', 1, 50, 0.0)
-    sender.acknowledge('p', 40, 50, 0.0)
+    sender.acknowledge(OTHER, 1, 50, 0.0)
+    sender.acknowledge(P, 40, 50, 0.0)
     assert sender.limit == 0 and sender.acknowledged == 0
 
 
 def test_dropping_unsent_items_frees_their_numbers():
     sender = WindowedSender(RESEND)
-    sender.begin('p')
+    sender.begin(P)
     for i in range(10):
         sender.put(i)
     sender.due(0.0)
-    sender.acknowledge('p', 1, 4, 0.0)
+    sender.acknowledge(P, 1, 4, 0.0)
     sender.due(0.0)
     sender.drop_unsent()
     assert sender.next_number == sender.sent == 4
     sender.put('end')
-    sender.acknowledge('p', 4, 9, 0.0)
+    sender.acknowledge(P, 4, 9, 0.0)
     assert [(i.first, i.item) for i in sender.due(0.0)] == [(4, 'end')]
 
 
 @pytest.mark.parametrize(
     ('program', 'first', 'word'),
     [
-        ('p', 5, 'gap'),
-        ('p', 2, 'repeat'),
-        ('other', 0, 'foreign'),
-        ('other', 3, 'foreign'),
-        ('', 3, 'no program id'),
+        (P, 5, 'gap'),
+        (P, 2, 'repeat'),
+        (OTHER, 0, 'foreign'),
+        (OTHER, 3, 'foreign'),
+        (NO_RUN, 3, 'no program id'),
     ],
 )
 def test_receiver_names_what_is_wrong_and_stays_as_it_was(program, first, word):
     receiver = WindowedReceiver('blocks', 10)
     for i in range(3):
-        receive(receiver, 'p', i)
+        receive(receiver, P, i)
     with pytest.raises(StreamError, match=word):
         receiver.expect(program, first)
-    assert (receiver.program_id, receiver.next_number) == ('p', 3)
-    assert receive(receiver, 'p', 3)
+    assert (receiver.run_id, receiver.next_number) == (P, 3)
+    assert receive(receiver, P, 3)
 
 
 def test_a_program_begins_with_its_first_item_only():
     receiver = WindowedReceiver('blocks', 10)
     with pytest.raises(StreamError, match='unknown program'):
-        receiver.expect('p', 4)
-    assert receive(receiver, 'p', 0, end=True)
+        receiver.expect(P, 4)
+    assert receive(receiver, P, 0, end=True)
     with pytest.raises(StreamError, match='after the end'):
-        receiver.expect('p', 1)
-    assert receive(receiver, 'q', 0)
+        receiver.expect(P, 1)
+    assert receive(receiver, Q, 0)
     assert (receiver.next_number, receiver.consumed, receiver.complete) == (1, 0, False)
 
 
 def test_a_closed_program_answers_all_that_still_comes_in_the_same_words():
     receiver = WindowedReceiver('setpoints', 10)
-    assert receive(receiver, 'p', 0)
+    assert receive(receiver, P, 0)
     receiver.close('came after the stop')
     said = set()
     for number in (1, 2, 9):
         with pytest.raises(StreamError) as fault:
-            receiver.expect('p', number)
+            receiver.expect(P, number)
         said.add(str(fault.value))
     assert said == {'came after the stop'}
-    assert not receiver.active and receive(receiver, 'q', 0)
+    assert not receiver.active and receive(receiver, Q, 0)
+
+
+def test_a_later_attempt_may_begin_while_the_one_before_is_active():
+    receiver = WindowedReceiver('blocks', 10)
+    assert receive(receiver, P, 0)
+    assert receive(receiver, P.next_attempt(), 0) and receiver.active
+    assert receiver.run_id == RunId('p', attempt=1)
+    with pytest.raises(StreamError, match='foreign'):
+        receiver.expect(P, 0)  # an earlier one may not
+    sender = WindowedSender(RESEND)
+    sender.begin(P.next_attempt())
+    sender.put('a')
+    sender.due(0.0)
+    sender.acknowledge(P, 1, 20, 0.0)
+    assert not sender.all_acknowledged, 'of the attempt before'
+    sender.acknowledge(receiver.run_id, 1, 20, 0.0)
+    assert sender.all_acknowledged
+
+
+def test_another_plan_begins_only_after_the_one_before_is_closed():
+    receiver = WindowedReceiver('setpoints', 10)
+    assert receive(receiver, P, 0)
+    with pytest.raises(StreamError, match='foreign'):
+        receiver.expect(P.next_plan(), 0)
+    receiver.close('left by its stop')
+    assert receive(receiver, P.next_plan(), 0)
 
 
 def test_old_programs_never_come_back():
     receiver = WindowedReceiver('blocks', 10)
-    for program in ('p', 'q', 'r'):
+    for program in (P, Q, R):
         assert receive(receiver, program, 0, end=True)
     with pytest.raises(StreamError, match='old program'):
-        receiver.expect('p', 0)
+        receiver.expect(P, 0)
 
 
 def test_after_a_refusal_nothing_of_the_program_gets_in_but_another_may_begin():
     receiver = WindowedReceiver('blocks', 10)
-    receive(receiver, 'p', 0)
-    receiver.refuse('p', 'the tool axis has length 2')
+    receive(receiver, P, 0)
+    receiver.refuse(P, 'the tool axis has length 2')
     with pytest.raises(StreamError, match='length 2'):
-        receiver.expect('p', 1)
+        receiver.expect(P, 1)
     assert receiver.limit == 1
-    assert receive(receiver, 'q', 0)
+    assert receive(receiver, Q, 0)
     assert receiver.refusal == ''
 
 
@@ -229,14 +257,14 @@ def test_silence_counts_from_where_something_was_wanted_and_not_heard():
 def test_a_receiver_that_answers_late_is_not_buried_in_repeats():
     """It takes a second for what it has; a sender that repeats all four times a second adds up."""
     sender = WindowedSender(RESEND)
-    sender.begin('p')
+    sender.begin(P)
     for i in range(10):
         sender.put(i)
     sender.due(0.0)
-    sender.acknowledge('p', 1, 20, 0.1)
+    sender.acknowledge(P, 1, 20, 0.1)
     sent = [now for now in (k * 0.01 for k in range(11, 6000)) if sender.due(now)]
     pauses = [later - now for now, later in pairwise(sent)]
     assert pauses[:4] == pytest.approx([0.5, 1.0, 2.0, 4.0], abs=0.05)
     assert max(pauses) < 16 * RESEND + 0.05
-    sender.acknowledge('p', 2, 20, 60.0)
+    sender.acknowledge(P, 2, 20, 60.0)
     assert [item.item for item in sender.due(60.0 + RESEND + 0.01)] == list(range(2, 10))

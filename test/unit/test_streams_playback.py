@@ -1,5 +1,7 @@
 """The machine's buffer and the approach: moves played period by period."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,9 +22,12 @@ from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
 from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.machine_messages import executed_setpoints
+from cnc_interp.wire.run_id_messages import run_id_of
 
 T = 0.001
+P, Q = RunId('p'), RunId('q')
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)
 HOME = np.zeros(5)
@@ -101,7 +106,7 @@ def test_approach_outside_the_travel_is_refused():
 
 def test_waits_for_enough_then_plays_everything_in_order():
     play, chunks = playback(50), chunks_to([0.02, 0.0, 0.0, 0.1, 0.0])
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks[:4])
     for _ in range(5):
         assert play.step().state is State.IDLE
@@ -114,7 +119,7 @@ def test_waits_for_enough_then_plays_everything_in_order():
 
 def test_a_short_program_starts_without_a_full_buffer():
     play = playback(10_000)
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks_to([1e-6, 0.0, 0.0, 0.0, 0.0]))
     assert play.step().state is State.RUNNING
 
@@ -123,15 +128,15 @@ def test_a_short_program_starts_without_a_full_buffer():
 def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
     target = [0.4, 0.0, 0.0, 0.2, 0.0]
     play, chunks = playback(50), chunks_to(target)
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks[:given])
     heard = step_until(play, lambda: play.plan_over)
     assert play.machine.state is State.STARVED and play.starvations == 1
     assert f'no setpoints after {10 * given}' in play.machine.message
     assert use_of(heard) <= 1.001
     assert np.array_equal(heard[-1], chunks[given - 1].tail.position[-1])
-    play.make_room('p', 1)
-    play.begin_plan('p', 1)
+    play.make_room(P.next_plan())
+    play.begin_plan(P.next_plan())
     feed(play, chunks_to(target, start=heard[-1]))
     more = step_until(play, lambda: play.completed)
     assert use_of(np.concatenate([heard, more])) <= 1.001
@@ -142,7 +147,7 @@ def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
 def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
     target = [0.4, 0.1, 0.0, 0.2, 0.0]
     play, chunks = playback(50), chunks_to(target)
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks)
     before = np.array([play.step().setpoint for _ in range(at)])
     play.hold()
@@ -151,7 +156,7 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
     of = (at - 1) // 10
     assert len(heard) - at <= 11 + len(chunks[of].tail)
     assert use_of(heard) <= 1.001 and play.plan_over
-    play.begin_plan('p', 1)
+    play.begin_plan(P.next_plan())
     feed(play, chunks_to(target, start=heard[-1]))
     for _ in range(50):
         assert play.step().state is State.HOLDING
@@ -162,7 +167,7 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
 
 def test_a_program_stop_waits_for_cycle_start_and_goes_on_in_the_same_plan():
     play = playback(20)
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.CYCLE_START))
     step_until(play, lambda: play.resting and play.played > 0)
     assert play.machine.state is State.HOLDING and not play.plan_over
@@ -175,7 +180,7 @@ def test_a_program_stop_waits_for_cycle_start_and_goes_on_in_the_same_plan():
 
 def test_an_override_of_zero_rests_without_starving():
     play = playback(20)
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.OVERRIDE))
     step_until(play, lambda: play.resting and play.played > 0)
     for _ in range(50):
@@ -192,7 +197,7 @@ def test_an_override_of_zero_rests_without_starving():
 @pytest.mark.parametrize('first', ['running', 'holding', 'starved', 'waiting'])
 def test_emergency_stop_ends_in_fault_on_the_path_and_reset_clears_it(first):
     play, chunks = playback(50), chunks_to([0.2, 0.1, 0.0, 0.2, 0.0])
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks[:30] if first == 'starved' else chunks)
     heard = [play.step().setpoint for _ in range(305 if first == 'starved' else 300)]
     if first in ('holding', 'waiting'):
@@ -215,30 +220,30 @@ def test_emergency_stop_ends_in_fault_on_the_path_and_reset_clears_it(first):
 
 def test_what_cannot_begin_is_refused():
     play, chunks = playback(50), chunks_to([0.2, 0.0, 0.0, 0.0, 0.0])
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks)
     for _ in range(100):
         play.step()
     with pytest.raises(StreamError, match='while the machine moves'):
-        play.make_room('q', 0)
+        play.make_room(Q)
     play.hold()
     step_until(play, lambda: play.resting)
     with pytest.raises(StreamError, match='plan 3 cannot follow plan 0'):
-        play.make_room('p', 3)
+        play.make_room(replace(P, plan=3))
     with pytest.raises(StreamError, match='p is on hold'):
-        play.make_room('q', 0)
-    play.make_room('p', 1)
-    play.make_room('p+1', 0)
+        play.make_room(Q)
+    play.make_room(P.next_plan())
+    play.make_room(P.next_attempt())
 
 
 def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():
     play, move = playback(50), chunks_to([0.02, 0.0, 0.0, 0.1, 0.0])
-    play.begin('p')
+    play.begin(P)
     feed(play, move)  # enough to start with
-    play.make_room('p+1', 0)
+    play.make_room(P.next_attempt())
     for _ in range(100):
         assert np.array_equal(play.step().setpoint, HOME)
-    play.begin_plan('p+1', 0)
+    play.begin_plan(P.next_attempt())
     feed(play, move)
     heard = step_until(play, lambda: play.completed)
     assert use_of(heard) <= 1.001 and np.array_equal(heard[-1], [0.02, 0.0, 0.0, 0.1, 0.0])
@@ -246,7 +251,7 @@ def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():
 
 def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     play = playback(50)
-    play.begin('p')
+    play.begin(P)
     feed(play, chunks_to([0.2, 0.0, 0.0, 0.0, 0.0]))
     for _ in range(100):
         play.step()
@@ -255,11 +260,11 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     played = play.played
     play.reset()
     (told,) = executed_setpoints(play, T)  # what was executed before is still told
-    assert (told.program_id, told.first_sample, len(told.sequences)) == ('p', 0, played)
-    for late in (('p', 1), ('p+1', 0)):  # they were on their way
+    assert (run_id_of(told), told.first_sample, len(told.sequences)) == (P, 0, played)
+    for late in (P.next_plan(), P.next_attempt()):  # they were on their way
         with pytest.raises(StreamError, match='given up by reset'):
-            play.make_room(*late)
-    play.make_room('q', 0)
+            play.make_room(late)
+    play.make_room(Q)
 
 
 def test_figures_of_the_program_leave_the_approach_out():
@@ -270,7 +275,7 @@ def test_figures_of_the_program_leave_the_approach_out():
     position = np.tile(fast[-1].samples.position[-1], (20, 1))
     ones = np.ones(20, dtype=int)
     rest = Setpoints(np.arange(20) * T, position, still, still, still, ones, np.zeros(20))
-    play.begin('p')
+    play.begin(P)
     feed(play, [*fast, Chunk(rest, part_of(rest, 0, 0), Wait.END)])
     step_until(play, lambda: play.completed)
     assert (play.approach_samples, play.played) == (count, count + 20)
@@ -336,7 +341,7 @@ def test_stretches_are_short_and_give_the_same_setpoints():
 
 def test_what_is_to_come_ends_at_rest_whatever_is_asked():
     play, chunks = playback(50), chunks_to([0.4, 0.1, 0.0, 0.2, 0.0])
-    play.begin('p')
+    play.begin(P)
     assert play.coming() == []
     feed(play, chunks[:40])
     for _ in range(203):

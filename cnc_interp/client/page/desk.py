@@ -19,7 +19,6 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.run.run_id import same_run
 
 #: History that the charts show, and the rate it is kept at [s].
 SPAN, STEP = 30.0, 0.1
@@ -107,7 +106,7 @@ class Desk:
         program, job = self.nodes.program, self._running
         if job is None or job.plan is None or program is None:
             return None
-        same = same_run(state.program_id, self._adopted) and program.program_id == self._adopted
+        same = state.program_id == program.program_id == self._adopted
         # A run with options that the planner was not told has another path.
         told = math.isclose(job.plan.length, program.path_length, rel_tol=SAME_LENGTH)
         return job.plan if same and told else None

@@ -179,11 +179,11 @@ class LongRun(NodesUnderTest):
         )
         print(
             f'setpoints  {self._sent} sent, {self.received} received, {self.executed} executed '
-            f'(stops behind void ones included), {self.lost} lost; {elapsed:.0f} s'
+            f'(stops after discarded ones included), {self.lost} lost; {elapsed:.0f} s'
         )
         print(
-            f'underruns  {result.starvations}; at least {result.least_buffered_time * 1e3:.0f} '
-            'ms held ready'
+            f'underruns  {result.starvations}; buffer never below '
+            f'{result.least_buffered_time * 1e3:.0f} ms'
         )
         print(
             'largest use of velocity, acceleration, jerk: '

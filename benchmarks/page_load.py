@@ -49,7 +49,7 @@ new MutationObserver(() => window.updates++).observe(
 
 @dataclass
 class Measured:
-    """One run: lateness [us], least motion held ready [ms], updates [1/s], shares of a core."""
+    """One run: lateness [us], lowest buffer [ms], updates [1/s], shares of a core."""
 
     p50: float
     p99: float
@@ -187,7 +187,7 @@ def main() -> int:
     finally:
         stream.close()
     print('\n| | late p50, us | p99 | largest | a period late, of a million | least ready, ms '
-          '| times none | updates a second: mean, least | page | browser |')  # fmt: skip
+          '| underruns | updates a second: mean, least | page | browser |')  # fmt: skip
     print('|' + '---|' * 10)
     for name in CASES:
         print(row(name, runs[name], runs['no page']))

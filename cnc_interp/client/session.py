@@ -219,8 +219,8 @@ class RunResult:
             f'path {self.path_length / MM:.1f} mm',
             f'cycle time     {self.cycle_time:.3f} s, after an approach of '
             f'{self.approach_time:.3f} s; first motion {self.start_to_motion:.1f} s after start',
-            f'setpoints      {self.samples}, {self.starvations} times none in time; at least '
-            f'{self.least_buffered_time / MS:.0f} ms held ready',
+            f'setpoints      {self.samples}, {underruns(self.starvations)}; buffer never below '
+            f'{self.least_buffered_time / MS:.0f} ms',
             f'drives         contour error {self.contour_error / UM:.1f} um; following error '
             + '  '.join(
                 f'{axis} {error_text(error, self.axis_units.get(axis, "m"))}'
@@ -232,6 +232,11 @@ class RunResult:
             values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
             lines.append(f'{name:<15}{values}')
         return '\n'.join(lines)
+
+
+def underruns(count: int) -> str:
+    """Say how often the machine had no setpoint in time."""
+    return f'{count or "no"} underrun{"" if count == 1 else "s"}'
 
 
 class Companion(Protocol):

@@ -301,12 +301,12 @@ def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path
     tab.wait(lambda: tab.text('state') == 'held')
 
     def wait_behind():
-        tab.click('then')
+        tab.click('queue next')
         tab.choose_file('input[type=file]', short_program)
         tab.wait(lambda: tab.text('waiting') == f'then {short_program.name}')
 
     wait_behind()
-    tab.click('take out')
+    tab.click('clear queue')
     tab.wait(lambda: tab.text('waiting') == '')
     wait_behind()
     assert tab.text('program') == first.name

@@ -144,10 +144,13 @@ class Desk:
     def load(self, name: str, text: str) -> Answer:
         """Lay a program on the desk and plan it; not while another one runs."""
         if self._planner is None:
-            return Answer(False, 'the nodes do not answer yet')
+            return Answer(False, 'the nodes do not answer yet: wait, then press again')
         state = self.nodes.state
         if state is not None and state.state in ON_PATH:
-            return Answer(False, 'a program is running; load the next one when it has ended')
+            return Answer(
+                False,
+                'a program is running: load another one when it has ended, or press queue next',
+            )
         self._lay(self._planner, name, text, Choices())
         return Answer(True, f'{name} loaded')
 
@@ -155,14 +158,17 @@ class Desk:
         """Let a program wait for the end of the one that runs; it is laid here when it begins."""
         state = self.nodes.state
         if self._planner is None or state is None or state.state not in ON_PATH:
-            return Answer(False, 'no program runs; load this one and start it')
+            return Answer(False, 'no program is running: load this one and press cycle start')
         path = self._planner.keep(name, text)
         return await asyncio.wrap_future(self.nodes.run(path, asdict(Choices())))
 
     def empty_queue(self) -> Answer:
         """Let the programs go that wait."""
         count = self.nodes.cancel_waiting()
-        return Answer(count > 0, f'{count} taken out' if count else 'none waits from here')
+        return Answer(
+            count > 0,
+            f'{count} removed from the queue' if count else 'no program of this page is waiting',
+        )
 
     def _lay(self, planner: Planner, name: str, text: str, choices: Choices) -> Job:
         path = planner.keep(name, text)
@@ -195,7 +201,7 @@ class Desk:
         """Prove the plan of the loaded program."""
         job, planner = self.job, self._planner
         if planner is None or job is None or job.plan is None:
-            return Answer(False, 'load a program first')
+            return Answer(False, 'no program is loaded: press load')
         job.status = 'checking'
         self._begin(self._check(planner, job))
         return Answer(True, 'checking')
@@ -217,11 +223,11 @@ class Desk:
         if state is not None and state.state in RESTING:
             return await self.trigger('cycle_start')
         if state is not None and state.state in ON_PATH:
-            return Answer(False, 'a program runs already')
+            return Answer(False, 'a program is running already')
         if self.nodes.silent:
             return Answer(False, f'{self.nodes.silent} does not answer')
         if self.job is None:
-            return Answer(False, 'load a program first')
+            return Answer(False, 'no program is loaded: press load')
         started = self.nodes.run(self.job.path, asdict(self.job.choices))
         return await asyncio.wrap_future(started)
 

@@ -113,7 +113,7 @@ class Page:
         ui.html('<h2>run</h2>', sanitize=False)
         for title, name in (
             ('line', 'line'), ('done', 'progress'), ('time left', 'left'), ('time', 'elapsed'),
-            ('held ready', 'buffer'), ('least ready', 'least'), ('times none', 'missed'),
+            ('buffer', 'buffer'), ('lowest buffer', 'least'), ('underruns', 'missed'),
             ('contour error', 'contour'),
         ):  # fmt: skip
             self._pair(title, name, '')
@@ -146,17 +146,17 @@ class Page:
             self._upload = upload
             check = self._answer(self._desk.check)
             self._loader = ui.button('load', on_click=lambda: self._pick(waits=False))
-            self._follower = ui.button('then', on_click=lambda: self._pick(waits=True))
+            self._follower = ui.button('queue next', on_click=lambda: self._pick(waits=True))
             self._checker = ui.button('check', on_click=lambda: self._command(check))
             for button in (self._loader, self._follower, self._checker):
                 button.props('dense no-caps size=sm unelevated color=blue-grey-8')
                 marked(button, button.text)
-            self._follower.tooltip('a program that starts when the one that runs has ended')
+            self._follower.tooltip('choose a program that starts when the running one has ended')
         self._label('status', '').style('font-size: 12px; color: #93a3af')
         with ui.element('div').classes('title') as self._next:
             self._label('waiting', 'grow').style('font-size: 12px; color: #93a3af')
             empty = self._answer(self._desk.empty_queue)
-            clear = ui.button('take out', on_click=lambda: self._command(empty))
+            clear = ui.button('clear queue', on_click=lambda: self._command(empty))
             marked(clear.props('dense outline no-caps size=sm'), clear.text)
         with ui.element('div').classes('bar'):
             self._bar = ui.element('div')
@@ -209,7 +209,10 @@ class Page:
     def _in_sight(self) -> bool:
         """Tell whether the page shows what the machine does; say so where it does not."""
         if self._contact.age > LATE:
-            ui.notify('the page was cut off; look, and do it again', type='warning')
+            ui.notify(
+                'the connection was interrupted: look at the machine, then press again',
+                type='warning',
+            )
             return False
         return True
 
@@ -228,7 +231,7 @@ class Page:
     def _allowed(self) -> bool:
         """Tell whether this page may command; say so where it may not."""
         if not self._in_charge:
-            ui.notify('view only: take over first, with the token', type='warning')
+            ui.notify('view only: press "take over" first', type='warning')
         return self._in_charge
 
     def _trigger(self, name: str) -> Callable[[], Awaitable[Answer]]:
@@ -277,7 +280,10 @@ class Page:
 
     def _take_over(self) -> None:
         if not self._access.take_over(self._tab, self._token):
-            ui.notify('open the page with the token that was printed at start', type='warning')
+            ui.notify(
+                'to take over, open the page with the address that was printed at start',
+                type='warning',
+            )
 
     def _look(self, event: events.ValueChangeEventArguments) -> None:
         if self._view is not None:
@@ -300,7 +306,7 @@ class Page:
         state, job = desk.nodes.state, desk.job
         words = readings(desk)
         words['program'] = job.name if job else 'no program'
-        words['status'] = job.status if job else 'load one to begin'
+        words['status'] = job.status if job else 'press load to choose a program'
         words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
         for name, text in words.items():
             if self._changed(name, text):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate
@@ -35,11 +36,7 @@ def share_active(planned: PlannedPiece, limits: AxisLimits, level: float = 0.99)
 
 def largest_use(planned: PlannedPiece, limits: AxisLimits) -> float:
     """Largest use of any limit by first, second and third differences of the setpoints."""
-    time = np.arange(-3, np.ceil(planned.law.end_time / PERIOD) + 5) * PERIOD
+    time = np.arange(-BEFORE, np.ceil(planned.law.end_time / PERIOD) + 5) * PERIOD
     q = evaluate(planned.path, planned.law.evaluate(time)[0])[0]
-    table = limit_table(limits)
-    return max(
-        float((np.abs(np.diff(q - q[0], order, axis=0)).max(axis=0) / table[order - 1]).max())
-        / PERIOD**order
-        for order in (1, 2, 3)
-    )
+    largest = largest_differences(limit_table(limits), PERIOD)
+    return float(np.abs(limit_shares(q - q[0], largest)).max())

@@ -25,8 +25,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, T, waves
 
+from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.nodes import qos
 
+#: Largest differences of setpoints within the limits.
+LARGEST = largest_differences(np.array(LIMITS), T)
 #: Corners and turns that take a minute.
 WAVES_A_MINUTE = 90
 #: Times that memory is looked at on the way, and the share of the way after which it must be flat.
@@ -113,12 +116,10 @@ class LongRun(NodesUnderTest):
         self.lost += chunk.first_sample - self.executed
         self.executed = chunk.first_sample + len(chunk.sequences)
         q = np.reshape(chunk.positions, (-1, 5))
-        before = q[:1].repeat(3, 0) if self._last is None else self._last
+        before = q[:1].repeat(BEFORE, 0) if self._last is None else self._last
         held = np.concatenate([before, q])
-        for order, limit in enumerate(LIMITS, start=1):
-            use = np.abs(np.diff(held[3 - order :], order, axis=0)).max(axis=0)
-            self.use[order - 1] = np.maximum(self.use[order - 1], use / T**order / limit)
-        self._last = held[-3:]
+        self.use = np.maximum(self.use, np.abs(limit_shares(held, LARGEST)).max(axis=1))
+        self._last = held[-BEFORE:]
 
     def _see_clock(self, array: DiagnosticArray) -> None:
         for status in array.status:

@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -176,7 +175,7 @@ def parser() -> argparse.ArgumentParser:
 
 def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
-    from cnc_interp.client.progress_bar import redraws
+    from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.kinematics.machine import Machine
     from cnc_interp.kinematics.transform import Transform
     from cnc_interp.program import open_program
@@ -186,13 +185,11 @@ def plan_command(options: argparse.Namespace) -> int:
     chain = chain_options(options)
     geometry = Transform.of(machine)
     stream = open_program(options.program, geometry, read_options(options))
-    shown = redraws(sys.stderr) and not options.json
-    progress = Progress('planning') if shown else None
+    progress = ProgressBar(None if options.json else sys.stderr)
     try:
-        summary = plan_to_files(stream, machine, options.out, chain, progress)
+        summary = plan_to_files(stream, machine, options.out, chain, progress.of('planning'))
     finally:
-        if progress:
-            progress.end()
+        progress.end(complete=False)
         tell(stream.notices)
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
@@ -310,31 +307,6 @@ def tell(notices: Sequence[str]) -> None:
     """Print what the reader noticed."""
     for notice in notices:
         print(f'note: {notice}', file=sys.stderr)
-
-
-class Progress:
-    """
-    Draws progress and remaining time on a terminal.
-
-    Parameters
-    ----------
-    work : str
-        What is being done.
-
-    """
-
-    def __init__(self, work: str):
-        self._work, self._begin = work, time.monotonic()
-
-    def __call__(self, share: float) -> None:
-        """Show a share of the work, 0 to 1."""
-        left = (time.monotonic() - self._begin) * (1.0 - share) / max(share, 1e-3)
-        text = f'\r{self._work} {share:4.0%}, {left:.0f} s left   '
-        print(text, end='', file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        """Leave the line."""
-        print(file=sys.stderr)
 
 
 if __name__ == '__main__':

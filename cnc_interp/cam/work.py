@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, SplinePass, link
 from cnc_interp.cam.vectors import cross, unit
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -72,10 +72,12 @@ def make_program(options: argparse.Namespace) -> int:
     if options.run or options.simulate:
         motions.append(programmed(program))
         if options.run:
+            progress = _progress(options)
             summary['cycle_time'] = plan_to_files(
                 open_program(file, Transform.of(machine), reading), machine, out / 'plan',
-                progress=_progress('planning', options.json),
+                progress=progress.of('planning'),
             )['cycle_time']  # fmt: skip
+            progress.end(complete=True)
             files = read_plan(out / 'plan')
             motions += [planned(files, machine), executed(files, machine)]
     figures = _path_figures(paths)
@@ -98,12 +100,17 @@ def _followed(
     surface: Surface, cutter: Cutter, normal: FloatArray, options: argparse.Namespace
 ) -> IsoScallopPaths | ClassicalPaths:
     """Compute the passes of the strategy asked for."""
-    show = _progress('passes', options.json)
+    progress = _progress(options)
+    show = progress.of('passes')
+    paths: IsoScallopPaths | ClassicalPaths
     if options.strategy == 'planes':
-        return iso_scallop_paths(surface, cutter, normal, _choices(options), show)
+        paths = iso_scallop_paths(surface, cutter, normal, _choices(options), show)
+        progress.end(complete=True)
+        return paths
     paths = classical_paths(
         surface, cutter, normal, options.scallop * UM, options.tilt * DEG, progress=show
     )
+    progress.end(complete=not paths.loop)
     if paths.loop:
         raise SurfaceError(
             f'the classical path cannot cover this surface: {paths.loop}; take another direction '
@@ -261,8 +268,10 @@ def _cut(
 ) -> tuple[Heights, Section]:  # fmt: skip
     """Cut the map and the sections."""
     needles = Needles.on(surface, options.spacing * MM, options.margin * MM)
-    show = _progress(f'cutting, {motion.name}', options.json)
+    progress = _progress(options)
+    show = progress.of(f'cutting, {motion.name}')
     heights = cut_needles(needles, cutter, motion.tip, motion.axis, show)
+    progress.end(complete=True)
     return heights, cross_sections(surface, cutter, motion, normal, options.margin * MM)
 
 
@@ -310,18 +319,11 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
     )
 
 
+def _progress(options: argparse.Namespace) -> ProgressBar:
+    """Return the progress bar of the command."""
+    return ProgressBar(None if options.json else sys.stderr)
+
+
 def _note(text: str) -> None:
     """Tell what the user should know, beside the results."""
     print(f'note: {text}', file=sys.stderr)
-
-
-def _progress(what: str, quiet: bool) -> Callable[[float], None] | None:
-    """Return a progress bar for a terminal."""
-    if quiet or not sys.stderr.isatty():
-        return None
-
-    def show(share: float) -> None:
-        end = '\n' if share >= 1.0 else ''
-        print(f'\r{what} {share:4.0%}', end=end, file=sys.stderr, flush=True)
-
-    return show

@@ -1,61 +1,93 @@
 """
-A goal for `run_program`, sent until it is answered.
+A program on its way to program_node: sent until it is answered, then followed to its end.
 
-Where program_node was killed and started again, DDS goes on believing in the dead one for some
-twenty seconds, and what is sent before the new one was found goes to the dead one only. The goal
-keeps its id, so it can never run twice.
+When program_node is killed and started again, DDS addresses the dead process for some twenty
+seconds. The goal is therefore sent again until an answer comes. It keeps its id, so it cannot run
+twice.
 """
 
 from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Callable
 from typing import Any
 
+from cnc_interp_msgs.action import RunProgram
 from unique_identifier_msgs.msg import UUID
 
 #: Time without an answer after which a goal is sent again [s].
 AGAIN = 1.0
 
 
-class AskedGoal:
+class SentProgram:
     """
-    A goal on its way; ask for ``handle`` again and again.
+    A goal of ``run_program`` and what has been heard about it.
 
     Parameters
     ----------
     client : ActionClient
-        Of `run_program`.
+        Client of ``run_program``.
     goal : RunProgram.Goal
-        What is wanted.
-    on_feedback : callable
-        Told every feedback message.
+        Program and choices.
+    ahead : int
+        Programs that come first, until program_node says so.
 
     """
 
-    def __init__(self, client: Any, goal: Any, on_feedback: Callable[[Any], None] | None = None):
-        self._client, self._goal, self._on_feedback = client, goal, on_feedback
+    def __init__(self, client: Any, goal: RunProgram.Goal, ahead: int = 0):
+        self.goal, self._ahead = goal, ahead
+        self.feedback: RunProgram.Feedback | None = None
+        self._client = client
         self._id = UUID(uuid=list(uuid.uuid4().bytes))
-        self._sent: list[Any] = []
+        self._answers: list[Any] = []
+        self._handle: Any = None
+        self._result: Any = None
         self._send()
 
     def _send(self) -> None:
         self._sent_at = time.monotonic()
-        self._sent.append(
-            self._client.send_goal_async(self._goal, self._on_feedback, goal_uuid=self._id)
+        self._answers.append(
+            self._client.send_goal_async(self.goal, self._see_feedback, goal_uuid=self._id)
         )
 
-    @property
-    def handle(self) -> Any:
-        """
-        The handle of the goal once it was answered; None before.
+    def _see_feedback(self, message: Any) -> None:
+        self.feedback = message.feedback
 
-        What comes twice is answered with "not accepted" the second time, for the first one runs.
+    def follow(self) -> None:
         """
-        for answer in self._sent:
-            if answer.done():
-                return answer.result()
-        if time.monotonic() - self._sent_at > AGAIN:
+        Take note of an answer, or send the goal again; to be called again and again.
+
+        A second answer to the same goal says "not accepted", because the first one runs. So the
+        first answer counts.
+        """
+        if self._handle is not None:
+            return
+        answer = next((answer for answer in self._answers if answer.done()), None)
+        if answer is not None:
+            self._handle = answer.result()
+            self._result = self._handle.get_result_async()
+        elif time.monotonic() - self._sent_at > AGAIN:
             self._send()
-        return None
+
+    @property
+    def accepted(self) -> bool:
+        """True once program_node has taken the goal."""
+        return self._handle is not None
+
+    @property
+    def result(self) -> RunProgram.Result | None:
+        """The result; None while the program waits or runs."""
+        if self._result is None or not self._result.done():
+            return None
+        result: RunProgram.Result = self._result.result().result
+        return result
+
+    @property
+    def programs_ahead(self) -> int:
+        """Number of programs that come first."""
+        return self._ahead if self.feedback is None else int(self.feedback.programs_ahead)
+
+    def cancel(self) -> None:
+        """Ask program_node to cancel the program."""
+        if self._handle is not None:
+            self._handle.cancel_goal_async()

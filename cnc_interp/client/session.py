@@ -273,16 +273,21 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
     domain = chosen_domain()
     begin_loading()
     # Imported meanwhile: ROS and the kernels take a second each.
-    from cnc_interp.client.run_client import Client
+    from cnc_interp.client.operator_client import OperatorClient
+    from cnc_interp.client.run_console import RunConsole
     from cnc_interp.kinematics.machine import Machine
 
     with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
         machine = Machine.load(request.machine)
         if companion is not None:
             companion.start(namespace, domain)
-        with Client(namespace, domain, children) as client:
-            results = client.run(request, machine, started, attended=companion is not None)
-            received = client.received
+        attended = companion is not None
+        with (
+            OperatorClient('run', namespace, domain) as client,
+            RunConsole(client, children, request, attended) as console,
+        ):
+            results = console.run(machine, started)
+            received = console.received
         if companion is not None:
             companion.finish(results[-1])
     if request.out is not None and results[0].ok:

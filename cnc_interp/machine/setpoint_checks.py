@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.differences import largest_differences, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 
@@ -67,11 +68,11 @@ def refuse_setpoints(
         raise StreamError(f'{beyond}; move the workpiece or the program')
     parts = [before, positions] + ([np.tile(positions[-1:], (3, 1))] if at_rest else [])
     course = np.concatenate(parts)
-    for order, limit in enumerate(machine.limits, start=1):
-        use = np.abs(np.diff(course, order, axis=0)) / (limit * period**order)
+    largest = largest_differences(machine.limits, period)
+    shares = np.abs(limit_shares(course, largest))
+    for use, what in zip(shares, ('velocity', 'acceleration', 'jerk'), strict=True):
         if not use.max() <= ROUNDING:
             k = int(np.argmax(use.max(axis=0)))
-            what = ('velocity', 'acceleration', 'jerk')[order - 1]
             raise StreamError(
                 f'{machine.axis_names[k]} asked for {use.max():.4g} times its largest {what}; '
                 'setpoints were spoilt on their way, lost, or made for another machine'

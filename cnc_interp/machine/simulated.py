@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -120,7 +121,7 @@ class SimulatedMachine:
         self._model = self.drives.discretise(period)
         lag = 1.0 / self.drives.position_gain + self.drives.time_constant
         self._memory = min(LONGEST_MEMORY, int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1)
-        self._limits = machine.limits * np.array([[period], [period**2], [period**3]])
+        self._largest = largest_differences(machine.limits, period)
         self.place(position)
 
     def place(self, position: FloatArray) -> None:
@@ -134,8 +135,8 @@ class SimulatedMachine:
         self._velocity = np.zeros_like(start)
         self._tip = self._transform.forward(start[None, :])[0][0]
         self._tips = np.tile(self._tip, (self._memory, 1))
-        self.largest_use = np.zeros_like(self._limits)
-        self._recent_use = np.zeros_like(self._limits)
+        self.largest_use = np.zeros_like(self._largest)
+        self._recent_use = np.zeros_like(self._largest)
 
     def handle(self, event: Event, message: str = '') -> State:
         """
@@ -199,10 +200,10 @@ class SimulatedMachine:
         tip, axis = self._transform.forward(x)
         trail = np.concatenate([np.tile(commanded[:1], (self._memory - 1, 1)), commanded])
         error = _path_errors(trail, tip, self._memory)
-        held = np.concatenate([np.tile(r[:1], (3, 1)), r])
-        largest = [np.abs(np.diff(held, k, axis=0)).max(axis=0) for k in (1, 2, 3)]
+        held = np.concatenate([np.tile(r[:1], (BEFORE, 1)), r])
+        largest_use = np.abs(limit_shares(held, self._largest)).max(axis=1)
         lag = np.sqrt(np.sum((tip - commanded) ** 2, axis=1))
-        return Recording(x, v, r - x, tip, axis, lag, error, np.stack(largest) / self._limits)
+        return Recording(x, v, r - x, tip, axis, lag, error, largest_use)
 
     def _advance(self, setpoint: FloatArray, velocity: FloatArray) -> Feedback:
         x, v = drive(
@@ -211,10 +212,9 @@ class SimulatedMachine:
         )  # fmt: skip
         self._axes, self._velocity = np.stack([x[0], v[0]]), velocity
         self.setpoints = np.concatenate([self.setpoints[1:], setpoint[None, :]])
-        for k in range(3):
-            change = np.abs(np.diff(self.setpoints[2 - k :], k + 1, axis=0)[0]) / self._limits[k]
-            self.largest_use[k] = np.maximum(self.largest_use[k], change)
-            self._recent_use[k] = np.maximum(self._recent_use[k], change)
+        use = np.abs(limit_shares(self.setpoints, self._largest))[:, 0]
+        self.largest_use = np.maximum(self.largest_use, use)
+        self._recent_use = np.maximum(self._recent_use, use)
         tips, axes = self._transform.forward(np.stack([x[0], setpoint]))
         self._tips = np.concatenate([self._tips[1:], tips[1:]])
         lag = float(np.sqrt(np.sum((tips[0] - tips[1]) ** 2)))
@@ -245,7 +245,7 @@ class SimulatedMachine:
             return fault
         if velocity.shape != wanted.shape or not np.isfinite(velocity).all():
             return f'setpoint velocity must be {len(wanted)} finite numbers'
-        use = np.abs(wanted - self.setpoints[-1]) / self._limits[0]
+        use = np.abs(wanted - self.setpoints[-1]) / self._largest[0]
         if (use > GROSS).any():
             k = int(np.argmax(use))
             return (

@@ -10,6 +10,8 @@ from cnc_interp.nodes.qos import DIAGNOSTICS
 
 #: Key under which program_node names the programs that wait.
 WAITING = 'waiting'
+#: Key under which program_node gives the share of a program's text that is checked [-].
+CHECKED = 'checked'
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -18,13 +18,13 @@ from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import OK, WAITING, WARN, Diagnostics
+from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import prepare
 from cnc_interp.nodes.program_queue import Queue
-from cnc_interp.nodes.program_run import CHECKING, ProgramRun
+from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.stream_ends import Outlet
 from cnc_interp.run.run_id import NO_RUN
@@ -144,12 +144,14 @@ class ProgramNode(Node):
     def _tell_programs(self, run: ProgramRun) -> None:
         """Say what runs, what waits behind it, and what keeps it from going on."""
         waiting = ', '.join(self._queue.names)
+        values: dict[str, object] = {WAITING: waiting}
         text = f'running {run.name}'
         if not run.started:
-            text = f'{CHECKING} {run.name}: {run.checked:.0%}'
+            text = f'checking the program {run.name}: {run.checked:.0%}'
+            values[CHECKED] = run.checked
         text += f'; then {waiting}' if waiting else ''
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
-        self._diagnostics.say('program', level, text, **{WAITING: waiting})
+        self._diagnostics.say('program', level, text, **values)
 
     def _press(self, button: str) -> None:
         """Use a service of the machine, now and then: what goes to a lost node has no answer."""

@@ -24,7 +24,6 @@ Outcome = tuple[int, str]
 PATIENCE = 10.0
 #: A machine that rests for so long after cycle_start has nothing to execute [s].
 SETTLED = 0.1
-CHECKING = 'checking the program'
 
 
 class ProgramRun:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -101,15 +102,10 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
 
 def axis_use(plan: PlanFiles, limits: FloatArray) -> FloatArray:
     """Differentiate the emitted positions and divide by the limits, shape (3, K, n_axes)."""
-    held = np.pad(plan.position, ((2, 1), (0, 0)), mode='edge')
-    orders = []
-    for order in (1, 2, 3):
-        difference = np.diff(held, order, axis=0)
-        # Second differences stand at their middle sample, the others at the later one.
-        first = {1: 1, 2: 1, 3: 0}[order]
-        orders.append(difference[first : first + len(plan.position)] / plan.period**order)
-    use: FloatArray = np.stack(orders) / limits[:, None, :]
-    return use
+    held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
+    shares = limit_shares(held, largest_differences(limits, plan.period))
+    # Velocity stands at its later sample, acceleration and jerk at the sample before that.
+    return np.stack([shares[0, :-1], shares[1, 1:], shares[2, 1:]])
 
 
 def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray) -> FloatArray:

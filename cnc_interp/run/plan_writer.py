@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
@@ -53,8 +54,8 @@ class PlanFigures:
 
     def __init__(self, machine: Machine, period: float, flank_height: float):
         self._machine, self._period, self._height = machine, period, flank_height
-        self._limits = machine.limits
-        self._use = np.zeros((3, len(machine.axis_names)))
+        self._largest = largest_differences(machine.limits, period)
+        self._use = np.zeros_like(self._largest)
         self._last: FloatArray | None = None  # the last three positions
         self._deviation, self._share = np.zeros(2), np.zeros(2)
         self._curved = self._spans = 0  # blocks that became curves, and spans of these
@@ -118,13 +119,11 @@ class PlanFigures:
         return self._planned if as_planned else self._spanned
 
     def _measure(self, position: FloatArray) -> None:
-        before = np.repeat(position[:1], 3, axis=0) if self._last is None else self._last
+        before = np.repeat(position[:1], BEFORE, axis=0) if self._last is None else self._last
         held = np.concatenate([before, position])
-        for k, limit in enumerate(self._limits):
-            order = k + 1
-            change = np.abs(np.diff(held[3 - order :], order, axis=0)).max(axis=0)
-            self._use[k] = np.maximum(self._use[k], change / (limit * self._period**order))
-        self._last = held[-3:]
+        shares = np.abs(limit_shares(held, self._largest))
+        self._use = np.maximum(self._use, shares.max(axis=1))
+        self._last = held[-BEFORE:]
 
     def summary(self, source: str, seconds: Mapping[str, float]) -> dict[str, Any]:
         """
@@ -139,7 +138,7 @@ class PlanFigures:
 
         """
         if self._last is not None:
-            self._measure(np.repeat(self._last[-1:], 3, axis=0))  # stays where it is
+            self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
         machine = self._machine
         return {
             'program': source,

@@ -14,7 +14,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.cli import main, parser
-from cnc_interp.client.operator import Alarm
+from cnc_interp.client.alarms import Alarm
 from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.preview import DRAWN, Choices, Preview, thinned
 from cnc_interp.client.page.readings import axis_words, clock, program_html, progress_words

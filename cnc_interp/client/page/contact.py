@@ -19,7 +19,7 @@ from typing import Any
 
 from nicegui import events, ui
 
-from cnc_interp.client.operator import STOPS
+from cnc_interp.client.operator_client import STOPS
 
 SCRIPT = Path(__file__).with_name('contact.js')
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].

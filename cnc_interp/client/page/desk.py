@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cnc_interp_msgs.action import RunProgram
 
-from cnc_interp.client.operator import Answer, MachineState, Operating
+from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.client.page.preview import Choices, Planner, Preview
 from cnc_interp.client.page.tube import tube
 from cnc_interp.core.arrays import FloatArray
@@ -57,6 +58,11 @@ class Job:
     proven: bool | None = None
 
 
+def goal_of(program: Path, choices: Choices) -> RunProgram.Goal:
+    """Return the goal that runs a program with some choices."""
+    return RunProgram.Goal(program=str(program), **asdict(choices))
+
+
 class Desk:
     """
     The model behind all pages.
@@ -82,7 +88,7 @@ class Desk:
         self._adopted = ''
         self._tasks: set[asyncio.Task[None]] = set()
         self._peak = np.zeros((3, 0))
-        self.nodes = Operating(namespace, domain, self._see_state)
+        self.nodes = OperatorClient('panel', namespace, domain, self._see_state)
         self.nodes.start()  # what it hears is told to this desk, which is complete now
 
     # The machine --------------------------------------------------------------------------------
@@ -160,7 +166,7 @@ class Desk:
         if self._planner is None or state is None or state.state not in ON_PATH:
             return Answer(False, 'no program is running: load this one and press cycle start')
         path = self._planner.keep(name, text)
-        return await asyncio.wrap_future(self.nodes.run(path, asdict(Choices())))
+        return await asyncio.wrap_future(self.nodes.start_program(goal_of(path, Choices())))
 
     def empty_queue(self) -> Answer:
         """Let the programs go that wait."""
@@ -195,7 +201,7 @@ class Desk:
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
         for notice in plan.notices:
-            self.nodes.warn('notice', job.name, notice)
+            self.nodes.alarms.add('notice', job.name, notice)
 
     def check(self) -> Answer:
         """Prove the plan of the loaded program."""
@@ -228,14 +234,14 @@ class Desk:
             return Answer(False, f'{self.nodes.silent} does not answer')
         if self.job is None:
             return Answer(False, 'no program is loaded: press load')
-        started = self.nodes.run(self.job.path, asdict(self.job.choices))
+        started = self.nodes.start_program(goal_of(self.job.path, self.job.choices))
         return await asyncio.wrap_future(started)
 
     async def trigger(self, name: str) -> Answer:
         """Pass one of the plain commands on."""
         answer = await asyncio.wrap_future(self.nodes.trigger(name))
         if not answer.ok:
-            self.nodes.warn('warning', 'panel', answer.message)
+            self.nodes.alarms.add('warning', 'panel', answer.message)
         return answer
 
     async def set_single_block(self, on: bool) -> Answer:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from html import escape
 
-from cnc_interp.client.operator import STATE_NAMES, Alarm, MachineState
+from cnc_interp.client.alarms import Alarm
+from cnc_interp.client.operator_client import STATE_NAMES, MachineState
 from cnc_interp.client.page.desk import Desk, Job
 from cnc_interp.client.page.preview import Preview
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM

@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import events, ui
 
-from cnc_interp.client.operator import Answer
+from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.charts import Charts
 from cnc_interp.client.page.contact import LATE, Contact, pressing
@@ -359,6 +359,6 @@ class Page:
         share = progress(state, desk.plan_of(state)) if state is not None else 0.0
         if self._changed('bar', round(share, 3)):
             self._bar.style(f'transform: scaleX({share:.3f})')
-        alarms = desk.nodes.alarms[:ALARMS_SHOWN]
+        alarms = desk.nodes.alarms.newest_first[:ALARMS_SHOWN]
         if self._changed('alarms', alarms):
             self._alarms.set_content(alarms_html(alarms))

@@ -1,4 +1,4 @@
-"""The user's side of a run: sends the goal, shows progress, collects the result."""
+"""The terminal of a run: sends programs, shows progress, takes Ctrl-C and Enter, tells results."""
 
 from __future__ import annotations
 
@@ -8,159 +8,135 @@ import sys
 import termios
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import rclpy
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action import ActionClient
-from rclpy.experimental import EventsExecutor
-from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import Trigger
 
-from cnc_interp.client.goal_sender import AskedGoal
-from cnc_interp.client.progress_bar import Progress
+from cnc_interp.client.goal_sender import SentProgram
+from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.playback import PROGRAM_STOP
-from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.nodes.node_processes import Children
-from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.program_run import CHECKING
-from cnc_interp.nodes.qos import DIAGNOSTICS, STREAM
+from cnc_interp.nodes.qos import STREAM
 
 Result = RunProgram.Result
-#: When all kernels must be compiled first, starting takes a minute or more [s].
+#: Longest start of the nodes; all kernels may have to be compiled first [s].
 START_TIMEOUT = 300.0
-#: How long topics may take to be found, and what was executed to be told [s].
+#: Silence after which a node counts as lost [s].
+SILENCE = 1.0
+#: Longest wait for the topics of a record, and for the last executed setpoints [s].
 RECORD_TIMEOUT = 10.0
+#: Longest wait for an event; signals and processes are looked at after it [s].
+SPIN = 0.05
 
 
-class Goal(NamedTuple):
-    """A program that was sent, the handle of its goal, and what shows how far it is."""
-
-    program: Path
-    handle: Any
-    progress: Progress
-
-
-class Client:
+class RunConsole:
     """
-    A node that runs programs on others.
+    Runs programs on nodes that live as child processes.
 
     Parameters
     ----------
-    namespace : str
-        Where the nodes live.
-    domain : int
-        Their ROS domain.
+    client : OperatorClient
+        Speaks with the nodes.
     children : Children
-        Their processes.
+        Processes of the nodes.
+    request : RunRequest
+        What shall be run.
+    attended : bool
+        Whether an operator has buttons. Without one, program stops wait for Enter on a terminal,
+        and for nobody where there is none.
 
     """
 
-    def __init__(self, namespace: str, domain: int, children: Children):
-        self._children = children
-        stay_on_this_host()
-        self._context = rclpy.Context()
-        rclpy.init(
-            context=self._context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self._node = rclpy.create_node('run', namespace=namespace, context=self._context)
-        self._executor = EventsExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._action = ActionClient(self._node, RunProgram, 'run_program')
-        self._peers = Peers(self._node)
-        self._cycle_start = self._node.create_client(Trigger, 'cycle_start')
-        self._restarted = self._attended = self._stop_told = False
+    def __init__(
+        self, client: OperatorClient, children: Children, request: RunRequest, attended: bool
+    ):
+        self._client, self._children, self._request = client, children, request
+        self._attended = attended
+        self._progress = ProgressBar(None if request.quiet else sys.stderr)
         self.received: list[SetpointChunk] = []
         self._first_motion = float('nan')
         self._interrupted = self._cancelling = False
-        self._forgotten = False  # by a program_node that was killed
-        self._checking = ''
-        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, DIAGNOSTICS)
+        self._restarted = False  # a node, and the run has not gone on since
+        self._forgotten = False  # the programs, because program_node was killed
+        self._stop_told = False
+        self._pressed: Future[Answer] | None = None  # cycle_start after a restart
+        self._passed: Future[Answer] | None = None  # cycle_start after a program stop
         self._previous = {
             number: signal.signal(number, self._interrupt)
             for number in (signal.SIGINT, signal.SIGTERM)
         }
 
     def _interrupt(self, _number: int, _frame: Any) -> None:
-        """Ctrl-C or SIGTERM: a second one ends at once."""
+        """Take Ctrl-C or SIGTERM: the first cancels the program, the second ends at once."""
         if self._interrupted:
             raise KeyboardInterrupt
         self._interrupted = True
 
-    def run(
-        self, request: RunRequest, machine: Machine, started: float, attended: bool
-    ) -> list[RunResult]:
+    def run(self, machine: Machine, started: float) -> list[RunResult]:
         """
         Run one program after the other, each to its end.
 
         Parameters
         ----------
-        request : RunRequest
-            What shall be run.
         machine : Machine
-            Its axes.
+            The machine of the nodes.
         started : float
             When the command began, in monotonic time [s].
-        attended : bool
-            Whether an operator has buttons; else program stops wait for Enter on a terminal, and
-            for nobody where there is none.
 
         Raises
         ------
         InterpError
-            When the first was refused before anything moved, or a node ended.
+            When the first program was refused before anything moved, or a node ended.
 
         """
+        request, node = self._request, self._client.node
         if request.out is not None or request.record is not None:
-            executed = self._node.create_subscription(
+            executed = node.create_subscription(
                 SetpointChunk, 'executed_setpoints', self.received.append, STREAM
             )
             self._spin(lambda: executed.get_publisher_count() > 0, START_TIMEOUT)
-        self._attended = attended
-        recorder = Recorder(self._node, request.record) if request.record is not None else None
+        recorder = Recorder(node, request.record) if request.record is not None else None
         try:
-            return self._run(request, machine, started, recorder)
+            return self._run(machine, started, recorder)
         finally:
             if recorder is not None:
                 recorder.close()
 
-    def _run(
-        self, request: RunRequest, machine: Machine, started: float, recorder: Recorder | None
-    ) -> list[RunResult]:
-        """Run all programs while what is said is recorded."""
+    def _run(self, machine: Machine, started: float, recorder: Recorder | None) -> list[RunResult]:
+        """Run all programs while the messages are recorded."""
+        request = self._request
         self._wait_for_nodes()
         if recorder is not None and not self._spin(recorder.ready, RECORD_TIMEOUT):
             raise InterpError(f'{request.record}: not all topics of the run can be heard')
-        goals = [self._send(request, program) for program in request.programs]
+        programs = [self._send(program) for program in request.programs]
         results: list[RunResult] = []
         count = 0
-        for goal in goals:
-            outcome = self._result_of(goal, request)
-            count += outcome.samples + round(outcome.approach_time / self._peers.period)
+        for sent in programs:
+            outcome = self._result_of(sent)
+            count += outcome.samples + round(outcome.approach_time / self._client.peers.period)
             if request.out is not None or recorder is not None:
                 self._wait_for_record(count)
             refused = outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples
             if refused and not results:
                 raise InterpError(outcome.message)
-            results.append(self._result(goal.program, outcome, machine, started))
-            if self._forgotten:  # and those that waited, too
+            results.append(self._as_told(sent.goal.program, outcome, machine, started))
+            if self._forgotten:  # and so were the programs after it
                 break
         return results
 
-    def _result(
-        self, program: Path, outcome: RunProgram.Result, machine: Machine, started: float
+    def _as_told(
+        self, program: str, outcome: RunProgram.Result, machine: Machine, started: float
     ) -> RunResult:
         """Turn the result of a goal into that of the run."""
-        names = machine.axis_names
+        names, state = machine.axis_names, self._client.state
 
         def by_axis(values: Any) -> dict[str, float]:
             return dict(zip(names, values, strict=False))
@@ -168,7 +144,7 @@ class Client:
         return RunResult(
             ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
             message=outcome.message,
-            program=str(program),
+            program=program,
             machine=machine.name,
             program_id=outcome.program_id,
             cycle_time=outcome.cycle_time,
@@ -186,78 +162,82 @@ class Client:
             velocity_use=by_axis(outcome.velocity_use),
             acceleration_use=by_axis(outcome.acceleration_use),
             jerk_use=by_axis(outcome.jerk_use),
-            position=by_axis(self._peers.state.positions if self._peers.state else ()),
+            position=by_axis(state.positions if state is not None else ()),
             notices=tuple(outcome.notices),
         )
 
     def _wait_for_record(self, count: int) -> None:
-        """Wait until all setpoints executed were told."""
+        """Wait until all executed setpoints have been heard."""
         self._spin(lambda: sum(len(m.sequences) for m in self.received) >= count, RECORD_TIMEOUT)
 
     def _wait_for_nodes(self) -> None:
         """Wait until all four nodes answer."""
-
-        def ready() -> bool:
-            return self._action.server_is_ready() and not self._peers.missing(
-                time.monotonic(), 1.0
-            )
-
-        if not self._spin(ready, START_TIMEOUT):
-            silent = self._peers.missing(time.monotonic(), 1.0) or 'program_node'
+        if not self._spin(lambda: not self._client.silent_for(SILENCE), START_TIMEOUT):
+            silent = self._client.silent_for(SILENCE)
             raise InterpError(f'{silent} does not answer; is another ROS middleware set?')
 
-    def _send(self, request: RunRequest, program: Path) -> Goal:
+    def _send(self, program: Path) -> SentProgram:
         """Send a program; it waits for those before it."""
-        wanted = RunProgram.Goal(
-            program=str(program),
-            contour_tolerance=request.contour_tolerance,
-            orientation_tolerance=request.orientation_tolerance,
-            force_tolerances=request.force_tolerances,
-            flank_height=request.flank_height,
-            feedrate=request.feedrate or 0.0,
+        request = self._request
+        sent = self._client.run(
+            RunProgram.Goal(
+                program=str(program),
+                contour_tolerance=request.contour_tolerance,
+                orientation_tolerance=request.orientation_tolerance,
+                force_tolerances=request.force_tolerances,
+                flank_height=request.flank_height,
+                feedrate=request.feedrate or 0.0,
+            )
         )
-        progress = Progress(None if request.quiet else sys.stderr)
-        asked = AskedGoal(self._action, wanted, lambda message: progress.show(message.feedback))
-        self._spin(lambda: asked.handle is not None)
-        return Goal(program, asked.handle, progress)
+        self._spin(lambda: sent.accepted)
+        return sent
 
-    def _result_of(self, goal: Goal, request: RunRequest) -> RunProgram.Result:
+    def _result_of(self, sent: SentProgram) -> RunProgram.Result:
         """Wait for the result of a program; cancel it when interrupted."""
-        wanted = goal.handle.get_result_async()
 
         def done() -> bool:
             if self._interrupted and not self._cancelling:
                 self._cancelling = True
-                goal.handle.cancel_goal_async()
+                sent.cancel()
                 print(
                     '\ncancelled: the blocks on their way are executed, then the machine rests; '
-                    'once more ends at once',
+                    'press Ctrl-C again to end at once',
                     file=sys.stderr,
                 )
             self._see_motion()
             self._bring_back_lost_nodes()
             self._pass_program_stop()
-            if self._checking:
-                goal.progress.checking(self._checking)
-            return bool(wanted.done()) or (self._forgotten and self._peers.at_rest)
+            self._show_progress(sent)
+            return sent.result is not None or (self._forgotten and self._client.peers.at_rest)
 
         self._spin(done)
-        if not wanted.done():
+        result = sent.result
+        self._progress.end(result is not None and result.code == Result.SUCCEEDED)
+        if result is None:
             return self._forgotten_result()
-        result: RunProgram.Result = wanted.result().result
-        goal.progress.end(result.code == Result.SUCCEEDED)
-        if not request.quiet:
+        if not self._request.quiet:
             for notice in result.notices:
                 print(f'note: {notice}', file=sys.stderr)
         return result
 
+    def _show_progress(self, sent: SentProgram) -> None:
+        """Show how far the check of the program is, then how far its motion is."""
+        feedback, name = sent.feedback, Path(sent.goal.program).name
+        if feedback is not None and not feedback.programs_ahead:
+            line = f'line {feedback.line_number}' if feedback.line_number else ''
+            self._progress.show(
+                f'running {name}', feedback.progress, line, feedback.remaining_time
+            )
+        elif feedback is None and self._client.checked is not None:
+            self._progress.show(f'checking {name}', self._client.checked)
+
     def _forgotten_result(self) -> RunProgram.Result:
-        """Tell what is known of a run whose program_node was killed."""
+        """Return what is known of a run whose program_node was killed."""
         text = 'program_node was killed and has forgotten the program; run it again'
-        state = self._peers.state
+        state = self._client.state
         if state is None:
             return Result(code=Result.STREAM_LOST, message=text)
-        period = self._peers.period
+        period = self._client.peers.period
         return Result(
             code=Result.STREAM_LOST,
             message=text,
@@ -276,20 +256,19 @@ class Client:
             print(f'\n{name} was killed; it is started again', file=sys.stderr)
             self._restarted = True
             self._forgotten = self._forgotten or name == 'program_node'
-        state = self._peers.state
+        state = self._client.state
         stands = state is not None and state.plan_over and not state.start_wanted
-        if (
-            self._restarted
-            and not self._forgotten
-            and stands
-            and not self._peers.missing(time.monotonic(), 1.0)
-        ):
-            self._restarted = False
-            self._cycle_start.call_async(Trigger.Request())
+        lost = self._client.silent_for(SILENCE)
+        if self._restarted and not self._forgotten and stands and not lost:
+            if self._pressed is not None and self._pressed.done():
+                self._restarted = not self._pressed.result().ok
+                self._pressed = None
+            elif self._pressed is None:
+                self._pressed = self._client.trigger('cycle_start')
 
     def _pass_program_stop(self) -> None:
-        """Where the program waits for its operator (M0), go on after Enter."""
-        state = self._peers.state
+        """Go on after Enter where the program waits for its operator (M0)."""
+        state = self._client.state
         waits = (
             state is not None
             and state.state == MachineState.HELD
@@ -307,20 +286,13 @@ class Client:
             if not select.select([sys.stdin], [], [], 0.0)[0]:
                 return
             sys.stdin.readline()
-        elif self._attended:
-            return
-        self._cycle_start.call_async(Trigger.Request())
-
-    def _hear(self, array: DiagnosticArray) -> None:
-        """Note how far the check of the program is, while there is one."""
-        for status in array.status:
-            mine = status.hardware_id == self._node.get_namespace()
-            if mine and status.name == 'program_node: program':
-                self._checking = status.message if CHECKING in status.message else ''
+            self._passed = self._client.trigger('cycle_start')
+        elif not self._attended and (self._passed is None or self._passed.done()):
+            self._passed = self._client.trigger('cycle_start')
 
     def _see_motion(self) -> None:
         """Note when the machine executed its first setpoint."""
-        state = self._peers.state
+        state = self._client.state
         if self._first_motion != self._first_motion and state is not None and state.samples:
             past = state.samples * state.interpolation_period
             self._first_motion = time.monotonic() - past
@@ -332,16 +304,12 @@ class Client:
             if time.monotonic() > deadline:
                 return False
             self._children.check()
-            self._executor.spin_once(timeout_sec=0.05)
+            self._client.serve(SPIN)
         return True
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> RunConsole:
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
-        self._executor.shutdown()
-        self._action.destroy()
-        self._node.destroy_node()
-        rclpy.shutdown(context=self._context)

@@ -1,0 +1,78 @@
+"""What the operator must know: warnings and errors of the nodes, and notices of the client."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+#: Alarms that are kept.
+KEPT = 200
+#: A new alarm is compared with so many before it.
+COMPARED = 8
+NUMBER = re.compile(r'\d+(\.\d+)?')
+LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """
+    One alarm or notice.
+
+    Parameters
+    ----------
+    time : str
+        Time of day.
+    level : {'notice', 'warning', 'error'}
+        How serious it is.
+    source : str
+        Which part of which node reports it.
+    message : str
+        What happened, and what to do.
+    count : int
+        How often it came.
+
+    """
+
+    time: str
+    level: str
+    source: str
+    message: str
+    count: int = 1
+
+    def repeats(self, other: Alarm) -> bool:
+        """Tell whether it is the other alarm again; numbers in the text may differ."""
+        one, two = (NUMBER.sub('#', alarm.message) for alarm in (self, other))
+        return (self.level, self.source, one) == (other.level, other.source, two)
+
+
+class AlarmList:
+    """The latest alarms; a repeated one is kept once, with its count."""
+
+    def __init__(self) -> None:
+        self._alarms: deque[Alarm] = deque(maxlen=KEPT)
+        self._last: dict[str, tuple[bytes, str]] = {}
+
+    @property
+    def newest_first(self) -> list[Alarm]:
+        """All alarms, the newest first."""
+        return list(self._alarms)[::-1]
+
+    def add(self, level: str, source: str, message: str) -> None:
+        """Add an alarm with the time of day."""
+        alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
+        for before in list(self._alarms)[-COMPARED:]:
+            if alarm.repeats(before):
+                self._alarms.remove(before)
+                alarm = replace(alarm, count=before.count + 1)
+        self._alarms.append(alarm)
+
+    def hear(self, status: DiagnosticStatus) -> None:
+        """Add a warning or an error of a node, unless it is the one that it reported last."""
+        news = (status.level, status.message)
+        if self._last.get(status.name) != news and status.level in LEVELS:
+            self.add(LEVELS[status.level], status.name, status.message)
+        self._last[status.name] = news

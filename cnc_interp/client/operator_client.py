@@ -1,0 +1,316 @@
+"""The operator's end of the ROS interface: hears the nodes, sends programs and commands."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import LoadedProgram, MachineState
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters
+from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from cnc_interp.client.alarms import AlarmList
+from cnc_interp.client.goal_sender import SentProgram
+from cnc_interp.client.shared_value import SharedValue
+from cnc_interp.nodes.diagnostics import CHECKED, WAITING
+from cnc_interp.nodes.node_main import stay_on_this_host
+from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, STATE
+
+__all__ = ['STATE_NAMES', 'STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
+
+#: Commands without a value; each is a service of that name.
+TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
+#: Commands that may come twice, and late: they are sent again while no answer comes.
+STOPS = ('feed_hold', 'emergency_stop')
+#: Silence after which a node counts as lost, and longest wait for an answer [s].
+SILENCE, ANSWER = 2.0, 3.0
+#: Time without an answer after which a stop is sent again [s].
+AGAIN = 0.5
+#: Longest time that an override of this client may take to be heard [s].
+ECHO = 10.0
+#: Longest wait for an event; commands of other threads are seen after it [s].
+SPIN = 0.01
+STATE_NAMES = {
+    MachineState.IDLE: 'idle',
+    MachineState.RUNNING: 'running',
+    MachineState.HOLDING: 'holding',
+    MachineState.HELD: 'held',
+    MachineState.STARVED: 'starved',
+    MachineState.STOPPED: 'stopped',
+    MachineState.FAULT: 'fault',
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a command."""
+
+    ok: bool
+    message: str
+
+
+class OperatorClient:
+    """
+    A ROS node of its own, served by ``serve`` or by a thread (``start``).
+
+    Commands may come from any thread.
+
+    Parameters
+    ----------
+    name : str
+        Name of the ROS node.
+    namespace : str
+        ROS namespace of the nodes.
+    domain : int, optional
+        Their ROS domain; None takes that of the environment.
+    on_state : callable, optional
+        Called with every ``MachineState``, in the thread that serves the node.
+
+    """
+
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        domain: int | None = None,
+        on_state: Callable[[MachineState], None] | None = None,
+    ):
+        stay_on_this_host()
+        self._context = rclpy.Context()
+        rclpy.init(
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        node = rclpy.create_node(name, namespace=namespace, context=self._context)
+        self.node, self._namespace = node, node.get_namespace()
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(node)
+        self.peers = Peers(node)
+        self.alarms = AlarmList()
+        self._commands: deque[Callable[[], None]] = deque()
+        self._pending: list[Callable[[], bool]] = []  # each returns True once it is answered
+        self._sent: list[SentProgram] = []  # programs that have no result yet
+        self.waiting = ''
+        self.checked: float | None = None
+        self.program: LoadedProgram | None = None
+        self._override = SharedValue(1.0, ECHO)
+        self.machine = ''
+        if on_state is not None:
+            node.create_subscription(MachineState, 'machine_state', on_state, STATE)
+        node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
+        node.create_subscription(Float64, 'feed_override', self._see_override, LOADED)
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
+        self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
+        self._single_block = node.create_client(SetBool, 'single_block')
+        self._set_override = node.create_publisher(Float64, 'feed_override', LOADED)
+        self._parameters = node.create_client(GetParameters, 'machine_node/get_parameters')
+        self._action = ActionClient(node, RunProgram, 'run_program')
+        node.create_timer(0.5, self._ask_for_machine)
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    # What is heard ------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> MachineState | None:
+        """The last state of the machine; None before the first."""
+        return self.peers.state
+
+    def silent_for(self, patience: float) -> str:
+        """Return the name of a node that has not been heard for so long [s]; empty if none."""
+        missing = self.peers.missing(time.monotonic(), patience)
+        if not missing and not self._action.server_is_ready():
+            return 'program_node'
+        return missing
+
+    @property
+    def silent(self) -> str:
+        """Name of a node that counts as lost; empty when all answer."""
+        return self.silent_for(SILENCE)
+
+    @property
+    def override(self) -> float:
+        """The feed override [-]: what was heard last, or what is on its way from here."""
+        return self._override.at(time.monotonic())
+
+    def _see_program(self, message: LoadedProgram) -> None:
+        self.program = message
+
+    def _see_override(self, message: Float64) -> None:
+        self._override.hear(message.data)
+
+    def _see_alarms(self, array: DiagnosticArray) -> None:
+        """Take note of alarms, of the programs that wait and of the check of the next one."""
+        for status in array.status:
+            if status.hardware_id != self._namespace:
+                continue
+            self.alarms.hear(status)
+            values = {pair.key: pair.value for pair in status.values}
+            if WAITING in values:
+                self.waiting = values[WAITING]
+                self.checked = float(values[CHECKED]) if CHECKED in values else None
+
+    def _ask_for_machine(self) -> None:
+        """Ask the machine node which machine it is."""
+        if self.machine or not self._parameters.service_is_ready():
+            return
+
+        def see(answer: Any) -> None:
+            values = answer.result().values
+            if values:
+                self.machine = values[0].string_value
+
+        asked = self._parameters.call_async(GetParameters.Request(names=['machine']))
+        asked.add_done_callback(see)
+
+    # Commands -----------------------------------------------------------------------------------
+
+    def trigger(self, name: str) -> Future[Answer]:
+        """Call one of ``TRIGGERS``."""
+        return self._call(self._triggers[name], Trigger.Request(), name)
+
+    def set_single_block(self, on: bool) -> Future[Answer]:
+        """Stop at the end of each block, or no longer."""
+        return self._call(self._single_block, SetBool.Request(data=on), 'single_block')
+
+    def set_override(self, share: float) -> None:
+        """Set the feed override [-]."""
+        self._override.wish(share, time.monotonic())
+        self._commands.append(lambda: self._set_override.publish(Float64(data=share)))
+
+    def run(
+        self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None
+    ) -> SentProgram:
+        """
+        Send a program; it starts when those before it have ended.
+
+        To be called in the thread that serves the node.
+
+        Parameters
+        ----------
+        goal : RunProgram.Goal
+            Program and choices.
+        on_result : callable, optional
+            Called once with the result.
+
+        """
+        sent = SentProgram(self._action, goal, len(self._sent))
+        self._sent.append(sent)
+
+        def ended() -> bool:
+            sent.follow()
+            if sent.result is None:
+                return False
+            self._sent.remove(sent)
+            if on_result is not None:
+                on_result(sent.result)
+            return True
+
+        self._pending.append(ended)
+        return sent
+
+    def start_program(self, goal: RunProgram.Goal) -> Future[Answer]:
+        """Send a program from any thread; answered when it is accepted, its end is an alarm."""
+        wanted: Future[Answer] = Future()
+
+        def see_result(result: RunProgram.Result) -> None:
+            good = result.code == RunProgram.Result.SUCCEEDED
+            self.alarms.add('notice' if good else 'error', 'program', result.message)
+
+        def send() -> None:
+            if not self._action.server_is_ready():
+                wanted.set_result(Answer(False, 'program_node does not answer; start it'))
+                return
+            sent = self.run(goal, see_result)
+            self._pending.append(lambda: accepted(sent))
+
+        def accepted(sent: SentProgram) -> bool:
+            if sent.accepted:
+                wanted.set_result(Answer(True, 'started'))
+            return sent.accepted
+
+        self._commands.append(send)
+        return wanted
+
+    def cancel_waiting(self) -> int:
+        """Cancel the waiting programs that were sent from here; returns how many."""
+        found = [sent for sent in list(self._sent) if sent.programs_ahead > 0]
+        self._commands.extend(sent.cancel for sent in found)
+        return len(found)
+
+    def _call(self, client: Any, request: Any, name: str) -> Future[Answer]:
+        """Call a service; a stop is sent again until it is answered."""
+        wanted: Future[Answer] = Future()
+
+        def send() -> None:
+            if not client.service_is_ready():
+                wanted.set_result(Answer(False, f'{name}: no node offers it; start the nodes'))
+                return
+            sent, began = [client.call_async(request)], time.monotonic()
+            self._pending.append(lambda: answered(sent, began))
+
+        def answered(sent: list[Any], began: float) -> bool:
+            waited = time.monotonic() - began
+            answer = next((answer for answer in sent if answer.done()), None)
+            if answer is not None:
+                response = answer.result()
+                wanted.set_result(Answer(response.success, f'{name}: {response.message}'))
+            elif waited > ANSWER:  # a start is not sent again by itself: it could come too late
+                wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
+            elif name in STOPS and waited > AGAIN * len(sent):
+                sent.append(client.call_async(request))
+            if wanted.done():
+                for answer in sent:
+                    client.remove_pending_request(answer)
+            return wanted.done()
+
+        self._commands.append(send)
+        return wanted
+
+    # Serving ------------------------------------------------------------------------------------
+
+    def serve(self, timeout: float = SPIN) -> None:
+        """Send the commands, look for answers, and wait for an event up to the timeout [s]."""
+        while self._commands:
+            self._commands.popleft()()
+        self._pending = [ended for ended in self._pending if not ended()]
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def start(self) -> None:
+        """Serve the node in a thread from here on."""
+        self._thread = threading.Thread(target=self._serve_on, name='ros', daemon=True)
+        self._thread.start()
+
+    def _serve_on(self) -> None:
+        while not self._ended.is_set():
+            self.serve()
+
+    def close(self) -> None:
+        """End the client; the machine goes on."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._executor.shutdown()
+        self._action.destroy()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def __enter__(self) -> OperatorClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

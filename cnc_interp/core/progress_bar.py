@@ -1,0 +1,98 @@
+"""Progress of long work: one line that is redrawn on a terminal, plain lines in a log."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from typing import TextIO
+
+#: Length of the bar [characters].
+BAR = 30
+#: Work that is done within this time shows nothing [s].
+PATIENCE = 1.0
+#: The remaining time is estimated from this share of the work on [-].
+ESTIMATED_FROM = 0.02
+
+
+def redraws(stream: TextIO) -> bool:
+    """Tell whether a line of the stream can be overwritten: on a terminal outside an editor."""
+    return stream.isatty() and os.environ.get('TERM') != 'dumb'
+
+
+class ProgressBar:
+    """
+    Shows the share of the work that is done.
+
+    Parameters
+    ----------
+    stream : file, optional
+        Where to write; None shows nothing.
+
+    """
+
+    def __init__(self, stream: TextIO | None):
+        self._stream = stream
+        self._redraws = stream is not None and redraws(stream)
+        self._steps = 100 if self._redraws else 10
+        self._began = time.monotonic()
+        self._work = ''
+        self._step = 0
+        self._width = 0  # of the line on the terminal [characters]
+
+    def of(self, work: str) -> Callable[[float], None]:
+        """Return a function that shows the share of one kind of work."""
+        return lambda share: self.show(work, share)
+
+    def show(self, work: str, share: float, note: str = '', left: float = math.nan) -> None:
+        """
+        Show progress: each per cent on a terminal, each ten per cent in a log.
+
+        Parameters
+        ----------
+        work : str
+            What is being done.
+        share : float
+            Part of it that is done, 0 to 1 [-].
+        note : str
+            Shown after the share.
+        left : float
+            Remaining time [s]; NaN estimates it from the time spent so far.
+
+        """
+        now = time.monotonic()
+        if work != self._work:
+            self.end(complete=False)
+            self._work, self._step, self._began = work, 0, now
+        step = int(self._steps * share)
+        if self._stream is None or step == self._step or now - self._began < PATIENCE:
+            return
+        self._step = step
+        if math.isnan(left) and share > 0.0:
+            left = (now - self._began) * (1.0 - share) / share
+        estimated = ESTIMATED_FROM <= share < 1.0 and math.isfinite(left)
+        notes = [note, f'about {left:.0f} s left' if estimated else '']
+        self._write(work, share, ', '.join(text for text in notes if text))
+
+    def _write(self, work: str, share: float, note: str) -> None:
+        """Write one line, over the one before where that is possible."""
+        assert self._stream is not None
+        if self._redraws:
+            bar = f'[{"#" * int(BAR * share):<{BAR}}] '
+            text = f'{work} {bar}{share:4.0%}  {note}'.rstrip()
+            self._stream.write(f'\r{text:<{self._width}}')
+            self._width = len(text)
+        else:
+            self._stream.write(f'{work} {share:.0%}{", " if note else ""}{note}\n')
+        self._stream.flush()
+
+    def end(self, complete: bool) -> None:
+        """Leave the line; a complete bar is filled."""
+        if self._stream is None or not self._step or not self._redraws:
+            return
+        if complete:
+            self._write(self._work, 1.0, '')
+        self._stream.write('\n')
+        self._stream.flush()
+        self._step, self._width = 0, 0

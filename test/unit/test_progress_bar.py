@@ -1,0 +1,86 @@
+"""What the progress bar writes on a terminal and in a log, with a clock of the test's own."""
+
+import io
+
+import pytest
+
+from cnc_interp.core import progress_bar
+from cnc_interp.core.progress_bar import BAR, ProgressBar
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    class Clock:
+        now = 100.0
+
+        def monotonic(self):
+            return self.now
+
+    monkeypatch.setattr(progress_bar, 'time', Clock())
+    monkeypatch.setenv('TERM', 'xterm')
+    return progress_bar.time
+
+
+def test_short_work_shows_nothing(clock):
+    log, terminal = io.StringIO(), Terminal()
+    for stream in (log, terminal):
+        bar = ProgressBar(stream)
+        for share in (0.0, 0.5, 1.0):
+            bar.show('planning', share)
+        bar.end(complete=True)
+        assert stream.getvalue() == ''
+
+
+def test_a_log_has_a_line_for_each_ten_per_cent(clock):
+    log = io.StringIO()
+    show = ProgressBar(log).of('planning')
+    for k in range(101):
+        clock.now = 100.0 + 0.2 * k
+        show(k / 100)
+    lines = log.getvalue().splitlines()
+    assert lines[:-1] == [f'planning {k}0%, about {20 - 2 * k} s left' for k in range(1, 10)]
+    assert lines[-1] == 'planning 100%'
+
+
+def test_the_remaining_time_is_not_guessed_from_the_first_moments(clock):
+    terminal = Terminal()
+    bar = ProgressBar(terminal)
+    bar.show('planning', 0.0)
+    clock.now += 2.0
+    bar.show('planning', 0.0)
+    clock.now += 2.0
+    bar.show('planning', 0.01)
+    assert 'left' not in terminal.getvalue()
+    bar.show('planning', 0.5)
+    assert terminal.getvalue().endswith('50%  about 4 s left')
+
+
+def test_a_line_covers_the_longer_one_before_and_ends_full(clock):
+    terminal = Terminal()
+    bar = ProgressBar(terminal)
+    bar.show('running', 0.0)
+    clock.now += 2.0
+    bar.show('running', 0.5, 'line 1234', 100.0)
+    bar.show('running', 0.6, 'line 7', 9.0)
+    bar.end(complete=True)
+    _, first, second, last = terminal.getvalue().split('\r')
+    assert first.endswith('50%  line 1234, about 100 s left')
+    assert len(second) == len(first) and second.rstrip().endswith('60%  line 7, about 9 s left')
+    assert last.rstrip() == f'running [{"#" * BAR}] 100%' and last.endswith('\n')
+
+
+def test_the_next_work_has_a_line_of_its_own(clock):
+    terminal = Terminal()
+    bar = ProgressBar(terminal)
+    for work in ('checking', 'running'):
+        bar.show(work, 0.0)
+        clock.now += 2.0
+        bar.show(work, 0.3)
+    bar.end(complete=False)
+    lines = terminal.getvalue().splitlines()
+    assert [line.split()[0] for line in lines if line] == ['checking', 'running']

@@ -25,7 +25,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test | panel) set -- "requirements/$part.txt" ;;
+      test | panel | step) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -89,7 +89,7 @@ main() {
   case ${1-} in
     test)
       shift
-      ensure "${parts[@]}" test panel
+      ensure "${parts[@]}" test panel step
       cd "$root"
       exec "$venv/bin/python" -m pytest "$@"
       ;;
@@ -111,6 +111,7 @@ main() {
       [ "$*" != run ] || set -- run "$root/examples/pyramid.ngc"
       [ "$*" != panel ] || set -- panel "$root/examples/pyramid.ngc"
       case " $* " in ' panel '* | *' --panel '*) parts+=(panel) ;; esac
+      case " ${*,,} " in ' cam '*.step' '* | ' cam '*.stp' '* | ' cam '*.p21' '*) parts+=(step) ;; esac
       ensure "${parts[@]}"
       exec "$venv/bin/cnc-interp" "$@"
       ;;

@@ -35,6 +35,8 @@ setup(
     data_files=shared_files(),
     python_requires='>=3.11,<3.13',
     install_requires=['setuptools'],
+    # LGPL-2.1 with an exception (OpenCASCADE); its bindings are Apache-2.0.
+    extras_require={'step': ['cadquery-ocp-novtk>=8.0,<9']},
     zip_safe=False,
     entry_points={
         'console_scripts': [

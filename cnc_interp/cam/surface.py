@@ -20,6 +20,9 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 
+#: Ranges of u and v.
+Domain = tuple[tuple[float, float], tuple[float, float]]
+
 #: Foot points are found to this distance [m].
 FOOT = 1e-13
 #: Samples per direction of the checks over the whole surface.
@@ -101,9 +104,7 @@ class Surface(ABC):
 
     """
 
-    def __init__(
-        self, domain: tuple[tuple[float, float], tuple[float, float]], flip: bool = False
-    ):
+    def __init__(self, domain: Domain, flip: bool = False):
         self.domain = domain
         self.sign = -1.0 if flip else 1.0
 

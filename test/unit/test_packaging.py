@@ -59,7 +59,7 @@ def test_package_xml_declares_what_is_imported():
 
 
 @pytest.mark.parametrize(
-    'name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'panel', 'colcon']
+    'name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'panel', 'step', 'colcon']
 )
 def test_every_requirement_is_pinned(name):
     assert pins(name)

@@ -1,5 +1,5 @@
 """
-Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/cam.md, "STEP files").
+Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md).
 
 Planes, cylinders, spheres and tori become our own shapes. B-splines keep their knots, weights and
 control points. Cones, extrusions, surfaces of revolution and Bezier patches are converted exactly

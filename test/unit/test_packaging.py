@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 # Imported, but without a rosdep key: the README names them for a full ROS 2.
 WITHOUT_KEY = {
+    'OCP',
     'apsw',
     'contourpy',
     'fastapi',

@@ -37,11 +37,11 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Blocks, ReadOptions, open_program
+from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import BATCH, ChainOptions
+from cnc_interp.run.chain import BATCH
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
 
 PUBLIC = (
     'linuxcnc-impeller-xyzac', 'creo-finition-ncl', 'pycam-sample', 'linuxcnc-stellabee',
@@ -82,10 +82,11 @@ def read(name: str, most: int) -> tuple[Machine, Blocks, int, float]:
     case = CASES[name]
     machine = Machine.load(case.machine)
     feed = None if case.feed is None else case.feed * MM_PER_MIN
-    options = ReadOptions(feedrate=feed, setup=case.setup)
+    settings = Settings(feedrate=feed)
     for _ in range(2):  # kernels and file cache warm
         begin = time.process_time()
-        blocks = open_program(program_file(name), Transform.of(machine), options).read().blocks
+        stream = open_program(program_file(name), Transform.of(machine), settings, case.setup)
+        blocks = stream.read().blocks
         spent = time.process_time() - begin
     return machine, blocks[: most + 1], len(blocks) - 1, spent / (len(blocks) - 1)
 
@@ -101,9 +102,11 @@ def programmed_time(blocks: Blocks) -> float:
 
 def run(machine: Machine, blocks: Blocks, curves: bool, directory: Path) -> dict[str, Any]:
     """Plan blocks into plan files; return the summary."""
-    options = ChainOptions(compression=Compression(enabled=curves))
-    chain = CpuChain(machine, options)
-    with PlanWriter(directory, machine, options.period, options.flank_height) as writer:
+    settings = Settings(compress=curves)
+    chain = CpuChain(machine, settings)
+    with PlanWriter(
+        directory, machine, settings.interpolation_period, settings.flank_height
+    ) as writer:
         writer.blocks(blocks)
         for first in range(0, len(blocks), BATCH):
             chain.push(blocks[first : first + BATCH])
@@ -142,7 +145,7 @@ def growth(counts: list[int]) -> Iterator[str]:
     yield '|---|---|---|---|'
     machine = Machine.load('xyzac')
     for count in counts:
-        chain, motion = CpuChain(machine, ChainOptions()), 0.0
+        chain, motion = CpuChain(machine, Settings()), 0.0
         for blocks in spirals(count):
             chain.push(blocks)
             motion = chain.pieces[-1].law.end_time if chain.pieces else motion

@@ -16,12 +16,12 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Blocks, ReadOptions, read_program
-from cnc_interp.run.chain import ChainOptions, smoothing_options
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.program import Blocks, read_program
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,9 +65,9 @@ class Case:
 def smoothed(blocks: Blocks, machine: Machine) -> AxisPath:
     """Send blocks through look-ahead and kinematics, corner by corner."""
     transform = Transform.of(machine)
-    options = ChainOptions(compression=Compression(enabled=False))
-    lookahead = LookAhead(smoothing_options(transform, options))
-    builder = AxisPathBuilder(transform, options.flank_height)
+    settings = Settings(compress=False)
+    lookahead = LookAhead(settings, traits_of(transform))
+    builder = AxisPathBuilder(transform, settings.flank_height)
     parts = [builder.push(part) for part in (lookahead.push(blocks), lookahead.finish())]
     return AxisPath.join([part for part in parts if part is not None])
 
@@ -198,7 +198,7 @@ def random_blocks(seed: int) -> Blocks:
 
 def public_cases(machine: Machine, pieces: Iterable[Piece]) -> Iterator[Case]:
     """Yield pieces of public programs that stand beside the repository; none where they do not."""
-    options = ReadOptions(feedrate=3000 * MM_PER_MIN)
+    options = Settings(feedrate=3000 * MM_PER_MIN)
     for folder, name, first, rows in pieces:
         file = SHARED / 'programs' / folder / name
         if not file.exists():
@@ -219,7 +219,7 @@ def cases() -> Iterator[Case]:
     machine = Machine.load('xyzac')
     for name in ('pyramid', 'pocket_corner'):
         file = ROOT / 'examples' / f'{name}.apt'
-        blocks = read_program(file, Transform.of(machine), ReadOptions()).blocks
+        blocks = read_program(file, Transform.of(machine), Settings()).blocks
         for tolerance in (0.02 * MM, 0.2 * MM):
             wide = np.full(len(blocks), tolerance)
             changed = replace(blocks, contour_tolerance=wide, orientation_tolerance=wide.copy())

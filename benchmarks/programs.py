@@ -31,9 +31,10 @@ from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Blocks, JobSetup, Program, ReadOptions, open_program
+from cnc_interp.program import Blocks, JobSetup, Program, open_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, summary_of, write_plan
+from cnc_interp.settings.choices import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ROOT.parent / 'shared' / 'programs'
@@ -106,9 +107,9 @@ def read(name: str, geometry: Transform) -> tuple[Program, float, float]:
     """Read a program; also the time to the first block and to the last [s]."""
     case = CASES[name]
     feed = None if case.feed is None else case.feed * MM_PER_MIN
-    options = ReadOptions(feedrate=feed, setup=case.setup)
+    settings = Settings(feedrate=feed)
     begin = time.perf_counter()
-    stream = open_program(program_file(name), geometry, options)
+    stream = open_program(program_file(name), geometry, settings, case.setup)
     first, parts = 0.0, []
     for blocks in stream:
         first = first or time.perf_counter() - begin

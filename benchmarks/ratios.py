@@ -19,10 +19,10 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Blocks, ReadOptions, read_program
-from cnc_interp.run.chain import Chain, ChainOptions
+from cnc_interp.program import Blocks, read_program
+from cnc_interp.run.chain import Chain
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
-from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
 
 FIXED = (1.4, 1.5, 1.75, 2.0, 2.5)
@@ -47,9 +47,9 @@ def cycle_time(
     blocks: Blocks, ratio: float | None = None, table: dict[bytes, float] | None = None
 ) -> float:
     """Plan blocks and return the time they take [s]."""
-    chain = Chain(MACHINE, ChainOptions(ratio=ratio, compression=Compression(enabled=False)))
+    chain = Chain(MACHINE, Settings(corner_ratio=ratio, compress=False))
     if table is not None:
-        told = Told(chain.lookahead.options)
+        told = Told(chain.lookahead.settings, chain.lookahead.machine)
         told.table = table
         chain.lookahead = told
     chain.push(blocks)
@@ -107,7 +107,7 @@ def programs() -> Iterator[tuple[str, Blocks]]:
     for name, file, tolerance, first, last in files:
         if not file.exists():
             continue
-        options = ReadOptions(
+        options = Settings(
             contour_tolerance=tolerance * MM, orientation_tolerance=tolerance * MM,
             force_tolerances=True, feedrate=3000.0 * MM_PER_MIN,
         )  # fmt: skip

@@ -17,8 +17,8 @@ from paths import blocks_of
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program import Blocks
-from cnc_interp.run.chain import Chain, ChainOptions
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.run.chain import Chain
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 
 TURNS = (150, 160, 165, 170, 173, 175, 176, 177, 178, 179, 179.5)
@@ -50,9 +50,10 @@ def two_lines(rng: np.random.Generator, turn: float, turning: bool) -> Blocks:
 
 def cycle_time(blocks: Blocks, sharpest: float) -> float:
     """Plan blocks, turns up to the sharpest rounded, and return the time they take [s]."""
-    chain = Chain(MACHINE, ChainOptions(compression=Compression(enabled=False)))
-    options = replace(chain.lookahead.options, sharpest_turn=sharpest, sharpest_swing=sharpest)
-    chain.lookahead = LookAhead(options)
+    chain = Chain(MACHINE, Settings(compress=False))
+    smoother = chain.lookahead
+    traits = replace(smoother.machine, sharpest_turn=sharpest, sharpest_swing=sharpest)
+    chain.lookahead = LookAhead(smoother.settings, traits)
     chain.push(blocks)
     chain.finish()
     return chain.pieces[-1].law.end_time

@@ -13,16 +13,10 @@ from pathlib import Path
 from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
 from cnc_interp.client.bag_command import add_bag_commands, check_bag, is_bag, report_bag
-from cnc_interp.command_options import (
-    chain_options,
-    command,
-    number,
-    page_options,
-    program_options,
-    read_options,
-)
+from cnc_interp.command_options import command, number, page_options, program_options
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.settings.command_line import settings_from
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 #: Text is not drawn wider than this [characters].
@@ -182,12 +176,12 @@ def plan_command(options: argparse.Namespace) -> int:
     from cnc_interp.run.chain import describe, plan_to_files
 
     machine = Machine.load(options.machine)
-    chain = chain_options(options)
+    settings = settings_from(options)
     geometry = Transform.of(machine)
-    stream = open_program(options.program, geometry, read_options(options))
+    stream = open_program(options.program, geometry, settings)
     progress = ProgressBar(None if options.json else sys.stderr)
     try:
-        summary = plan_to_files(stream, machine, options.out, chain, progress.of('planning'))
+        summary = plan_to_files(stream, machine, options.out, settings, progress.of('planning'))
     finally:
         progress.end(complete=False)
         tell(stream.notices)
@@ -219,10 +213,11 @@ def convert_command(options: argparse.Namespace) -> int:
     from cnc_interp.program import read_program
 
     machine = Machine.load(options.machine)
-    program = read_program(options.program, Transform.of(machine), read_options(options))
+    settings = settings_from(options)
+    program = read_program(options.program, Transform.of(machine), settings)
     tell(program.notices)
     tolerance = options.fit_tolerance * MM
-    made = convert(program, machine, chain_options(options), options.to, tolerance)
+    made = convert(program, machine, settings, options.to, tolerance)
     if options.out is None:
         print(made.text, end='')
     else:

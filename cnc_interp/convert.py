@@ -16,10 +16,11 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Program, ReadOptions
+from cnc_interp.program import Program
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import (
     ClMove,
@@ -30,8 +31,9 @@ from cnc_interp.program.writer import (
     siemens,
 )
 from cnc_interp.proof.programmed_splines import chords, portions
-from cnc_interp.run.chain import BATCH, ChainOptions, smoothing_options
+from cnc_interp.run.chain import BATCH
 from cnc_interp.run.plan_writer import effective_feed
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner_curves import end_derivatives
 from cnc_interp.smoothing.native.cubic_curves import CubicCurve, cubic_curve
 from cnc_interp.smoothing.native.joining import Jets, line_jets
@@ -61,7 +63,7 @@ class Converted:
 
 
 def convert(
-    program: Program, machine: Machine, options: ChainOptions, to: str, fit_tolerance: float
+    program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float
 ) -> Converted:
     """
     Write a program in another dialect.
@@ -72,7 +74,7 @@ def convert(
         What was read.
     machine : Machine
         Gives rotary words their meaning.
-    options : ChainOptions
+    settings : Settings
         How corners are rounded (``siemens-bspline``).
     to : {'siemens-bspline', 'gcode', 'cl'}
         The dialect.
@@ -88,11 +90,11 @@ def convert(
     transform = Transform.of(machine)
     try:
         if to == 'siemens-bspline':
-            return _siemens(program, transform, options, fit_tolerance)
-        blocks = with_chords(program.blocks, options.flank_height)
+            return _siemens(program, transform, settings, fit_tolerance)
+        blocks = with_chords(program.blocks, settings.flank_height)
         if to == 'gcode':
             return _gcode(blocks, transform)
-        return _cl(blocks, program.source, options.flank_height)
+        return _cl(blocks, program.source, settings.flank_height)
     except BlockError as problem:
         problem.source = program.source
         raise
@@ -180,7 +182,7 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
     if turning.any():
         notes.append('CL data have no rotary words: turns about the resting tip are vectors only')
     smallest = blocks.contour_tolerance.min(), blocks.orientation_tolerance.min()
-    reader = ReadOptions()
+    reader = Settings()
     if smallest != (reader.contour_tolerance, reader.orientation_tolerance):
         notes.append(
             'CL data have no tolerances; read them with '
@@ -204,16 +206,16 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
 
 
 def _siemens(
-    program: Program, transform: Transform, options: ChainOptions, tolerance: float
+    program: Program, transform: Transform, settings: Settings, tolerance: float
 ) -> Converted:
     """Write the smooth path of a program."""
-    smoother = PathSmoother(smoothing_options(transform, options))
+    smoother = PathSmoother(settings, traits_of(transform))
     blocks = program.blocks
     parts = [smoother.push(blocks[k : k + BATCH]) for k in range(0, len(blocks), BATCH)]
     segments = PathSegments.concatenate(
         [part for part in [*parts, smoother.finish()] if len(part)]
     )
-    path = _Path(segments, transform, options.flank_height, tolerance)
+    path = _Path(segments, transform, settings.flank_height, tolerance)
     moves = list(path.moves(blocks))
     notes = [
         f'smooth path in cubic B-splines, within {max(path.deviation, ROUNDING) / UM:.2g} um; '

@@ -31,8 +31,9 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.sampling import arc_length, shapes_of
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import Program, ReadOptions, read_program
-from cnc_interp.run.chain import ChainOptions, Plan, plan_program, summary_of
+from cnc_interp.program import Program, read_program
+from cnc_interp.run.chain import Plan, plan_program, summary_of
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.connection import PAPER_STEP
 from cnc_interp.smoothing.corners.corner_curves import spline_points, top_parameters
 from cnc_interp.smoothing.segments import CORNER
@@ -72,7 +73,7 @@ class Run:
     def parts(self) -> list[AxisPath]:
         """Return the axes of each segment by itself, with its own one-sided derivatives."""
         segments = self.plan.segments
-        builder = AxisPathBuilder(self.transform, self.plan.options.flank_height)
+        builder = AxisPathBuilder(self.transform, self.plan.settings.flank_height)
         paths = [builder.push(segments[i : i + 1]) for i in range(len(segments))]
         return [path for path in paths if path is not None]
 
@@ -152,15 +153,15 @@ def eq_10(jets: tuple[FloatArray, FloatArray, FloatArray], machine: Machine) -> 
 
 def read_example(name: str, tolerance: float, machine: Machine) -> Program:
     """Read an example program with the same tolerance for contour and orientation."""
-    options = ReadOptions(contour_tolerance=tolerance, orientation_tolerance=tolerance)
+    settings = Settings(contour_tolerance=tolerance, orientation_tolerance=tolerance)
     file = HERE.parent / 'examples' / f'{name}.apt'
-    return read_program(file, Transform.of(machine), options)
+    return read_program(file, Transform.of(machine), settings)
 
 
-def sheet(rows: int, columns: int, height: float, **options: Any) -> Any:
+def sheet(rows: int, columns: int, height: float, **settings: Any) -> Any:
     """Return a figure as wide as the page, and its panels."""
     size = (7.2, height)
-    return plt.subplots(rows, columns, figsize=size, layout='constrained', **options)
+    return plt.subplots(rows, columns, figsize=size, layout='constrained', **settings)
 
 
 def save(figure: Any, name: str) -> None:
@@ -299,7 +300,7 @@ def swept(run: Run, first: float, last: float, count: int) -> tuple[FloatArray, 
     """Return the quads that the tool axis sweeps [mm], shape (n, 4, 3), and their feeds."""
     s = np.linspace(first, last, count)
     tip, axis = run.transform.forward(evaluate(run.whole.path, s)[0])
-    low, high = tip / MM, (tip + run.plan.options.flank_height * axis) / MM
+    low, high = tip / MM, (tip + run.plan.settings.flank_height * axis) / MM
     _, way, feed = run.motion()
     middle = np.interp(0.5 * (s[1:] + s[:-1]), way, feed)
     return np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1), middle / MM_PER_MIN
@@ -383,8 +384,8 @@ def table(program: Program, machine: Machine) -> list[str]:
     lines, largest = [f'| {head} |', '|---' * 11 + '|'], 0.0
     ways = [('linear', False), ('paper', False), ('exact', False), ('exact', True)]
     for (f, septic), top, ratio in product(ways, ('tolerance', 'in_step'), RATIOS):
-        options = ChainOptions(parametrization=f, top=top, ratio=ratio, septic=septic)
-        run = Run(plan_program(program, machine, options))
+        settings = Settings(parametrization=f, top=top, corner_ratio=ratio, septic=septic)
+        run = Run(plan_program(program, machine, settings))
         use = summary_of(run.plan)['largest_use']
         largest = max(largest, *(x for axes in use.values() for x in axes.values()))
         jump = run.jumps()
@@ -424,10 +425,8 @@ def main() -> None:
     machine = Machine.load('xyzac')
     pocket = read_example('pocket_corner', 3.0 * MM, machine)
     pyramid = read_example('pyramid', 0.02 * MM, machine)
-    ways = {
-        f: ChainOptions(parametrization=f, **PAPER_CURVES) for f in ('linear', 'paper', 'exact')
-    }
-    ways['in step'] = ChainOptions(ratio=1.4)
+    ways = {f: Settings(parametrization=f, **PAPER_CURVES) for f in ('linear', 'paper', 'exact')}
+    ways['in step'] = Settings(corner_ratio=1.4)
     runs = {name: Run(plan_program(pocket, machine, way)) for name, way in ways.items()}
     small = {name: Run(plan_program(pyramid, machine, way)) for name, way in ways.items()}
     steps = (POCKET_STEP, PAPER_STEP * runs['linear'].entry_speed)

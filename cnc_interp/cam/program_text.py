@@ -12,9 +12,9 @@ from cnc_interp.cam.tool_path import ARM, Link, SplinePass, ToolPath
 from cnc_interp.convert import convert
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import read_program
 from cnc_interp.program.writer import ClMove, SiemensMove, cl_data, siemens
-from cnc_interp.run.chain import ChainOptions
+from cnc_interp.settings.choices import Settings
 
 Format = Literal['spline', 'cl', 'gcode']
 #: Names of the files.
@@ -23,7 +23,7 @@ SUFFIXES: dict[str, str] = {'spline': '.mpf', 'cl': '.apt', 'gcode': '.ngc'}
 
 def write_tool_path(
     steps: Sequence[Link | SplinePass], feedrate: float, chord_tolerance: float, file: Path,
-    form: Format, machine: Machine, reading: ReadOptions,
+    form: Format, machine: Machine, reading: Settings,
 ) -> Path:  # fmt: skip
     """
     Write a tool path as a part program.
@@ -42,7 +42,7 @@ def write_tool_path(
         What to write.
     machine : Machine
         Gives rotary words their letters and their values.
-    reading : ReadOptions
+    reading : Settings
         Tolerances that go into G-code.
 
     Returns
@@ -59,7 +59,7 @@ def write_tool_path(
     path.write_text(text, encoding='ascii')
     if form == 'gcode':
         program = read_program(path, Transform.of(machine), reading)
-        text = convert(program, machine, ChainOptions(), 'gcode', chord_tolerance).text
+        text = convert(program, machine, Settings(), 'gcode', chord_tolerance).text
         path.write_text(text, encoding='ascii')
     return path
 

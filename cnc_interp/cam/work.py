@@ -32,9 +32,10 @@ from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, open_program, read_program
+from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.chain import plan_to_files
+from cnc_interp.settings.choices import Settings
 
 #: Tolerance of the interpolator for the program, as a share of the scallop height.
 SMOOTHING = 0.2
@@ -56,7 +57,7 @@ def make_program(options: argparse.Namespace) -> int:
     )  # fmt: skip
     machine = Machine.load(options.machine)
     tolerance = SMOOTHING * options.scallop * UM
-    reading = ReadOptions(contour_tolerance=tolerance, orientation_tolerance=tolerance)
+    reading = Settings(contour_tolerance=tolerance, orientation_tolerance=tolerance)
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
     file = write_tool_path(
@@ -128,9 +129,7 @@ def simulate_motion(options: argparse.Namespace) -> int:
         files = read_plan(options.motion)
         motion = (executed if options.executed else planned)(files, machine)
     else:
-        reading = ReadOptions(
-            feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM
-        )
+        reading = Settings(feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM)
         motion = programmed(read_program(options.motion, Transform.of(machine), reading))
     heights, section = _cut(
         surface, cutter, motion, across(surface, options.direction * DEG), options

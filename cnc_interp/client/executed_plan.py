@@ -12,8 +12,8 @@ from cnc_interp_msgs.msg import SetpointChunk
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, ReadOptions, read_program
-from cnc_interp.run.chain import ChainOptions, plan_program, write_plan
+from cnc_interp.program import read_program
+from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.run.chunk import part_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.wire.chunk_messages import setpoints_from
@@ -51,25 +51,6 @@ def write_received(
     request: RunRequest, machine: Machine, chunks: list[SetpointChunk], directory: Path
 ) -> None:
     """Write plan files with the executed setpoints; blocks and path are read and planned anew."""
-    options = ReadOptions(
-        contour_tolerance=request.contour_tolerance,
-        orientation_tolerance=request.orientation_tolerance,
-        force_tolerances=request.force_tolerances,
-        flank_height=request.flank_height,
-        feedrate=request.feedrate,
-        rotary_sense=request.rotary_sense,  # type: ignore[arg-type]
-        skip_blocks=request.skip_blocks,
-        setup=JobSetup.load(request.setup) if request.setup else JobSetup(),
-    )
-    program = read_program(request.program, Transform.of(machine), options)
-    chain = ChainOptions(
-        flank_height=request.flank_height,
-        ratio=request.ratio,
-        parametrization=request.parametrization,
-        top=request.top,
-        septic=request.septic,
-        period=request.period,
-        compression=request.compression,
-    )
-    plan = plan_program(program, machine, chain)
+    program = read_program(request.program, Transform.of(machine), request.settings)
+    plan = plan_program(program, machine, request.settings)
     write_plan(replace(plan, setpoints=executed(chunks)), directory)

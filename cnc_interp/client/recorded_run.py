@@ -15,10 +15,11 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes import parameters
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.run.chain import ChainOptions, Plan, plan_program
+from cnc_interp.run.chain import Plan, plan_program
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.run.run_id import RunId
+from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.run_id_messages import run_id_of
 
@@ -36,8 +37,8 @@ class RecordedRun:
         Name of the program.
     machine : str
         Machine that the nodes were started with; empty where the bag does not know.
-    options : ChainOptions
-        How the nodes were told to smooth and interpolate.
+    settings : Settings
+        The choices of the run.
     blocks : list of G1Block
         The program, gap-free from the start pose.
     chunks : list of SetpointChunk
@@ -50,7 +51,7 @@ class RecordedRun:
     program_id: str
     name: str
     machine: str
-    options: ChainOptions
+    settings: Settings
     blocks: list[G1Block]
     chunks: list[SetpointChunk]
     largest_override: float
@@ -85,7 +86,7 @@ def recorded_run(bag: Bag) -> RecordedRun:
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
         machine=str(bag.parameters.get('machine_node.machine', '')),
-        options=chain_options(bag.parameters, blocks[0].flank_height, told[-1].period),
+        settings=settings_of_run(bag.parameters, blocks[0].flank_height, told[-1].period),
         blocks=blocks,
         chunks=[m for m in told if m.program_id == last.program_id],
         largest_override=max([1.0, *overrides]),
@@ -112,13 +113,12 @@ def blocks_of(bag: Bag, run_id: RunId) -> list[G1Block]:
     return [found[k] for k in range(len(found))]
 
 
-def chain_options(told: dict[str, Any], flank_height: float, period: float) -> ChainOptions:
+def settings_of_run(told: dict[str, Any], flank_height: float, period: float) -> Settings:
     """Return how the nodes were told to smooth and interpolate."""
-    values = {
-        p.name: told.get(f'lookahead_node.{p.name}', p.default) for p in parameters.SMOOTHING
-    }
-    values['compress'] = told.get('lookahead_node.compress', False)  # untold: before curves
-    return replace(parameters.chain_options(values, flank_height), period=period)
+    prefix = 'lookahead_node.'
+    values = {k.removeprefix(prefix): v for k, v in told.items() if k.startswith(prefix)}
+    smoothing = parameters.settings_of(values)
+    return replace(smoothing, flank_height=flank_height, interpolation_period=period)
 
 
 def plan_files_of(run: RecordedRun) -> PlanFiles:
@@ -142,13 +142,13 @@ def plan_files_of(run: RecordedRun) -> PlanFiles:
     summary = {
         'program': run.name,
         'machine': run.machine,
-        'interpolation_period': run.options.period,
-        'flank_height': run.options.flank_height,
+        'interpolation_period': run.settings.interpolation_period,
+        'flank_height': run.settings.flank_height,
     }
     return PlanFiles(setpoints, {}, columns, summary)
 
 
 def plan_of(run: RecordedRun, machine: Machine) -> Plan:
     """Return the run as a plan to be reported: path planned anew, setpoints as executed."""
-    plan = plan_program(run.program(), machine, run.options)
+    plan = plan_program(run.program(), machine, run.settings)
     return replace(plan, setpoints=run.setpoints())

@@ -21,9 +21,7 @@ from cnc_interp.nodes.node_main import stay_on_this_host
 
 #: Nodes whose parameters decide what becomes of the same blocks.
 ASKED = {
-    'lookahead_node': parameters.LOOKAHEAD,
-    'feedrate_node': parameters.FEEDRATE,
-    'machine_node': parameters.MACHINE_NODE,
+    node: parameters.NODES[node] for node in ('lookahead_node', 'feedrate_node', 'machine_node')
 }
 #: Topics that a run cannot do without; a recorder that hears them hears the run.
 STREAMS = ('blocks', 'segments', 'setpoints', 'executed_setpoints')

@@ -17,12 +17,12 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from cnc_interp.client.bag import TOPICS, Bag
-from cnc_interp.client.recorded_run import blocks_of, chain_options
+from cnc_interp.client.recorded_run import blocks_of, settings_of_run
 from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.node_main import stay_on_this_host
-from cnc_interp.run.chain import smoothing_options
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
@@ -129,8 +129,8 @@ def _compare_run(
         float(told[0].s[0]) if goes_on else math.nan,
     )  # fmt: skip
     planner.stream.override = overrides[0]
-    options = chain_options(bag.parameters, blocks[0].flank_height, period)
-    lookahead = PathSmoother(smoothing_options(transform, options))
+    settings = settings_of_run(bag.parameters, blocks[0].flank_height, period)
+    lookahead = PathSmoother(settings, traits_of(transform))
     pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
     for segments in (lookahead.push(blocks_from(blocks)), lookahead.finish()):
         if len(segments):

@@ -15,7 +15,7 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
 
-from cnc_interp.client.goal_sender import SentProgram
+from cnc_interp.client.goal_sender import SentProgram, goal_of
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.session import RunRequest, RunResult
@@ -179,16 +179,7 @@ class RunConsole:
     def _send(self, program: Path) -> SentProgram:
         """Send a program; it waits for those before it."""
         request = self._request
-        sent = self._client.run(
-            RunProgram.Goal(
-                program=str(program),
-                contour_tolerance=request.contour_tolerance,
-                orientation_tolerance=request.orientation_tolerance,
-                force_tolerances=request.force_tolerances,
-                flank_height=request.flank_height,
-                feedrate=request.feedrate or 0.0,
-            )
-        )
+        sent = self._client.run(goal_of(program, request.settings))
         self._spin(lambda: sent.accepted)
         return sent
 

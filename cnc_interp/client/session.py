@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS, UM
+from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.kinematics.axes import error_text
 from cnc_interp.nodes.node_processes import Children, begin_loading
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.command_line import settings_from
+from cnc_interp.settings.declaration import choices
 
 #: Domains that are safe on Linux whatever the ports of other programs.
 DOMAINS = range(1, 102)
@@ -35,26 +37,8 @@ class RunRequest:
         Further programs; each starts when the one before it has reached its end.
     machine : str
         Bundled machine or YAML file.
-    contour_tolerance, orientation_tolerance, flank_height : float
-        Where the program gives none [m].
-    force_tolerances : bool
-        Keep the tolerances above even where the program gives others.
-    feedrate : float, optional
-        Where the program gives none [m/s].
-    ratio : float, optional
-        L2/L1 of all corners [-]; None: chosen for each.
-    parametrization, top, septic
-        How corners are made; see SmoothingOptions.
-    period : float
-        Interpolation period [s].
-    setup : Path, optional
-        The operator's work offsets, tools and reference points.
-    rotary_sense : {'programmed', 'shortest'}
-        How absolute rotary words are taken.
-    skip_blocks : bool
-        Leave out the lines that begin with a slash.
-    compression : Compression
-        How runs of short blocks become curves.
+    settings : Settings
+        The user's choices.
     out : Path, optional
         Folder for plan files of what the machine received.
     record : Path, optional
@@ -67,20 +51,7 @@ class RunRequest:
     program: Path
     then: tuple[Path, ...] = ()
     machine: str = 'xyzac'
-    contour_tolerance: float = 0.02 * MM
-    orientation_tolerance: float = 0.02 * MM
-    flank_height: float = 30.0 * MM
-    force_tolerances: bool = False
-    feedrate: float | None = None
-    ratio: float | None = None
-    parametrization: str = 'exact'
-    top: str = 'in_step'
-    septic: bool = False
-    period: float = 1.0 * MS
-    setup: Path | None = None
-    rotary_sense: str = 'programmed'
-    skip_blocks: bool = False
-    compression: Compression = field(default_factory=Compression)
+    settings: Settings = field(default_factory=Settings)
     out: Path | None = None
     record: Path | None = None
     quiet: bool = False
@@ -92,25 +63,7 @@ class RunRequest:
             program=options.program,
             then=tuple(options.then),
             machine=options.machine,
-            contour_tolerance=options.contour_tolerance * MM,
-            orientation_tolerance=options.orientation_tolerance * MM,
-            flank_height=options.flank_height * MM,
-            force_tolerances=options.force_tolerances,
-            feedrate=None if options.feed is None else options.feed * MM_PER_MIN,
-            ratio=options.ratio,
-            parametrization=options.parametrization,
-            top=options.top,
-            septic=options.septic,
-            period=options.period * MS,
-            setup=options.setup,
-            rotary_sense=options.rotary_sense,
-            skip_blocks=options.skip_blocks,
-            compression=Compression(
-                enabled=options.compress,
-                longest_block=options.longest_block * MM,
-                corner_angle=options.corner_angle * DEG,
-                tolerance_share=options.tolerance_share,
-            ),
+            settings=settings_from(options),
             out=options.out,
             record=options.record,
             quiet=options.json,
@@ -123,28 +76,15 @@ class RunRequest:
 
     def node_parameters(self) -> dict[str, dict[str, object]]:
         """Return what the nodes must know from the start."""
-        machine: dict[str, object] = {'machine': f"'{self.machine}'"}
-        moving = machine | {'interpolation_period': self.period}
-        smoothing = machine | {
-            'corner_ratio': self.ratio or 0.0,
-            'parametrization': self.parametrization,
-            'top': self.top,
-            'septic': self.septic,
-            'compress': self.compression.enabled,
-            'longest_block': self.compression.longest_block,
-            'corner_angle': self.compression.corner_angle,
-            'tolerance_share': self.compression.tolerance_share,
-        }
+        from cnc_interp.nodes.parameters import NODES
+
+        given: dict[str, object] = {'machine': f"'{self.machine}'"}
+        for choice in choices(self.settings):
+            value = choice.plain(getattr(self.settings, choice.name))
+            given[choice.name] = f"'{value}'" if isinstance(value, str) else value
         return {
-            'program_node': smoothing
-            | {
-                'setup': f"'{self.setup.resolve() if self.setup else ''}'",
-                'rotary_sense': self.rotary_sense,
-                'skip_blocks': self.skip_blocks,
-            },
-            'lookahead_node': smoothing,
-            'feedrate_node': moving,
-            'machine_node': moving,
+            node: {p.name: given[p.name] for p in declared if p.name in given}
+            for node, declared in NODES.items()
         }
 
 

@@ -39,6 +39,24 @@ class MachineError(InterpError):
         super().__init__(f'{key}: {message}' if key else message)
 
 
+class SettingsError(InterpError):
+    """
+    A choice of the user that is not possible.
+
+    Parameters
+    ----------
+    name : str
+        Name of the choice.
+    reason : str
+        What is wrong with its value and what would be right.
+
+    """
+
+    def __init__(self, name: str, reason: str):
+        self.name, self.reason = name, reason
+        super().__init__(f'{name}: {reason}')
+
+
 class BlockError(InterpError):
     """
     A block whose motion is refused before anything moves.

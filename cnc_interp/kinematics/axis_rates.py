@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.transform import Transform, linear_jets, rotary_jets
+from cnc_interp.smoothing.machine_traits import MachineTraits
+
+
+def traits_of(transform: Transform) -> MachineTraits:
+    """Return what smoothing must know of a machine."""
+    machine = transform.machine
+    pole = tuple(float(x) for x in transform.pole) if machine.has_rotary else None
+    return MachineTraits(
+        axis_rates=partial(jerk_rates, transform),
+        pole=pole,  # type: ignore[arg-type]
+        pole_cone=machine.singular_cone,
+    )
 
 
 def jerk_rates(

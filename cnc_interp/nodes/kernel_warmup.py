@@ -12,13 +12,13 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import planned_stop, until_rest
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chain import ChainOptions, smoothing_options
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_stream import MotionStream
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -60,30 +60,29 @@ def dense_program(transform: Transform) -> Blocks:
     )
 
 
-def warm_lookahead(transform: Transform, compression: Compression) -> PathSegments:
+def warm_lookahead(transform: Transform, settings: Settings) -> PathSegments:
     """Load the kernels of the look-ahead, those of curves where they are made."""
-    options = smoothing_options(transform, ChainOptions(compression=compression))
     made = []
-    programs = [dense_program, tiny_program] if compression.enabled else [tiny_program]
+    programs = [dense_program, tiny_program] if settings.compress else [tiny_program]
     for program in programs:
-        lookahead = PathSmoother(options)
+        lookahead = PathSmoother(settings, traits_of(transform))
         made = [lookahead.push(program(transform)), lookahead.finish()]
     return PathSegments.concatenate(made)
 
 
-def warm_kinematics(transform: Transform, compression: Compression) -> AxisPath:
+def warm_kinematics(transform: Transform, settings: Settings) -> AxisPath:
     """Load the kernels from look-ahead to machine axes."""
     machine = transform.machine
     endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
     free = Transform.of(replace(machine, travel=endless))
-    path = AxisPathBuilder(free).push(warm_lookahead(transform, compression))
+    path = AxisPathBuilder(free).push(warm_lookahead(transform, settings))
     assert path is not None
     return path
 
 
 def warm_all(transform: Transform, period: float) -> None:
     """Load the kernels from corners to setpoints; curves need no others behind the look-ahead."""
-    path = warm_kinematics(transform, Compression(enabled=False))
+    path = warm_kinematics(transform, Settings(compress=False))
     for options in (PlanOptions(), SHORT_WINDOWS):
         planner = FeedPlanner(transform.machine, options)
         planner.push(path)

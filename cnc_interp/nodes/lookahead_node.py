@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from dataclasses import replace
 
 from cnc_interp_msgs.msg import G1Block, PathSegment
 from rclpy.node import Node
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
@@ -17,7 +19,6 @@ from cnc_interp.nodes.kernel_warmup import warm_lookahead
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.stream_ends import Inlet, Outlet
-from cnc_interp.run.chain import smoothing_options
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.message_checks import check_block
@@ -36,9 +37,8 @@ class LookaheadNode(Node):
         super().__init__('lookahead_node')
         self._values = values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
-        chain = parameters.chain_options(values)
-        smoothing_options(self._transform, chain)  # refuses wrong values
-        warm_lookahead(self._transform, chain.compression)
+        self._settings = parameters.settings_of(values)
+        warm_lookahead(self._transform, self._settings)
         self._lookahead: PathSmoother | None = None
         self._flank_height = 0.0
         self._blocks: deque[G1Block] = deque()
@@ -69,8 +69,8 @@ class LookaheadNode(Node):
 
     def _begin(self, block: G1Block) -> None:
         """Forget the program before."""
-        options = parameters.chain_options(self._values, block.flank_height)
-        self._lookahead = PathSmoother(smoothing_options(self._transform, options))
+        settings = replace(self._settings, flank_height=block.flank_height)
+        self._lookahead = PathSmoother(settings, traits_of(self._transform))
         self._flank_height = block.flank_height
         self._blocks.clear()
         self._last = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +15,9 @@ from rcl_interfaces.msg import (
 )
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
 from cnc_interp.nodes.qos import DEPTH
-from cnc_interp.run.chain import ChainOptions
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import Choice, Stage, choices
 
 
 @dataclass(frozen=True)
@@ -31,30 +31,36 @@ class Declared:
     high: float | None = None
 
 
+def of_settings(*stages: Stage) -> tuple[Declared, ...]:
+    """Declare the choices of some stages; for those that may be left out 0 or empty is none."""
+    return tuple(declared(choice) for choice in choices(Settings, *stages))
+
+
+def declared(choice: Choice) -> Declared:
+    """Declare one choice."""
+    default = choice.plain(choice.default)
+    told = choice.sentence[0].upper() + choice.sentence[1:]
+    if choice.values:
+        told += f': {", ".join(choice.values)}'
+    if choice.kind is not float:
+        bounded = choice.kind is int
+        low, high = (choice.low, choice.high) if bounded else (None, None)
+        return Declared(choice.name, default, told, low, high)
+    none = f'; 0: {choice.nothing or "none"}' if choice.optional else ''
+    low = 0.0 if choice.optional else choice.low
+    return Declared(choice.name, default, f'{told}{none} [{choice.unit.si}]', low, choice.high)
+
+
 MACHINE = Declared('machine', 'xyzac', 'Machine: name of a bundled one, or path of a YAML file')
 AUTOSTART = Declared('autostart', True, 'Configure and activate without waiting for a command')
-PERIOD = Declared('interpolation_period', 0.001, 'Time between setpoints [s]', 0.0001, 0.01)
 RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s]', 0.02, 10.0)
 PEER_TIMEOUT = Declared(
     'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
 
-#: How paths are smoothed: by the look-ahead, and by the program node's check before.
-SMOOTHING = (
-    Declared(
-        'corner_ratio', 0.0, 'L2/L1 of rounded corners, 1.2 to 4; 0: chosen for each [-]', 0.0, 4.0
-    ),
-    Declared('parametrization', 'exact', 'Orientation of corners: exact, linear or paper'),
-    Declared('top', 'in_step', 'Top curve of corners: in_step or tolerance'),
-    Declared('septic', False, 'Continue the third derivative of the tool axis too'),
-    Declared('compress', True, 'Make curves of dense blocks; else round every corner'),
-    Declared('longest_block', 0.005, 'Longer blocks stay straight lines [m]', 1e-6, 10.0),
-    Declared('corner_angle', 0.6109, 'Sharper turns of dense blocks are corners [rad]', 0.01, 3.1),
-    Declared('tolerance_share', 0.98, 'Part of the tolerances that curves may use', 0.1, 1.0),
-)
 LOOKAHEAD = (
     MACHINE,
-    *SMOOTHING,
+    *of_settings(Stage.SMOOTHING),
     Declared('block_window', 512, 'Blocks taken ahead of the look-ahead', 4, DEPTH - 1),
     RESEND,
     PEER_TIMEOUT,
@@ -62,7 +68,7 @@ LOOKAHEAD = (
 FEEDRATE = (
     MACHINE,
     AUTOSTART,
-    PERIOD,
+    *of_settings(Stage.MOTION),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
     Declared('chunk_size', 10, 'Setpoints in a message', 1, 100),
@@ -72,7 +78,7 @@ FEEDRATE = (
 MACHINE_NODE = (
     MACHINE,
     AUTOSTART,
-    PERIOD,
+    *of_settings(Stage.MOTION),
     Declared('buffer_time', 0.25, 'Motion that the machine holds ready [s]', 0.01, 2.0),
     Declared('start_time', 0.1, 'Motion at hand before the machine starts [s]', 0.0, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
@@ -86,24 +92,21 @@ MACHINE_NODE = (
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', False, 'Keep the memory of this node from being paged out'),
 )
-PROGRAM = (
-    MACHINE,
-    Declared('contour_tolerance', 2e-5, 'Where the program gives none [m]', 1e-7, 0.1),
-    Declared('orientation_tolerance', 2e-5, 'Where the program gives none [m]', 1e-7, 0.1),
-    Declared('flank_height', 0.03, 'Height at which orientation is measured [m]', 1e-4, 1.0),
-    Declared('setup', '', 'YAML file with work offsets, tools and reference points'),
-    Declared('rotary_sense', 'programmed', 'Rotary words: programmed, or the shortest way'),
-    Declared('skip_blocks', False, 'Leave out the lines that begin with a slash'),
-    *SMOOTHING,
-    PEER_TIMEOUT,
-    RESEND,
-)
+PROGRAM = (MACHINE, *of_settings(), PEER_TIMEOUT, RESEND)
 
 MARKERS = (
     MACHINE,
     Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
     Declared('spacing', 5e-5, 'Least distance between points of a line [m]', 0.0, 0.1),
 )
+
+#: Parameters of the nodes that a run needs.
+NODES = {
+    'program_node': PROGRAM,
+    'lookahead_node': LOOKAHEAD,
+    'feedrate_node': FEEDRATE,
+    'machine_node': MACHINE_NODE,
+}
 
 
 def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
@@ -131,29 +134,18 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
     return values
 
 
-def chain_options(values: dict[str, Any], flank_height: float = 30.0 * MM) -> ChainOptions:
+def settings_of(values: Mapping[str, Any]) -> Settings:
     """
-    Return how the look-ahead makes the path.
+    Return the settings that parameters of a node give; choices it does not have are defaults.
 
-    Parameters
-    ----------
-    values : dict
-        Parameters of a node that declares SMOOTHING.
-    flank_height : float
-        Height at which the orientation tolerance is measured [m].
+    Raises
+    ------
+    SettingsError
+        If a value cannot be chosen.
 
     """
-    return ChainOptions(
-        flank_height=flank_height,
-        ratio=values['corner_ratio'] or None,
-        parametrization=values['parametrization'],
-        top=values['top'],
-        septic=values['septic'],
-        compression=Compression(
-            values['compress'], values['longest_block'], values['corner_angle'],
-            values['tolerance_share'],
-        ),
-    )  # fmt: skip
+    known = [choice for choice in choices(Settings) if choice.name in values]
+    return Settings(**{choice.name: choice.from_plain(values[choice.name]) for choice in known})
 
 
 def descriptor_of(parameter: Declared) -> ParameterDescriptor:
@@ -174,9 +166,7 @@ def descriptor_of(parameter: Declared) -> ParameterDescriptor:
 
 def check_change(changes: list[Any]) -> SetParametersResult:
     """Refuse changes while the node runs: buffers, windows and plans are built on the values."""
-    known = {
-        p.name for table in (LOOKAHEAD, FEEDRATE, MACHINE_NODE, PROGRAM, MARKERS) for p in table
-    }
+    known = {parameter.name for table in (*NODES.values(), MARKERS) for parameter in table}
     for change in changes:
         if change.name in known:
             return SetParametersResult(

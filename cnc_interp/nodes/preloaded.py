@@ -11,12 +11,12 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import feedrate_node, lookahead_node, machine_node, program_node
 from cnc_interp.nodes.kernel_warmup import warm_all, warm_lookahead
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
 
 __all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))
-warm_lookahead(TRANSFORM, Compression())
+warm_lookahead(TRANSFORM, Settings())
 warm_all(TRANSFORM, 1e-3)
 gc.collect()
 gc.freeze()  # lives as long as the nodes: no collection walks over it, its memory stays shared

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.parameters import chain_options
-from cnc_interp.program import JobSetup, ProgramStream, ReadOptions, open_program
+from cnc_interp.program import ProgramStream, open_program
 from cnc_interp.program.source import Source
 from cnc_interp.program.spool import BlockSpool
-from cnc_interp.run.chain import ChainOptions, at_fault, no_motion, smoothing_options
+from cnc_interp.run.chain import at_fault, no_motion
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import choices
 from cnc_interp.smoothing.path_smoother import PathSmoother
 
 #: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
@@ -35,8 +37,8 @@ class Prepared:
         What was passed on or simplified.
     text : str
         The program's text; empty when it is very long.
-    options : ReadOptions
-        The choices it was read with.
+    settings : Settings
+        The choices of the run.
     path_length : float
         Length of the smoothed path [m].
 
@@ -45,27 +47,23 @@ class Prepared:
     blocks: BlockSpool
     notices: tuple[str, ...]
     text: str
-    options: ReadOptions
+    settings: Settings
     path_length: float
 
 
-def read_options(goal: Any, defaults: dict[str, Any]) -> ReadOptions:
-    """Return the user's choices; zero and empty leave them to the node's parameters."""
-    return ReadOptions(
-        contour_tolerance=goal.contour_tolerance or defaults['contour_tolerance'],
-        orientation_tolerance=goal.orientation_tolerance or defaults['orientation_tolerance'],
-        force_tolerances=goal.force_tolerances,
-        flank_height=goal.flank_height or defaults['flank_height'],
-        feedrate=goal.feedrate or None,
-        interpolation=goal.interpolation or 'auto',
-        rotary_sense=defaults['rotary_sense'],
-        skip_blocks=defaults['skip_blocks'],
-        setup=JobSetup.load(Path(defaults['setup'])) if defaults['setup'] else JobSetup(),
-    )
+def settings_of_goal(goal: Any, defaults: Settings) -> Settings:
+    """Return the choices of a goal; zero and empty leave them to the node's parameters."""
+    fields = goal.get_fields_and_field_types()
+    given = {
+        choice.name: choice.from_plain(getattr(goal, choice.name))
+        for choice in choices(defaults)
+        if choice.name in fields and getattr(goal, choice.name)
+    }
+    return replace(defaults, **given)
 
 
 def prepare(
-    goal: Any, transform: Transform, values: dict[str, Any], told: Callable[[float], None]
+    goal: Any, transform: Transform, defaults: Settings, told: Callable[[float], None]
 ) -> Prepared:
     """
     Read and check the program of a goal, before anything moves; memory does not grow with it.
@@ -76,8 +74,8 @@ def prepare(
         Program and choices.
     transform : Transform
         The machine's transformation.
-    values : dict
-        Parameters of the node.
+    defaults : Settings
+        Choices where the goal gives none.
     told : callable
         Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
 
@@ -94,17 +92,16 @@ def prepare(
         raise InterpError(
             f"the nodes run machine '{machine.name}', not '{goal.machine}'; start them with it"
         )
-    options = read_options(goal, values)
+    settings = settings_of_goal(goal, defaults)
     if goal.program:
-        stream = open_program(Path(goal.program), transform, options)
+        stream = open_program(Path(goal.program), transform, settings)
         text = text_of(Path(goal.program))
     else:
         text = goal.text
-        stream = ProgramStream(Source.of_text(text, '<text>'), transform, options)
-    chain = chain_options(values, options.flank_height)
+        stream = ProgramStream(Source.of_text(text, '<text>'), transform, settings)
     blocks = BlockSpool()
     try:
-        length = checked_length(stream, blocks, transform, chain, told)
+        length = checked_length(stream, blocks, transform, settings, told)
     except OSError as problem:
         blocks.close()
         raise InterpError(
@@ -114,7 +111,7 @@ def prepare(
     except BaseException:
         blocks.close()
         raise
-    return Prepared(blocks, stream.notices, text, options, length)
+    return Prepared(blocks, stream.notices, text, settings, length)
 
 
 def text_of(path: Path) -> str:
@@ -128,7 +125,7 @@ def checked_length(
     stream: ProgramStream,
     spool: BlockSpool,
     transform: Transform,
-    options: ChainOptions,
+    settings: Settings,
     told: Callable[[float], None],
 ) -> float:
     """
@@ -136,8 +133,8 @@ def checked_length(
 
     Its blocks go into the spool on their way.
     """
-    lookahead = PathSmoother(smoothing_options(transform, options))
-    builder = AxisPathBuilder(transform, options.flank_height)
+    lookahead = PathSmoother(settings, traits_of(transform))
+    builder = AxisPathBuilder(transform, settings.flank_height)
     length = 0.0
     with at_fault(stream.source):
         for part in stream:

@@ -45,8 +45,9 @@ class ProgramNode(Node):
     def __init__(self) -> None:
         super().__init__('program_node')
         self._values = parameters.declare(self, parameters.PROGRAM)
+        self._settings = parameters.settings_of(self._values)
         self._transform = Transform.of(Machine.load(self._values['machine']))
-        warm_kinematics(self._transform, parameters.chain_options(self._values).compression)
+        warm_kinematics(self._transform, self._settings)
         self._run: ProgramRun | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
@@ -76,7 +77,7 @@ class ProgramNode(Node):
         """
         run = ProgramRun(handle.request)
         run.preparing = self._worker.submit(
-            prepare, handle.request, self._transform, self._values, run.has_checked
+            prepare, handle.request, self._transform, self._settings, run.has_checked
         )
         self._queue.add(run, handle)
 
@@ -167,7 +168,7 @@ class ProgramNode(Node):
             raise StreamError('a block was asked for after its run')
         blocks = run.prepared.blocks
         (message,) = block_messages(
-            blocks[row : row + 1], run.run_id, sequence, run.prepared.options.flank_height,
+            blocks[row : row + 1], run.run_id, sequence, run.prepared.settings.flank_height,
             end=sequence == run.last_sequence,
         )  # fmt: skip
         if sequence == 0:

@@ -104,17 +104,17 @@ class ProgramRun:
     def loaded(self) -> LoadedProgram:
         """Tell everybody what is about to run."""
         assert self.prepared is not None
-        options = self.prepared.options
+        settings = self.prepared.settings
         return LoadedProgram(
             program_id=self.run_id.program_id,
             name=self.name,
             text=self.prepared.text,
-            contour_tolerance=options.contour_tolerance,
-            orientation_tolerance=options.orientation_tolerance,
-            force_tolerances=options.force_tolerances,
-            flank_height=options.flank_height,
-            feedrate=options.feedrate or 0.0,
-            interpolation=options.interpolation,
+            contour_tolerance=settings.contour_tolerance,
+            orientation_tolerance=settings.orientation_tolerance,
+            force_tolerances=settings.force_tolerances,
+            flank_height=settings.flank_height,
+            feedrate=settings.feedrate or 0.0,
+            interpolation=settings.interpolation,
             path_length=self.prepared.path_length,
         )
 

@@ -2,7 +2,6 @@
 
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.job import JobSetup
-from cnc_interp.program.options import ReadOptions, RotaryGeometry
 from cnc_interp.program.reading import (
     Program,
     ProgramStream,
@@ -10,13 +9,13 @@ from cnc_interp.program.reading import (
     read_program,
     read_text,
 )
+from cnc_interp.program.rotary_geometry import RotaryGeometry
 
 __all__ = [
     'Blocks',
     'JobSetup',
     'Program',
     'ProgramStream',
-    'ReadOptions',
     'RotaryGeometry',
     'open_program',
     'read_program',

@@ -22,7 +22,7 @@ class AxisCodes:
 
     def __init__(self, mover: Mover):
         self._mover, self.fault = mover, mover.fault
-        points = mover.options.setup.reference_points
+        points = mover.setup.reference_points
         self._references = {code: dict(points.get(code, {})) for code in ('G28', 'G30')}
 
     def execute(self, code: str, words: BlockWords) -> None:

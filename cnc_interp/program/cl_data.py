@@ -21,8 +21,10 @@ from cnc_interp.core.units import MINUTE, MM
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import NO_ARC, TargetColumns
-from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
+from cnc_interp.program.notices import Notices
+from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Place, Source
+from cnc_interp.settings.choices import Settings
 
 _FARTHEST = 1e5 * MM
 _UNIT_VECTOR = 5e-3  # published points carry four decimals
@@ -64,7 +66,7 @@ class ClReader:
     ----------
     geometry : RotaryGeometry
         Of the machine; CL data name no rotary axes, so only its presence matters here.
-    options : ReadOptions
+    settings : Settings
         Tolerances, and the feedrate of files without FEDRAT.
     source : Source
         The text.
@@ -74,14 +76,14 @@ class ClReader:
     """
 
     def __init__(
-        self, geometry: RotaryGeometry, options: ReadOptions, source: Source, notices: Notices
+        self, geometry: RotaryGeometry, settings: Settings, source: Source, notices: Notices
     ):
-        self.options, self.source, self.notices = options, source, notices
-        self.targets = TargetColumns(geometry, options, source.name)
+        self.settings, self.source, self.notices = settings, source, notices
+        self.targets = TargetColumns(geometry, settings, source.name)
         self.place = source.start
         self.line_number = 0
         self.unit = MM
-        self.feedrate = options.feedrate
+        self.feedrate = settings.feedrate
         self.rapid = False
         self.axis = (0.0, 0.0, 1.0)
         self._point = (nan, nan, nan)
@@ -95,7 +97,7 @@ class ClReader:
 
     def blocks(self) -> Iterator[Blocks]:
         """Read all statements up to FINI and hand out the blocks, batch by batch."""
-        if self.options.interpolation == 'axes':
+        if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
         for line_number, statement in self._statements(self._lines()):
             self.line_number = line_number
@@ -165,7 +167,7 @@ class ClReader:
             raise self._fault(_NO_FEED, 'GOTO')
         else:
             feedrate = self.feedrate
-        tolerances = (self.options.contour_tolerance, self.options.orientation_tolerance)
+        tolerances = (self.settings.contour_tolerance, self.settings.orientation_tolerance)
         speed = (feedrate, nan, rapid, 0.0)
         self.targets.add(
             (

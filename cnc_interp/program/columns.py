@@ -26,7 +26,7 @@ from cnc_interp.program.blocks import (
     STOP,
     Blocks,
 )
-from cnc_interp.program.options import ReadOptions, RotaryGeometry
+from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.subdivide import (
     MOST_PIECES,
     angle_between,
@@ -34,6 +34,7 @@ from cnc_interp.program.subdivide import (
     piece_counts,
     ragged,
 )
+from cnc_interp.settings.choices import Settings
 
 # Columns of a target row.
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
@@ -62,15 +63,15 @@ class TargetColumns:
     ----------
     geometry : RotaryGeometry
         Gives the poses of axis positions.
-    options : ReadOptions
+    settings : Settings
         Flank height, for the subdivision.
     source : str
         File name for errors.
 
     """
 
-    def __init__(self, geometry: RotaryGeometry, options: ReadOptions, source: str):
-        self._geometry, self._options, self._source = geometry, options, source
+    def __init__(self, geometry: RotaryGeometry, settings: Settings, source: str):
+        self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
         self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
         self._before: FloatArray | None = None  # the last target already made into blocks
@@ -243,7 +244,7 @@ class TargetColumns:
                 lambda block, u: moves.poses(curved[block], u),
                 turned,
                 CHORD_SHARE * rows[curved, CONTOUR],
-                CHORD_SHARE * rows[curved, ORIENTATION] / self._options.flank_height,
+                CHORD_SHARE * rows[curved, ORIENTATION] / self._settings.flank_height,
             )
             if pieces.max() > MOST_PIECES:
                 raise ProgramError(

@@ -21,15 +21,18 @@ from cnc_interp.program.columns import AT_M0, AT_M1
 from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import G65_ARGUMENTS, Flow
+from cnc_interp.program.job import JobSetup
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import FARTHEST, Mover
-from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
+from cnc_interp.program.notices import Notices
+from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.source import Source
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.variables import ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
+from cnc_interp.settings.choices import Settings
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
 _SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}
@@ -44,8 +47,10 @@ class GcodeReader:
     ----------
     geometry : RotaryGeometry
         Names the rotary axes and gives their poses.
-    options : ReadOptions
-        Tolerances, feedrate and interpolation where the program gives none.
+    settings : Settings
+        The user's choices for reading.
+    setup : JobSetup
+        Work offsets, tool lengths and reference points.
     source : Source
         The text.
     notices : Notices
@@ -54,12 +59,17 @@ class GcodeReader:
     """
 
     def __init__(
-        self, geometry: RotaryGeometry, options: ReadOptions, source: Source, notices: Notices
+        self,
+        geometry: RotaryGeometry,
+        settings: Settings,
+        setup: JobSetup,
+        source: Source,
+        notices: Notices,
     ):
-        self.options, self.notices = options, notices
+        self.settings, self.notices = settings, notices
         self.variables = ProgramVariables(self._system_variables)
-        self.flow = Flow(source, self.variables, options.most_jumps)
-        self.mover = Mover(geometry, options, self.flow, notices)
+        self.flow = Flow(source, self.variables, settings.most_jumps)
+        self.mover = Mover(geometry, settings, setup, self.flow, notices)
         self.splines = Splines(self.mover)
         self.fault, self.notice = self.mover.fault, self.mover.notice
         self._cycle: CannedCycle | None = None
@@ -119,7 +129,7 @@ class GcodeReader:
         head = _NUMBER_AND_SKIP.match(line)
         if head and head.end():
             if head[1]:
-                if self.options.skip_blocks:
+                if self.settings.skip_blocks:
                     return
                 self.notice('/', 'lines that can be skipped are executed')
             line = line[head.end() :]
@@ -211,7 +221,7 @@ class GcodeReader:
             self._modes.path_tolerance(words)
         if was != mover.feed_mode:
             # A number that meant mm/min must not be taken for 1/min, nor the reverse.
-            mover.feedrate, mover.blocks_per_minute = self.options.feedrate, None
+            mover.feedrate, mover.blocks_per_minute = self.settings.feedrate, None
             mover.feed_changed = True
 
     def _machine_function(self, code: str) -> None:
@@ -237,7 +247,7 @@ class GcodeReader:
     def _key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
         mover = self.mover
         if key in codes.INTERPOLATION_KEYS:
-            if self.options.interpolation == 'auto' and mover.rotary_letters:
+            if self.settings.interpolation == 'auto' and mover.rotary_letters:
                 mover.great_circle = codes.INTERPOLATION_KEYS[key]
             else:
                 self.notice(key, 'ignored, the interpolation is fixed')
@@ -282,12 +292,12 @@ class GcodeReader:
             elif name in ('CTOL', 'OTOL'):
                 if not 0.0 < value * mover.unit < FARTHEST:
                     raise self.fault('the tolerance must be greater than zero', str(name))
-                if self.options.force_tolerances:
+                if self.settings.force_tolerances:
                     self.notice(str(name), "ignored, the command's tolerances are forced")
                 elif name == 'CTOL':
                     mover.contour = value * mover.unit
                 else:  # an angle: the deviation that it makes at flank height
-                    mover.orientation = min(value, 90.0) * DEG * self.options.flank_height
+                    mover.orientation = min(value, 90.0) * DEG * self.settings.flank_height
             elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'):
                 raise self.fault('this word is not supported; give the end point and I, J, K',
                                  str(name))  # fmt: skip

@@ -29,7 +29,7 @@ class Modes:
         mover, frames = self._mover, self._mover.frames
         named = words.values.pop('H', None)
         number = tool if named is None else round(min(abs(named), 1e6))
-        lengths = mover.options.setup.tool_lengths
+        lengths = mover.setup.tool_lengths
         if code in codes.TCP_ON:
             if named is not None and lengths.get(number):
                 raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
@@ -85,14 +85,14 @@ class Modes:
 
     def tolerances(self, word: str, contour: float | None, orientation: float | None) -> None:
         """Set tolerances in program units; None restores the user's."""
-        mover, options = self._mover, self._mover.options
-        if options.force_tolerances:
+        mover, settings = self._mover, self._mover.settings
+        if settings.force_tolerances:
             if contour is not None or orientation is not None:
                 self.notice(word, "ignored, the command's tolerances are forced")
             return
-        mover.contour = options.contour_tolerance if contour is None else contour * mover.unit
+        mover.contour = settings.contour_tolerance if contour is None else contour * mover.unit
         mover.orientation = (
-            options.orientation_tolerance if orientation is None else orientation * mover.unit
+            settings.orientation_tolerance if orientation is None else orientation * mover.unit
         )
 
     def turn_frame(self, key: str, words: BlockWords) -> None:

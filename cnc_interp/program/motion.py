@@ -18,8 +18,11 @@ from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
-from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
+from cnc_interp.program.job import JobSetup
+from cnc_interp.program.notices import Notices
+from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.words import BlockWords
+from cnc_interp.settings.choices import Settings
 
 FARTHEST = 1e5 * MM
 MOST_TURN = 1e3 * 360.0 * DEG
@@ -41,8 +44,10 @@ class Mover:
     ----------
     geometry : RotaryGeometry
         The machine.
-    options : ReadOptions
+    settings : Settings
         The user's choices.
+    setup : JobSetup
+        Work offsets, tool lengths and reference points.
     flow : Flow
         Where the reader is, for line numbers and errors.
     notices : Notices
@@ -51,28 +56,34 @@ class Mover:
     """
 
     def __init__(
-        self, geometry: RotaryGeometry, options: ReadOptions, flow: Flow, notices: Notices
+        self,
+        geometry: RotaryGeometry,
+        settings: Settings,
+        setup: JobSetup,
+        flow: Flow,
+        notices: Notices,
     ):
-        self.geometry, self.options, self.flow, self.notices = geometry, options, flow, notices
-        self.targets = TargetColumns(geometry, options, flow.main.name)
+        self.geometry, self.settings, self.setup = geometry, settings, setup
+        self.flow, self.notices = flow, notices
+        self.targets = TargetColumns(geometry, settings, flow.main.name)
         self.rotary_letters = tuple(geometry.axis_names[3:5])
         # Modal settings; the names are those of codes.SETTINGS.
         self.motion: int | None = None
         self.plane, self.unit, self.incremental, self.centre_absolute = 'G17', MM, False, False
         self.feed_mode, self.retract_to_start = 'G94', True
         self.stop_always = self.stop_once = False
-        self.great_circle = options.interpolation == 'vector' or not self.rotary_letters
+        self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
         self.tcp = ''
-        self.feedrate = options.feedrate
+        self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
         self.blocks_per_minute: float | None = None
         self.feed_changed = False  # from G93, G94, G95 to another of them
         self.spindle_speed = 0.0
-        self.contour = options.contour_tolerance
-        self.orientation = options.orientation_tolerance
+        self.contour = settings.contour_tolerance
+        self.orientation = settings.orientation_tolerance
         # Position: a point (see frames.py) [m], rotary axes [rad], whether words named them.
         self.zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
-        self.frames = Frames(options.setup, self.zero, self.rotary_letters)
+        self.frames = Frames(setup, self.zero, self.rotary_letters)
         self.point = np.zeros(3)
         self.rotary = np.zeros(2) if self.rotary_letters else np.full(2, nan)
         self.named = 0.0
@@ -199,7 +210,7 @@ class Mover:
 
     def _turned(self, here: float, angle: float, way: str) -> float:
         """Choose whole turns of an absolute rotary word."""
-        if way == 'DC' or (self.options.rotary_sense == 'shortest' and way in ('', 'AC')):
+        if way == 'DC' or (self.settings.rotary_sense == 'shortest' and way in ('', 'AC')):
             return angle - 2.0 * pi * round((angle - here) / (2.0 * pi))
         if way == 'ACP':
             return here + (angle - here) % (2.0 * pi)
@@ -288,7 +299,7 @@ class Mover:
         if rapid or not self.rotary_letters or self.targets.empty:
             return
         which = int(np.argmax(turned))
-        if turned[which] > LONG_WAY and self.options.rotary_sense == 'programmed':
+        if turned[which] > LONG_WAY and self.settings.rotary_sense == 'programmed':
             self.notice(
                 f'{self.rotary_letters[which]} turns by more than 180 deg in a cutting block',
                 'done as programmed; --rotary-sense shortest takes the short way',

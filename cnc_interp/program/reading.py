@@ -11,8 +11,11 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
 from cnc_interp.program.gcode import GcodeReader
-from cnc_interp.program.options import Notices, ReadOptions, RotaryGeometry
+from cnc_interp.program.job import JobSetup
+from cnc_interp.program.notices import Notices
+from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Source
+from cnc_interp.settings.choices import Settings
 
 _HEAD_LINES = 2000
 _CL_SUFFIXES = {'.apt', '.cl', '.cls', '.ncl', '.aptsource'}
@@ -64,24 +67,37 @@ class ProgramStream:
         The text.
     geometry : RotaryGeometry
         The machine.
-    options : ReadOptions
+    settings : Settings
         The user's choices.
+    setup : JobSetup, optional
+        Work offsets, tool lengths and reference points; None: those of the file that the settings
+        name.
 
     Raises
     ------
     ProgramError
-        While iterating, as soon as something cannot be read; nothing is skipped silently.
+        If the setup file cannot be read. While iterating, as soon as something cannot be read:
+        nothing is skipped silently.
 
     """
 
-    def __init__(self, source: Source, geometry: RotaryGeometry, options: ReadOptions):
+    def __init__(
+        self,
+        source: Source,
+        geometry: RotaryGeometry,
+        settings: Settings,
+        setup: JobSetup | None = None,
+    ):
+        if setup is None:
+            setup = JobSetup.load(settings.setup) if settings.setup else JobSetup()
         self._source, self.source = source, source.name
         self.dialect = _dialect(source)
         self._notices = Notices()
-        reader_class = ClReader if self.dialect == 'cl' else GcodeReader
-        self._reader: ClReader | GcodeReader = reader_class(
-            geometry, options, source, self._notices
-        )
+        self._reader: ClReader | GcodeReader
+        if self.dialect == 'cl':
+            self._reader = ClReader(geometry, settings, source, self._notices)
+        else:
+            self._reader = GcodeReader(geometry, settings, setup, source, self._notices)
 
     def __iter__(self) -> Iterator[Blocks]:
         """Read on; the text is closed at the end."""
@@ -106,7 +122,9 @@ class ProgramStream:
         return Program(blocks, self.notices, self.source, self.dialect)
 
 
-def open_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> ProgramStream:
+def open_program(
+    path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
+) -> ProgramStream:
     """
     Open a part program for reading block by block.
 
@@ -116,10 +134,12 @@ def open_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> 
         If the file cannot be opened, or is of an unsupported kind.
 
     """
-    return ProgramStream(Source.of_file(path), geometry, options)
+    return ProgramStream(Source.of_file(path), geometry, settings, setup)
 
 
-def read_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> Program:
+def read_program(
+    path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
+) -> Program:
     """
     Read a part program from a file.
 
@@ -129,21 +149,27 @@ def read_program(path: Path, geometry: RotaryGeometry, options: ReadOptions) -> 
         If the file cannot be opened or its text cannot be read; nothing is skipped silently.
 
     """
-    return open_program(path, geometry, options).read()
+    return open_program(path, geometry, settings, setup).read()
 
 
-def read_text(text: str, source: str, geometry: RotaryGeometry, options: ReadOptions) -> Program:
+def read_text(
+    text: str,
+    source: str,
+    geometry: RotaryGeometry,
+    settings: Settings,
+    setup: JobSetup | None = None,
+) -> Program:
     """
     Read a part program from a string.
 
     Examples
     --------
-    >>> program = read_text('G1 X10 F600', '<text>', machine, ReadOptions())
+    >>> program = read_text('G1 X10 F600', '<text>', machine, Settings())
     >>> program.blocks.tip
     array([[0.01, 0.  , 0.  ]])
 
     """
-    return ProgramStream(Source.of_text(text, source), geometry, options).read()
+    return ProgramStream(Source.of_text(text, source), geometry, settings, setup).read()
 
 
 def _dialect(source: Source) -> str:

@@ -167,7 +167,7 @@ def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
         words = values[:, column] * (mover.unit if i < 3 else DEG)
         if not mover.incremental:
             program[:, i] = filled(words, float(here[i]))
-            if i >= 3 and mover.options.rotary_sense == 'shortest':
+            if i >= 3 and mover.settings.rotary_sense == 'shortest':
                 steps = np.diff(program[:, i], prepend=here[i])
                 steps -= 2.0 * pi * np.round(steps / (2.0 * pi))
                 program[:, i] = here[i] + np.cumsum(steps)

@@ -60,7 +60,7 @@ class Splines:
         second = None if self._second is None else mover.frames.point(self._second)
         self._curve = Curve(
             _point(mover.point), _point(axis), None if second is None else _point(second),
-            mover.options.flank_height, mover.flow.main.name,
+            mover.settings.flank_height, mover.flow.main.name,
         )  # fmt: skip
 
     def take(self, words: BlockWords, feed_given: bool) -> bool:

@@ -9,15 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import BlockError, ProgramError
-from cnc_interp.core.units import MM, MS
+from cnc_interp.core.units import MM
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
-from cnc_interp.kinematics.axis_rates import jerk_rates
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
@@ -25,8 +24,7 @@ from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.plan_writer import PlanFigures, PlanWriter
-from cnc_interp.smoothing.dense.compression import Compression
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -35,41 +33,12 @@ BATCH = 256
 
 
 @dataclass(frozen=True)
-class ChainOptions:
-    """
-    What the user may choose about the chain.
-
-    Parameters
-    ----------
-    flank_height : float
-        Height at which the orientation tolerance is measured [m].
-    ratio : float, optional
-        L2/L1 of all corners [-]; None: chosen for each.
-    parametrization, top, septic
-        How corners are made; see SmoothingOptions.
-    period : float
-        Interpolation period [s].
-    compression : Compression
-        How runs of short blocks become curves.
-
-    """
-
-    flank_height: float = 30.0 * MM
-    ratio: float | None = None
-    parametrization: str = 'exact'
-    top: str = 'in_step'
-    septic: bool = False
-    period: float = 1.0 * MS
-    compression: Compression = field(default_factory=Compression)
-
-
-@dataclass(frozen=True)
 class Plan:
     """A planned program: everything from blocks to setpoints, and how long planning took."""
 
     program: Program
     machine: Machine
-    options: ChainOptions
+    settings: Settings
     segments: PathSegments
     pieces: list[PlannedPiece]
     setpoints: Setpoints
@@ -84,17 +53,17 @@ class Chain:
     ----------
     machine : Machine
         The machine.
-    options : ChainOptions
+    settings : Settings
         The user's choices.
 
     """
 
-    def __init__(self, machine: Machine, options: ChainOptions):
+    def __init__(self, machine: Machine, settings: Settings):
         transform = Transform.of(machine)
-        self.lookahead = PathSmoother(smoothing_options(transform, options))
-        self.builder = AxisPathBuilder(transform, options.flank_height)
+        self.lookahead = PathSmoother(settings, traits_of(transform))
+        self.builder = AxisPathBuilder(transform, settings.flank_height)
         self.planner = FeedPlanner(machine)
-        self.interpolator = Interpolator(options.period)
+        self.interpolator = Interpolator(settings.interpolation_period)
         self.seconds = {'smoothing': 0.0, 'kinematics': 0.0, 'feedrate': 0.0, 'interpolation': 0.0}
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []
@@ -145,27 +114,10 @@ class Chain:
             self.seconds[room] += time.perf_counter() - start
 
 
-def smoothing_options(transform: Transform, options: ChainOptions) -> SmoothingOptions:
-    """Return the look-ahead's options for a machine (pole, axes) and the user's choices."""
-    machine = transform.machine
-    pole = tuple(float(x) for x in transform.pole) if machine.has_rotary else None
-    return SmoothingOptions(
-        flank_height=options.flank_height,
-        ratio=options.ratio,
-        axis_rates=partial(jerk_rates, transform),
-        parametrization=options.parametrization,
-        top=options.top,
-        septic=options.septic,
-        pole=pole,  # type: ignore[arg-type]
-        pole_cone=machine.singular_cone,
-        compression=options.compression,
-    )
-
-
 def plan_program(
     program: Program,
     machine: Machine,
-    options: ChainOptions | None = None,
+    settings: Settings | None = None,
 ) -> Plan:
     """
     Plan a whole program and keep everything; ``plan_to_files`` keeps nothing.
@@ -176,7 +128,7 @@ def plan_program(
         What was read.
     machine : Machine
         The machine it shall run on.
-    options : ChainOptions, optional
+    settings : Settings, optional
         The user's choices.
 
     Returns
@@ -190,8 +142,8 @@ def plan_program(
         If the program cannot run on the machine; the message names line, axis and value.
 
     """
-    options = options or ChainOptions()
-    chain = Chain(machine, options)
+    settings = settings or Settings()
+    chain = Chain(machine, settings)
     blocks = program.blocks
     with at_fault(program.source):
         for first in range(0, len(blocks), BATCH):
@@ -202,7 +154,7 @@ def plan_program(
     return Plan(
         program=program,
         machine=machine,
-        options=options,
+        settings=settings,
         segments=PathSegments.concatenate(chain.segments),
         pieces=chain.pieces,
         setpoints=Setpoints.concatenate(chain.setpoints),
@@ -214,7 +166,7 @@ def plan_to_files(
     stream: ProgramStream,
     machine: Machine,
     directory: Path,
-    options: ChainOptions | None = None,
+    settings: Settings | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """
@@ -228,7 +180,7 @@ def plan_to_files(
         The machine it shall run on.
     directory : Path
         For the plan files; files in it are replaced once all is planned.
-    options : ChainOptions, optional
+    settings : Settings, optional
         The user's choices.
     progress : callable, optional
         Told the share of the text that has been planned, 0 to 1.
@@ -244,9 +196,11 @@ def plan_to_files(
         If the program cannot be read, or cannot run on the machine.
 
     """
-    options = options or ChainOptions()
-    chain = Chain(machine, options)
-    with PlanWriter(directory, machine, options.period, options.flank_height) as writer:
+    settings = settings or Settings()
+    chain = Chain(machine, settings)
+    with PlanWriter(
+        directory, machine, settings.interpolation_period, settings.flank_height
+    ) as writer:
         with at_fault(stream.source):
             for part in stream:
                 writer.blocks(part)
@@ -279,7 +233,9 @@ def no_motion(source: str) -> ProgramError:
 
 def summary_of(plan: Plan) -> dict[str, Any]:
     """Return the plan's summary as written to ``summary.json``; SI units."""
-    figures = PlanFigures(plan.machine, plan.options.period, plan.options.flank_height)
+    figures = PlanFigures(
+        plan.machine, plan.settings.interpolation_period, plan.settings.flank_height
+    )
     pass_on(plan, figures)
     return figures.summary(plan.program.source, plan.planning_time)
 
@@ -296,8 +252,10 @@ def write_plan(plan: Plan, directory: Path) -> None:
         Created if missing; files in it are replaced.
 
     """
-    options = plan.options
-    with PlanWriter(directory, plan.machine, options.period, options.flank_height) as writer:
+    settings = plan.settings
+    with PlanWriter(
+        directory, plan.machine, settings.interpolation_period, settings.flank_height
+    ) as writer:
         pass_on(plan, writer)
         writer.finish(plan.program.source, plan.planning_time)
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners import corner
-from cnc_interp.smoothing.corners.corner import Corners
+from cnc_interp.smoothing.corners.corner import Corners, Style
 from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.corners.vertices import (
     ROUND,
@@ -26,8 +27,11 @@ from cnc_interp.smoothing.corners.vertices import (
 from cnc_interp.smoothing.dense.compressor import Compressor
 from cnc_interp.smoothing.dense.rows import Rows
 from cnc_interp.smoothing.emission import Emission, no_segments
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import PathSegments
+
+#: A line shorter than this share of its block goes to the corners [-].
+LEFT_OVER = 0.05
 
 
 class LookAhead:
@@ -36,8 +40,10 @@ class LookAhead:
 
     Parameters
     ----------
-    options : SmoothingOptions
-        How to smooth.
+    settings : Settings
+        The user's choices.
+    machine : MachineTraits
+        What smoothing must know of the machine.
     row : int
         Row in the program of the first block to come.
     joined : bool
@@ -46,15 +52,12 @@ class LookAhead:
     """
 
     def __init__(
-        self, options: SmoothingOptions | None = None, row: int = 0, joined: bool = False
+        self, settings: Settings, machine: MachineTraits, row: int = 0, joined: bool = False
     ):
-        self.options = options or SmoothingOptions()
-        self._style = self.options.style
+        self._settings, self._machine = settings, machine
+        self._style = Style.of(settings)
         self._none = no_segments(self._style)
-        options = self.options
-        self._compressor = Compressor(
-            options.compression, options.flank_height, options.pole, options.pole_cone, row, joined
-        )
+        self._compressor = Compressor(settings, machine, row, joined)
         self._rows: Rows | None = None
         self._outer_before = 0.0  # L2 of the corner at the first kept vertex, unstretched
 
@@ -97,7 +100,7 @@ class LookAhead:
             return self._none
         legs = Legs.of(blocks)
         refuse_reversals(rows, legs)
-        vertex = classify(rows, legs, self.options)
+        vertex = classify(rows, legs, self._settings.flank_height, self._machine)
         inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
         # A vertex is final when its own corner is sized and its neighbour's too (left-overs).
@@ -128,16 +131,17 @@ class LookAhead:
 
     def _ratios(self, corners: Corners) -> FloatArray:
         """Return L2/L1 on both sides of corners, shape (n, 2): as told, or chosen for each."""
-        if self.options.ratio is not None:
-            return np.full((len(corners.tip), 2), self.options.ratio)
-        return ratios_at(corners, self.options.flank_height, self.options.axis_rates)
+        ratio = self._settings.corner_ratio
+        if ratio is not None:
+            return np.full((len(corners.tip), 2), ratio)
+        return ratios_at(corners, self._settings.flank_height, self._machine.axis_rates)
 
     def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
         """Stretch the corners over lines that are too short to be worth keeping."""
         used = outer[:known, 1] + outer[1 : known + 1, 0]
         length = legs.length[:known]
         rest = length - used
-        stretch = (rest < self.options.left_over * length) & (used > 0.0)
+        stretch = (rest < LEFT_OVER * length) & (used > 0.0)
         factor = np.where(stretch, length / np.where(used > 0.0, used, 1.0), 1.0)
         outer[:known, 1] *= factor
         outer[1 : known + 1, 0] *= factor

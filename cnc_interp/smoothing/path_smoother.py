@@ -14,11 +14,13 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.native.joining import Jets, line_jets
 from cnc_interp.smoothing.native.spline_run import SplineRun
-from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import norm, rotations_between
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -32,15 +34,17 @@ class PathSmoother:
 
     Parameters
     ----------
-    options : SmoothingOptions
-        How to smooth.
+    settings : Settings
+        The user's choices.
+    machine : MachineTraits
+        What smoothing must know of the machine.
 
     """
 
-    def __init__(self, options: SmoothingOptions | None = None):
-        self.options = options or SmoothingOptions()
-        self._style = self.options.style
-        self._lookahead = LookAhead(self.options)
+    def __init__(self, settings: Settings, machine: MachineTraits):
+        self.settings, self.machine = settings, machine
+        self._style = Style.of(settings)
+        self._lookahead = LookAhead(settings, machine)
         self._run: SplineRun | None = None
         self._recent: Blocks | None = None  # the last two linear blocks
         self._waiting: PathSegments | None = None  # until it is known whether the tool rests
@@ -121,7 +125,9 @@ class PathSmoother:
         rest = run.finish(after)
         self._run = None
         pose = replace(run.last_row, top=np.full((1, 3), np.nan), knot_interval=np.full(1, np.nan))
-        self._lookahead = LookAhead(self.options, self._row - 1, joined=after is not None)
+        self._lookahead = LookAhead(
+            self.settings, self.machine, self._row - 1, joined=after is not None
+        )
         self._lookahead.push(pose)
         self._recent = pose
         return [rest]

@@ -16,14 +16,15 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp.cli import main, parser
 from cnc_interp.client.alarms import Alarm
 from cnc_interp.client.page.access import Access
-from cnc_interp.client.page.preview import DRAWN, Choices, Preview, thinned
+from cnc_interp.client.page.preview import DRAWN, Preview, thinned
 from cnc_interp.client.page.readings import axis_words, clock, program_html, progress_words
 from cnc_interp.client.page.tube import INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.client.shared_value import SharedValue
-from cnc_interp.command_options import read_options
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.command_line import command_words, settings_from
 
 PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F1500\nM30\n'
 
@@ -157,12 +158,9 @@ def test_long_paths_are_thinned_with_their_ends():
 
 
 def test_choices_are_understood_by_the_command():
-    choices = Choices(12e-6, 34e-6, True, 0.025, 0.0375)
-    options = read_options(parser().parse_args(['plan', 'x', '--out', 'y', *choices.words()]))
-    assert options.contour_tolerance == pytest.approx(12e-6)
-    assert options.orientation_tolerance == pytest.approx(34e-6)
-    assert options.force_tolerances and options.flank_height == pytest.approx(0.025)
-    assert options.feedrate == pytest.approx(0.0375)
+    settings = Settings(12e-6, 34e-6, 0.025, True, 0.0375)
+    words = ['plan', 'x', '--out', 'y', *command_words(settings)]
+    assert settings_from(parser().parse_args(words)) == settings
 
 
 def test_program_text_is_shown_as_text():

@@ -19,9 +19,9 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 COUNT = int(os.environ.get('CNC_INTERP_EXAMPLES', '12'))
@@ -30,12 +30,12 @@ FOUND, FOUND_IN_CHAIN = (56, 288, 367, 850, 1376), (13, 18, 30, 89, 165)
 #: Seeds of every run of the whole chain; none of them is refused.
 ALWAYS = dict.fromkeys([*range(3), *FOUND_IN_CHAIN])
 HEIGHT = 30 * MM
-CURVES = Compression(enabled=True)
+POLE = MachineTraits(pole=(0.0, 0.0, 1.0))
 
 
 def smooth(blocks, cuts):
     """Segments of blocks that arrive in batches."""
-    lookahead = LookAhead(SmoothingOptions(HEIGHT, pole=(0.0, 0.0, 1.0), compression=CURVES))
+    lookahead = LookAhead(Settings(flank_height=HEIGHT), POLE)
     bounds = [0, *cuts, len(blocks)]
     parts = [lookahead.push(blocks[a:b]) for a, b in pairwise(bounds)]
     return PathSegments.concatenate([*parts, lookahead.finish()])

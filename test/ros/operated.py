@@ -11,12 +11,13 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
-from cnc_interp.program import ReadOptions, read_text
-from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.program import read_text
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 
 Result = RunProgram.Result
@@ -42,11 +43,11 @@ PROGRAM = waves(12)
 
 
 def blocks_of(text):
-    return read_text(text, 'waves.ngc', TRANSFORM, ReadOptions()).blocks
+    return read_text(text, 'waves.ngc', TRANSFORM, Settings()).blocks
 
 
 def path_of(text):
-    lookahead = LookAhead(smoothing_options(TRANSFORM, ChainOptions()))
+    lookahead = LookAhead(Settings(), traits_of(TRANSFORM))
     builder = AxisPathBuilder(TRANSFORM, 0.03)
     parts = [builder.push(lookahead.push(blocks_of(text))), builder.push(lookahead.finish())]
     return AxisPath.join([part for part in parts if part is not None])

@@ -19,8 +19,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.run.run_id import RunId
+from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.path_messages import block_messages
 
 PATIENCE = 120.0
@@ -86,7 +87,7 @@ class Viewer:
 
     def stream(self, run):
         """Send the blocks of the program, one of them twice, and setpoints along them."""
-        blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, ReadOptions()).blocks
+        blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, Settings()).blocks
         messages = block_messages(blocks, RunId(run), 0, 0.03, end=True)
         for message in [*messages, messages[1]]:
             self.blocks.publish(message)

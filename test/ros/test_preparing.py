@@ -12,15 +12,13 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes import parameters
 from cnc_interp.nodes.program_check import prepare
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chain import ChainOptions, plan_program
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.run.chain import plan_program
+from cnc_interp.settings.choices import Settings
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))
-VALUES = {p.name: p.default for p in parameters.PROGRAM}
 ANGLES = np.linspace(0.0, 12.0, 1500)
 LINES = [
     'G21 G90 G0 X30 Y0 Z0 F2000',
@@ -30,18 +28,18 @@ TEXT = '\n'.join(LINES)
 
 
 def prepared(text, told=lambda share: None, **values):
-    return prepare(RunProgram.Goal(text=text), TRANSFORM, VALUES | values, told)
+    return prepare(RunProgram.Goal(text=text), TRANSFORM, Settings(**values), told)
 
 
 @pytest.mark.parametrize('compress', [False, True])
 def test_blocks_are_those_of_the_reader_and_the_length_that_of_the_path_to_be_run(compress):
     shares = []
     ready = prepared(TEXT, shares.append, compress=compress)
-    program = read_text(TEXT, '<text>', TRANSFORM, ReadOptions())
+    program = read_text(TEXT, '<text>', TRANSFORM, Settings())
     stored, read = ready.blocks[0 : len(ready.blocks)], program.blocks
     for column in fields(Blocks):
         assert getattr(stored, column.name).tobytes() == getattr(read, column.name).tobytes()
-    options = ChainOptions(compression=Compression(enabled=compress))
+    options = Settings(compress=compress)
     plan = plan_program(program, TRANSFORM.machine, options)
     assert ready.path_length == pytest.approx(plan.setpoints.s[-1], abs=1e-9)
     assert shares == sorted(shares) and shares[-1] == 1.0 and len(shares) > 5

@@ -21,10 +21,10 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import ChainOptions
 from cnc_interp.run.run_id import RunId
+from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.path_messages import block_messages
 
 Result = RunProgram.Result
@@ -84,8 +84,8 @@ def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path
 
 def test_native_splines_run_over_the_nodes_and_are_proven(tmp_path):
     program, out = tmp_path / 'curves.mpf', tmp_path / 'received'
-    read = read_text(PROGRAM, 'part.apt', TRANSFORM, ReadOptions())
-    written = convert(read, MACHINE, ChainOptions(), 'siemens-bspline', 0.01 * UM)
+    read = read_text(PROGRAM, 'part.apt', TRANSFORM, Settings())
+    written = convert(read, MACHINE, Settings(), 'siemens-bspline', 0.01 * UM)
     program.write_text(written.text)
     (result,) = run_session(RunRequest(program, out=out, quiet=True))
     assert result.ok, result.message
@@ -179,7 +179,7 @@ def lives(process):
 
 
 def sound_blocks(program_id):
-    blocks = read_text(PROGRAM, 'part.apt', TRANSFORM, ReadOptions()).blocks
+    blocks = read_text(PROGRAM, 'part.apt', TRANSFORM, Settings()).blocks
     return block_messages(blocks, RunId(program_id), 0, 0.03, end=True)
 
 

@@ -20,7 +20,8 @@ import numpy as np
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, ReadOptions, read_program
+from cnc_interp.program import JobSetup, read_program
+from cnc_interp.settings.choices import Settings
 
 #: One unit of the last decimal printed.
 LAST_DIGIT = 1e-4
@@ -298,8 +299,8 @@ def judged(path, machine_name, partly, tools=None):
     geometry = Transform.of(machine)
     at_zero = {f'G{number}': dict.fromkeys('XYZ', 0.0) for number in range(54, 60)}
     lengths = {number: length / 1e3 for number, length in (tools or {}).items()}
-    options = ReadOptions(feedrate=0.05, setup=JobSetup(at_zero, lengths))
-    blocks = read_program(path, geometry, options).blocks
+    setup = JobSetup(at_zero, lengths)
+    blocks = read_program(path, geometry, Settings(feedrate=0.05), setup).blocks
     motions, complaint = run_linuxcnc(path, tools)
     assert partly or not complaint, complaint
     points, columns = None, []

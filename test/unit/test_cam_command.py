@@ -13,7 +13,8 @@ from cnc_interp.cli import BAD_INPUT, FINE, main
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import read_program
+from cnc_interp.settings.choices import Settings
 
 SURFACE = {
     'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],
@@ -67,7 +68,7 @@ def test_all_formats_hold_the_same_path(surface, tmp_path, capsys):
         command = ['cam', 'iso-scallop', str(surface), *arguments, '--out', str(tmp_path / form)]
         assert main(command) == FINE
         machine = Transform.of(Machine.load('xyzac'))
-        reading = ReadOptions(contour_tolerance=1 * UM)
+        reading = Settings(contour_tolerance=1 * UM)
         motion = programmed(read_program(tmp_path / form / f'program.{suffix}', machine, reading))
         motions[form] = cut_needles(NEEDLES, MILL, motion.tip, motion.axis).height
     capsys.readouterr()

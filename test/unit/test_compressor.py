@@ -13,22 +13,21 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
 HEIGHT = 30 * MM
 TOLERANCE = 10 * UM
-CURVES = Compression(enabled=True)
+ANYWHERE = MachineTraits()
 FEED = 3000 * MM_PER_MIN
 
 
-def smooth(blocks, batch=10000, **options):
+def smooth(blocks, batch=10000, **settings):
     """All segments of some blocks."""
-    options.setdefault('compression', CURVES)
-    lookahead = LookAhead(SmoothingOptions(HEIGHT, **options))
+    lookahead = LookAhead(Settings(flank_height=HEIGHT, **settings), ANYWHERE)
     parts = [lookahead.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
     return PathSegments.concatenate([*parts, lookahead.finish()])
 
@@ -100,7 +99,7 @@ def test_same_bits_however_the_blocks_arrive(batch, noise):
 def test_delay_is_bounded():
     """What has come is on its way after a few millimetres, however long the run is."""
     blocks = dome(count=1500)
-    lookahead = LookAhead(SmoothingOptions(HEIGHT, compression=CURVES))
+    lookahead = LookAhead(Settings(flank_height=HEIGHT), ANYWHERE)
     sent = 0
     for i in range(0, len(blocks), 50):
         part = lookahead.push(blocks[i : i + 50])
@@ -111,7 +110,7 @@ def test_delay_is_bounded():
 def test_memory_does_not_grow_with_a_curve_that_never_ends():
     count = 24_000
     blocks = helix(count)
-    lookahead = LookAhead(SmoothingOptions(HEIGHT, compression=CURVES))
+    lookahead = LookAhead(Settings(flank_height=HEIGHT), ANYWHERE)
     held = []
     tracemalloc.start()
     for first in range(0, count, 500):
@@ -133,7 +132,7 @@ def test_a_sharp_turn_of_dense_blocks_keeps_its_corner():
     assert np.abs(segments.bottom[rounded[0], 2] - tips[50]).max() < 1 * UM
     sound(segments, blocks)
     # 45 deg; where more is allowed the curve goes through
-    through = smooth(blocks, compression=replace(CURVES, corner_angle=60 * DEG))
+    through = smooth(blocks, corner_angle=60 * DEG)
     assert (through.kind == SPLINE).all()
     sound(through, blocks)
 
@@ -205,7 +204,7 @@ def test_a_native_spline_meets_the_line_before_and_after():
     after = points[-1] + straight([0, 0, 0], 12 * away / np.linalg.norm(away) * MM, 40)
     rest = blocks_of(after, np.repeat(dense.axis[-1:], 40, axis=0), tolerance=TOLERANCE)
     blocks = Blocks.concatenate([dense, curve, rest])
-    smoother = PathSmoother(SmoothingOptions(HEIGHT, compression=CURVES))
+    smoother = PathSmoother(Settings(flank_height=HEIGHT), ANYWHERE)
     segments = PathSegments.concatenate([smoother.push(blocks), smoother.finish()])
     assert not segments.stop[:-1].any()
     own = (segments.block >= 60) & (segments.block < 65)
@@ -227,18 +226,18 @@ def test_a_native_spline_meets_the_line_before_and_after():
 )
 def test_impossible_choices_are_refused_by_name(name, value):
     with pytest.raises(InterpError, match=name):
-        Compression(**{name: value})
+        Settings(**{name: value})
 
 
 def test_longest_block_decides_what_is_dense():
     blocks = dome(count=60, block=1 * MM)
-    lines = smooth(blocks, compression=replace(CURVES, longest_block=0.9 * MM))
+    lines = smooth(blocks, longest_block=0.9 * MM)
     assert SPLINE not in lines.kind and CORNER in lines.kind
     assert (smooth(blocks).kind == SPLINE).all()
 
 
 def test_share_of_the_tolerance_is_kept():
     blocks = dome(count=150, noise=2 * UM)
-    segments = smooth(blocks, compression=replace(CURVES, tolerance_share=0.5))
+    segments = smooth(blocks, tolerance_share=0.5)
     assert segments.deviation.max() <= 0.5 * TOLERANCE
     sound(segments, blocks)

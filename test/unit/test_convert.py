@@ -11,9 +11,10 @@ from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import ChainOptions, plan_program, write_plan
+from cnc_interp.run.chain import plan_program, write_plan
+from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)
@@ -54,7 +55,7 @@ M30
 
 
 def read(text, name='p.mpf'):
-    return read_text(text, name, TRANSFORM, ReadOptions())
+    return read_text(text, name, TRANSFORM, Settings())
 
 
 def plan_of(program, directory=None):
@@ -77,7 +78,7 @@ def poses_of(plan, count=5001):
 @pytest.mark.parametrize('text', [WALLS, CURVE], ids=['walls', 'curve'])
 @pytest.mark.parametrize(
     'options',
-    [ChainOptions(), ChainOptions(top='tolerance'), ChainOptions(septic=True)],
+    [Settings(), Settings(top='tolerance'), Settings(septic=True)],
     ids=['default', 'tolerance', 'septic'],
 )
 def test_native_splines_read_back_are_the_same_path(text, options, tmp_path):
@@ -94,8 +95,8 @@ def test_native_splines_read_back_are_the_same_path(text, options, tmp_path):
 @pytest.mark.parametrize('to', ['gcode', 'cl'])
 def test_blocks_read_back_are_the_same_path(text, to):
     program = read(text)
-    made = convert(program, MACHINE, ChainOptions(), to, 0.01 * UM)
-    back = read_text(made.text, f'p.{"ngc" if to == "gcode" else "apt"}', TRANSFORM, ReadOptions())
+    made = convert(program, MACHINE, Settings(), to, 0.01 * UM)
+    back = read_text(made.text, f'p.{"ngc" if to == "gcode" else "apt"}', TRANSFORM, Settings())
     assert back.dialect == to
     if text == STOPS and to == 'cl':  # CL data have neither durations, tolerances nor turns
         assert any('rotary' in note for note in made.notes)
@@ -122,8 +123,8 @@ def test_rotary_words_turn_on_without_jumps():
     for (x, y), (i, j, k) in zip(tips[1:], axes[1:], strict=True):
         size = np.linalg.norm([i, j, k])
         lines.append(f'GOTO/{x},{y},0,{i / size:.9f},{j / size:.9f},{k / size:.9f}')
-    program = read_text('\n'.join([*lines, 'FINI']), 'p.apt', TRANSFORM, ReadOptions())
-    text = convert(program, MACHINE, ChainOptions(), 'gcode', 0.01 * UM).text
+    program = read_text('\n'.join([*lines, 'FINI']), 'p.apt', TRANSFORM, Settings())
+    text = convert(program, MACHINE, Settings(), 'gcode', 0.01 * UM).text
     words = [w for line in text.splitlines() for w in line.split() if w.startswith('C')]
     turns = np.array([float(w[1:]) for w in words])
     assert np.abs(np.diff(turns)).max() < 91 and abs(turns[-1] - turns[0]) == pytest.approx(360)
@@ -131,7 +132,7 @@ def test_rotary_words_turn_on_without_jumps():
 
 def test_curves_become_chords_within_a_share_of_the_tolerance():
     program = read(CURVE)
-    back = read(convert(program, MACHINE, ChainOptions(), 'gcode', 0.01 * UM).text)
+    back = read(convert(program, MACHINE, Settings(), 'gcode', 0.01 * UM).text)
     assert not back.blocks.on_spline.any() and len(back.blocks) > 40
     smooth = poses_of(plan_of(program), 20001)[0][:, :3]
     way = back.blocks.tip
@@ -149,22 +150,22 @@ def test_notes_say_what_a_control_with_one_parameter_loses():
         assert all(note in made.text for note in made.notes)
         return [float(rate) for rate in rates]
 
-    written, plain = figures(ChainOptions(top='tolerance'))
+    written, plain = figures(Settings(top='tolerance'))
     assert written < 1e-6 < 1e-4 < plain
-    written, plain = figures(ChainOptions(top='tolerance', parametrization='linear'))
+    written, plain = figures(Settings(top='tolerance', parametrization='linear'))
     assert written == pytest.approx(plain, rel=1e-3) and plain > 1e-4
 
 
 def test_machines_without_rotary_axes_need_no_tool_axis_words():
     machine = Machine.load('xyz')
     program = read_text(
-        'G0 X0 Y0\nG1 X10 F600\nY10\nM30', 'p.ngc', Transform.of(machine), ReadOptions()
+        'G0 X0 Y0\nG1 X10 F600\nY10\nM30', 'p.ngc', Transform.of(machine), Settings()
     )
-    made = convert(program, machine, ChainOptions(), 'siemens-bspline', 0.01 * UM)
+    made = convert(program, machine, Settings(), 'siemens-bspline', 0.01 * UM)
     text = made.text
     assert not any('orientation' in note for note in made.notes)  # nothing turns
     assert 'BSPLINE' in text and 'XH' not in text and 'TRAORI' not in text
-    back = read_text(text, 'p.mpf', Transform.of(machine), ReadOptions())
+    back = read_text(text, 'p.mpf', Transform.of(machine), Settings())
     assert plan_program(back, machine).pieces[-1].law.end_time == pytest.approx(
         plan_program(program, machine).pieces[-1].law.end_time, rel=3e-3
     )
@@ -172,9 +173,9 @@ def test_machines_without_rotary_axes_need_no_tool_axis_words():
 
 def test_cl_data_say_which_tolerances_they_have_lost():
     note = 'CL data have no tolerances; read them with --contour-tolerance '
-    made = convert(read(STOPS), MACHINE, ChainOptions(), 'cl', 0.01 * UM)
+    made = convert(read(STOPS), MACHINE, Settings(), 'cl', 0.01 * UM)
     assert any(line.startswith(note) for line in made.notes)
-    made = convert(read(WALLS), MACHINE, ChainOptions(), 'cl', 0.01 * UM)
+    made = convert(read(WALLS), MACHINE, Settings(), 'cl', 0.01 * UM)
     assert not any(line.startswith(note) for line in made.notes)
 
 
@@ -192,8 +193,8 @@ def test_command_writes_a_file_or_the_terminal(tmp_path, capsys):
 @pytest.mark.parametrize(('to', 'words'), [('gcode', ('M0', 'M1')), ('cl', ('STOP', 'OPSTOP'))])
 def test_program_stops_survive(to, words):
     text = 'TRAORI\nG0 X0 Y0 Z0 A10 C20\nG1 X10 F600\nM0\nX20\nM1\nX30 Y5\nM30'
-    program = read_text(text, 'stops.ngc', TRANSFORM, ReadOptions())
-    made = convert(program, MACHINE, ChainOptions(), to, UM)
-    again = read_text(made.text, 'again.ngc', TRANSFORM, ReadOptions()).blocks
+    program = read_text(text, 'stops.ngc', TRANSFORM, Settings())
+    made = convert(program, MACHINE, Settings(), to, UM)
+    again = read_text(made.text, 'again.ngc', TRANSFORM, Settings()).blocks
     assert all(word in made.text for word in words)
     assert again.program_stop.tolist() == program.blocks.program_stop.tolist() == [0, 1, 2, 0]

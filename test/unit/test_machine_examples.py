@@ -10,8 +10,9 @@ from cnc_interp.core.errors import TravelError
 from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.run.chain import plan_program
+from cnc_interp.settings.choices import Settings
 
 RNG = np.random.default_rng(3)
 Q = np.column_stack([RNG.uniform(-0.3, 0.3, (40, 3)), RNG.uniform(-3.0, 3.0, (40, 2))])
@@ -60,7 +61,7 @@ def test_a_wrapped_path_crosses_every_angle(cut):
     """The tool stands on the axis' top; the table turns through zero and any other angle."""
     geometry = Transform.of(machine := Machine.load('xyza'))
     text = f'G0 X0 Y0 Z30 A-20\nF600 {cut}\nG1 X40 Y3\nA-10 X0\n'
-    plan = plan_program(read_text(text, 'wrap.ngc', geometry, ReadOptions()), machine)
+    plan = plan_program(read_text(text, 'wrap.ngc', geometry, Settings()), machine)
     angles = np.degrees(plan.setpoints.position[:, 3])
     wanted = float(cut.split('A')[1])
     assert angles[0] == pytest.approx(-20, abs=1e-6) and angles[-1] == pytest.approx(-10)
@@ -73,7 +74,7 @@ def test_a_wrapped_path_crosses_every_angle(cut):
 
 def test_the_locked_axis_is_not_there():
     geometry = Transform.of(machine := Machine.load('xyza'))
-    program = read_text('G0 X0 A0\nG1 B5 F100', 't', geometry, ReadOptions())
+    program = read_text('G0 X0 A0\nG1 B5 F100', 't', geometry, Settings())
     with pytest.raises(TravelError, match='axis B'):
         plan_program(program, machine)
 
@@ -84,7 +85,7 @@ def test_heads_keep_the_tip_where_they_are_told(name):
     geometry = Transform.of(machine := Machine.load(name))
     first, second = machine.axis_names[3:]
     text = f'TRAORI\nG0 X10 Y20 Z30 {first}10 {second}20\nG1 {first}40 {second}50 F600'
-    plan = plan_program(read_text(text, 't', geometry, ReadOptions()), machine)
+    plan = plan_program(read_text(text, 't', geometry, Settings()), machine)
     tip, axis = geometry.forward(plan.setpoints.position)
     np.testing.assert_allclose(tip, np.broadcast_to([0.01, 0.02, 0.03], tip.shape), atol=1e-9)
     wanted = geometry.tool_axis(np.radians([[40.0, 50.0]]))[0]
@@ -95,7 +96,7 @@ def test_heads_keep_the_tip_where_they_are_told(name):
 def test_machine_zero_of_a_machining_centre():
     geometry = Transform.of(machine := Machine.load('vmc'))
     text = 'G0 X10 Y20 Z5\nG1 Z-3 F600\nG53 G0 Z0\nG91 G28 X0 Y0'
-    program = read_text(text, 't', geometry, ReadOptions())
+    program = read_text(text, 't', geometry, Settings())
     np.testing.assert_allclose(program.blocks.tip[-1] * 1e3, [-400, -250, 400])
     q = plan_program(program, machine).setpoints.position
     np.testing.assert_allclose(q[0], [0.41, 0.27, -0.395], atol=1e-12)

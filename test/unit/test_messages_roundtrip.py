@@ -14,13 +14,14 @@ from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
 
 from cnc_interp.core.errors import InterpError, StreamError
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_program, read_text
-from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.program import read_program, read_text
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import RunId
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 from cnc_interp.wire import chunk_messages
@@ -54,11 +55,11 @@ def examples():
 
 
 def blocks_of(path):
-    return read_program(path, TRANSFORM, ReadOptions(feedrate=0.05)).blocks[:MOST]
+    return read_program(path, TRANSFORM, Settings(feedrate=0.05)).blocks[:MOST]
 
 
-def segments_of(blocks, **options):
-    lookahead = LookAhead(smoothing_options(TRANSFORM, ChainOptions(**options)))
+def segments_of(blocks, **settings):
+    lookahead = LookAhead(Settings(**settings), traits_of(TRANSFORM))
     return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
 
 
@@ -146,7 +147,7 @@ def test_unsound_control_points_are_refused_by_name(field, value, word):
 
 
 def test_every_kind_of_segment_keeps_every_bit():
-    segments = segments_of(read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, ReadOptions()).blocks)
+    segments = segments_of(read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, Settings()).blocks)
     assert set(segments.kind.tolist()) == {0, 1, 2}
     sent = messages.segment_messages(segments, P, 0, H, end=False)
     assert not any(m.end_of_program for m in sent)
@@ -221,7 +222,7 @@ def sound(kind):
         )
         chunk = Chunk(still, part_of(still, 0, 7), Wait.NOTHING)
         return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, P, 0, 0.001)
-    blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, ReadOptions()).blocks
+    blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, Settings()).blocks
     if kind is G1Block:
         return messages.block_messages(blocks, P, 0, H, end=True)[1]
     segments = messages.segment_messages(segments_of(blocks), P, 0, H, end=True)

@@ -15,14 +15,15 @@ from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
+from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets
-from cnc_interp.smoothing.options import SmoothingOptions
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import LINE, SPLINE, PathSegments, spline_jets
@@ -39,7 +40,7 @@ def bezier(points, u):
 
 
 def read(text):
-    return read_text(text, 'p.mpf', TRANSFORM, ReadOptions())
+    return read_text(text, 'p.mpf', TRANSFORM, Settings())
 
 
 def control_points(rng, count=8, step=6.0):
@@ -74,7 +75,7 @@ def curve_of(blocks):
 
 
 def smoothed(blocks, batch=None, **options):
-    smoother = PathSmoother(SmoothingOptions(flank_height=H, **options))
+    smoother = PathSmoother(Settings(flank_height=H, **options), MachineTraits())
     step = batch or len(blocks)
     parts = [smoother.push(blocks[i : i + step]) for i in range(0, len(blocks), step)]
     parts = [part for part in [*parts, smoother.finish()] if len(part)]

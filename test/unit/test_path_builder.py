@@ -14,9 +14,10 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import read_program
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 
 AC = Transform.of(Machine.load('xyzac'))
 
@@ -24,7 +25,7 @@ AC = Transform.of(Machine.load('xyzac'))
 def path_of(blocks, transform=AC, batch=1000, **options):
     """Blocks to AxisPath on a machine, batch by batch."""
     pole = tuple(transform.pole) if transform.machine.has_rotary else None
-    lookahead = LookAhead(SmoothingOptions(pole=pole, **options))
+    lookahead = LookAhead(Settings(**options), MachineTraits(pole=pole))
     builder = AxisPathBuilder(transform)
     builder.start(blocks.axis[0], blocks.rotary[0])
     parts = [lookahead.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
@@ -233,7 +234,7 @@ def test_a_part_far_from_its_zero_is_cut_no_finer():
     if not file.exists():
         pytest.skip('the collection of real programs is not at hand')
     heads = Transform.of(Machine.load('head_head'))
-    blocks = read_program(file, heads, ReadOptions()).blocks[520:545]
+    blocks = read_program(file, heads, Settings()).blocks[520:545]
     path = path_of(blocks, heads)
     assert np.diff(path.s).min() > 1e-6
     assert len(path.s) < 20 * len(blocks)

@@ -13,10 +13,11 @@ from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, open_program
+from cnc_interp.program import open_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import chain as pipeline
-from cnc_interp.run.chain import ChainOptions, plan_program, plan_to_files, write_plan
+from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
+from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
 GEOMETRY = Transform.of(MACHINE)
@@ -41,7 +42,7 @@ def program(tmp_path):
 
 
 def opened(path):
-    return open_program(path, GEOMETRY, ReadOptions())
+    return open_program(path, GEOMETRY, Settings())
 
 
 class AtOnce:
@@ -55,7 +56,7 @@ class AtOnce:
 
 
 def test_streamed_files_are_those_of_the_whole_plan(program, tmp_path):
-    options = ChainOptions(period=4.0 * MS)
+    options = Settings(interpolation_period=4.0 * MS)
     read = opened(program).read()
     streamed = plan_to_files(AtOnce(read), MACHINE, tmp_path / 'a', options)
     plan = plan_program(read, MACHINE, options)

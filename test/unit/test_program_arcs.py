@@ -7,13 +7,14 @@ from hypothesis import strategies as st
 from test_program_gcode import ThreeAxes
 from test_program_subdivision import TableAC
 
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
+from cnc_interp.settings.choices import Settings
 
 PLANES = {'G17': ('XY', 'IJ', 'Z'), 'G18': ('ZX', 'KI', 'Y'), 'G19': ('YZ', 'JK', 'X')}
 
 
 def read(text, geometry=None, **options):
-    return read_text(text, 'arc.ngc', geometry or ThreeAxes(), ReadOptions(**options)).blocks
+    return read_text(text, 'arc.ngc', geometry or ThreeAxes(), Settings(**options)).blocks
 
 
 def turned(points, centre, axes):

@@ -7,15 +7,16 @@ from hypothesis import strategies as st
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, ReadOptions, read_text
+from cnc_interp.program import JobSetup, read_text
+from cnc_interp.settings.choices import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
 #: Axis positions of the workpiece zero, from the machine file.
 ZERO = np.array([40.0, -70.0 + 0.15, 60.0 + 80.0])
 
 
-def read(text, geometry=AC, **options):
-    return read_text(text, 'part.ngc', geometry, ReadOptions(**options))
+def read(text, geometry=AC, setup=None, **options):
+    return read_text(text, 'part.ngc', geometry, Settings(**options), setup)
 
 
 def axes_at(blocks):
@@ -251,13 +252,13 @@ def test_runs_of_plain_lines_mean_what_their_lines_mean(lines, tcp, incremental,
 def test_rotary_words_after_a_tool_direction_start_where_the_axes_stand():
     """Linear rotary axes out of A3 B3 C3 began at the rotary words before it."""
     text = 'TRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F600 X5 A3=0 B3=0.5 C3=1\nX10 A40 C60\n'
-    blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), ReadOptions()).blocks
+    blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), Settings()).blocks
     tilt = np.degrees(np.arccos(blocks.axis[blocks.line_number == 4, 2]))
     assert len(tilt) > 1 and tilt[0] > np.degrees(np.arctan(0.5))
 
 
 def test_start_pose_by_a_tool_direction_names_no_rotary_positions():
     text = 'TRAORI\nG0 X0 Y0 Z0 A3=0 B3=0.5 C3=1\nG1 F600 X5\n'
-    blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), ReadOptions()).blocks
+    blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), Settings()).blocks
     assert np.isnan(blocks.rotary).all()
     assert blocks.axis[0] == pytest.approx([0.0, 5**-0.5, 2 * 5**-0.5])

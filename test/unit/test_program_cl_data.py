@@ -5,11 +5,12 @@ import pytest
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
+from cnc_interp.settings.choices import Settings
 
 
 def read(text, **options):
-    return read_text(text, 'part.apt', TableAC(), ReadOptions(**options))
+    return read_text(text, 'part.apt', TableAC(), Settings(**options))
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from test_program_subdivision import TableAC
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, ReadOptions, read_program
+from cnc_interp.program import JobSetup, read_program
 from cnc_interp.program.motion import Mover
+from cnc_interp.settings.choices import Settings
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / 'examples'
@@ -32,7 +33,7 @@ MACHINES = {
 
 
 def read(path, **options):
-    return read_program(path, TableAC(), ReadOptions(**options))
+    return read_program(path, TableAC(), Settings(**options))
 
 
 def shared(name):
@@ -158,14 +159,15 @@ def test_creo_points_against_a_plain_reading():
 @pytest.mark.parametrize('name', sorted(path.name for path in SHARED.glob('*')))
 def test_every_real_program_is_read_or_refused_in_one_line(name):
     machine = Transform.of(Machine.load(MACHINES.get(name, 'xyzac')))
-    options = ReadOptions(feedrate=0.05, setup=SETUPS.get(name, JobSetup()))
+    settings = Settings(feedrate=0.05)
+    setup = SETUPS.get(name)
     if name in REFUSED:
         with pytest.raises(ProgramError) as caught:
-            read_program(shared(name), machine, options)
+            read_program(shared(name), machine, settings, setup)
         assert caught.value.word == REFUSED[name]
         assert caught.value.line_number > 0 and '\n' not in str(caught.value)
         return
-    blocks = read_program(shared(name), machine, options).blocks
+    blocks = read_program(shared(name), machine, settings, setup).blocks
     for column in ('tip', 'axis', 'contour_tolerance'):
         assert np.isfinite(getattr(blocks, column)).all()
     moving = np.isnan(blocks.feedrate[1:]) != np.isnan(blocks.duration[1:])
@@ -184,7 +186,7 @@ def test_swivelled_operations_have_the_tool_along_the_frame(monkeypatch):
         return go(mover, point, rotary, *more, **named)
 
     monkeypatch.setattr(Mover, 'go', watched)
-    read_program(shared('spinner-achskreuz-mpf'), machine, ReadOptions())
+    read_program(shared('spinner-achskreuz-mpf'), machine, Settings())
     directions = np.array(seen)
     assert len(np.unique(directions[:, :3].round(6), axis=0)) == 5
     np.testing.assert_allclose(directions[:, :3], directions[:, 3:], atol=1e-12)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from test_program_gcode import ThreeAxes
 
-from cnc_interp.program import ReadOptions, open_program, read_program, read_text
+from cnc_interp.program import open_program, read_program, read_text
+from cnc_interp.settings.choices import Settings
 
 
 def read(text, **options):
-    return read_text(text, 'part.ngc', ThreeAxes(), ReadOptions(**options))
+    return read_text(text, 'part.ngc', ThreeAxes(), Settings(**options))
 
 
 def xs(text, **options):
@@ -69,7 +70,7 @@ def test_subprograms_in_files_of_their_own(tmp_path):
     (tmp_path / 'part.ngc').write_text('G0 X0\no<step> call [1]\nM98 P7\nG0 X3\nM2\n')
     (tmp_path / 'step.ngc').write_text('o<step> sub\nG0 X#1\no<step> endsub\nM2\n')
     (tmp_path / 'O0007.nc').write_text('%\nO7\nG0 X2\nM99\n%\n')
-    blocks = read_program(tmp_path / 'part.ngc', ThreeAxes(), ReadOptions()).blocks
+    blocks = read_program(tmp_path / 'part.ngc', ThreeAxes(), Settings()).blocks
     np.testing.assert_allclose(blocks.tip[:, 0] * 1e3, [0, 1, 2, 3])
     # A line of another file counts as the line of its call.
     assert blocks.line_number.tolist() == [1, 2, 3, 4]
@@ -126,7 +127,7 @@ def test_blocks_stream_with_flat_memory_and_progress(tmp_path):
     with path.open('w') as file:
         file.write('G0 X0 Y0 F1000\n')
         file.writelines(line.format(i % 97, i % 89) for i in range(60000))
-    stream = open_program(path, ThreeAxes(), ReadOptions())
+    stream = open_program(path, ThreeAxes(), Settings())
     shares, rows, largest = [], 0, 0
     for blocks in stream:
         shares.append(stream.share)

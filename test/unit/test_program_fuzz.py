@@ -16,9 +16,9 @@ import numpy as np
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source
+from cnc_interp.settings.choices import Settings
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
 EXAMPLES = Path(__file__).parents[2] / 'examples'
@@ -160,7 +160,7 @@ def mutated(random_, texts):
 
 def answer(text, geometry=GEOMETRIES[0]):
     """Read a text as a node would: how many blocks, or why not."""
-    options = ReadOptions(feedrate=0.01, most_jumps=300)
+    options = Settings(feedrate=0.01, most_jumps=300)
     count = 0
     try:
         for blocks in ProgramStream(Source(io.BytesIO(text), 'fuzz'), geometry, options):

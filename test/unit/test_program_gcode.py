@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.program import JobSetup, ReadOptions, columns, read_program, read_text
+from cnc_interp.program import JobSetup, columns, read_program, read_text
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
+from cnc_interp.settings.choices import Settings
 
 
 class ThreeAxes:
@@ -23,8 +24,8 @@ class ThreeAxes:
         return tip
 
 
-def read(text, geometry=None, **options):
-    return read_text(text, 'part.ngc', geometry or TableAC(), ReadOptions(**options))
+def read(text, geometry=None, setup=None, **options):
+    return read_text(text, 'part.ngc', geometry or TableAC(), Settings(**options), setup)
 
 
 def tips(text, **options):
@@ -223,11 +224,11 @@ def test_a_file_reads_like_its_text(tmp_path):
     text = 'G0 X0\r\nG1 X1 F60\r\nM30\r\n'
     path = tmp_path / 'part.nc'
     path.write_bytes(b'\xef\xbb\xbf' + text.encode())
-    program = read_program(path, TableAC(), ReadOptions())
+    program = read_program(path, TableAC(), Settings())
     assert program.dialect == 'gcode' and program.source == str(path)
     np.testing.assert_array_equal(program.blocks.tip, read(text).blocks.tip)
     with pytest.raises(ProgramError, match='cannot be opened'):
-        read_program(tmp_path / 'none.nc', TableAC(), ReadOptions())
+        read_program(tmp_path / 'none.nc', TableAC(), Settings())
 
 
 @pytest.mark.parametrize('rows', [1, 2, 3, 7])

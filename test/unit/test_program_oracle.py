@@ -9,7 +9,8 @@ from linuxcnc_oracle import PROGRAMS, compare, interpreter, judged, run_linuxcnc
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_program
+from cnc_interp.program import read_program
+from cnc_interp.settings.choices import Settings
 
 if interpreter() is None:
     pytest.skip('no rs274: run tools/get_rs274, set RS274', allow_module_level=True)
@@ -83,7 +84,7 @@ def test_the_comparison_sees_differences(tmp_path):
     path = tmp_path / 'snippet.ngc'
     path.write_text('G0 X0\nG3 X5 Y5 R5 F100\nG1 X9\nM2\n')
     motions, _ = run_linuxcnc(path)
-    blocks = read_program(path, Transform.of(Machine.load('xyz')), ReadOptions()).blocks
+    blocks = read_program(path, Transform.of(Machine.load('xyz')), Settings()).blocks
     assert not compare(blocks, motions).faults
     for changed in (
         replace(blocks, tip=blocks.tip + np.where(np.arange(len(blocks)) == 9, 1e-5, 0)[:, None]),

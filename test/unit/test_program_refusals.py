@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.program import ReadOptions, cl_words, codes, read_text
+from cnc_interp.core.errors import ProgramError, SettingsError
+from cnc_interp.program import cl_words, codes, read_text
+from cnc_interp.settings.choices import Settings
 
 SYNTAX = [
     ('G0 X1 X2', 'X2', 'twice'),
@@ -112,7 +113,7 @@ OFFSETS_AND_CYCLES = [
 
 def refused(text, start='G0 X0\n'):
     with pytest.raises(ProgramError) as caught:
-        read_text(start + text, 'part.ngc', TableAC(), ReadOptions(most_jumps=100))
+        read_text(start + text, 'part.ngc', TableAC(), Settings(most_jumps=100))
     assert '\n' not in str(caught.value) and str(caught.value).startswith('part.ngc:')
     return caught.value
 
@@ -150,20 +151,20 @@ def test_the_work_offset_must_not_change():
 def test_texts_without_motion_are_refused():
     for text in ('', '(nothing)', 'G21\nM30', '%\n%'):
         with pytest.raises(ProgramError, match='no motion'):
-            read_text(text, 'part.ngc', TableAC(), ReadOptions())
+            read_text(text, 'part.ngc', TableAC(), Settings())
 
 
 def test_heidenhain_plain_text_is_told_apart():
     with pytest.raises(ProgramError, match=r'part\.h:1: .*Heidenhain'):
-        read_text('0 BEGIN PGM 12 MM\n1 L X+5 FMAX', 'part.h', TableAC(), ReadOptions())
+        read_text('0 BEGIN PGM 12 MM\n1 L X+5 FMAX', 'part.h', TableAC(), Settings())
 
 
 @pytest.mark.parametrize(
     'bad', [{'contour_tolerance': 0.0}, {'feedrate': -1.0}, {'flank_height': float('nan')}]
 )
 def test_options_must_be_greater_than_zero(bad):
-    with pytest.raises(ProgramError, match=next(iter(bad))):
-        ReadOptions(**bad)
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        Settings(**bad)
 
 
 def test_a_line_of_a_million_characters_fails_at_once():

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
+from cnc_interp.settings.choices import Settings
 
 H = 0.03
 
@@ -79,7 +80,7 @@ def axes_block(a0, c0, a1, c1, tolerance_mm=0.02, geometry=None, first='A', trav
         f'M428\nG64 P{tolerance_mm}\nG0 X0 Y0 Z0 {first}{a0} C{c0}\n'
         f'G1 X{travel} Y-20 {first}{a1} C{c1} F1200\nM30'
     )
-    return read_text(text, 't.ngc', geometry or TableAC(), ReadOptions(flank_height=H)).blocks
+    return read_text(text, 't.ngc', geometry or TableAC(), Settings(flank_height=H)).blocks
 
 
 @pytest.mark.parametrize(
@@ -147,7 +148,7 @@ def test_other_rotary_letters_take_the_machine_order():
 
 def test_pure_rotation_stays_one_block_with_its_rotary_target():
     text = 'M428\nG0 X1 A15 C0\nG1 C360 F100\nG0 A0\nM30'
-    blocks = read_text(text, 't', TableAC(), ReadOptions()).blocks
+    blocks = read_text(text, 't', TableAC(), Settings()).blocks
     assert len(blocks) == 3
     np.testing.assert_allclose(np.degrees(blocks.rotary), [[15, 0], [15, 360], [0, 360]])
     assert blocks.rapid.tolist() == [True, False, True]
@@ -155,7 +156,7 @@ def test_pure_rotation_stays_one_block_with_its_rotary_target():
 
 def test_inverse_time_is_shared_out_over_the_pieces():
     text = 'M428\nG93\nG0 X0 A15 C0\nG1 X10 C90 F30\nG1 X20 F120\nM30'
-    blocks = read_text(text, 't', TableAC(), ReadOptions()).blocks
+    blocks = read_text(text, 't', TableAC(), Settings()).blocks
     cut = blocks.line_number == 4
     assert cut.sum() > 10
     assert blocks.duration[cut].sum() == pytest.approx(2.0)
@@ -172,7 +173,7 @@ def test_feedrate_is_kept_in_the_pieces():
 
 def test_vector_blocks_beyond_90_deg_are_split_at_equal_angles():
     text = 'GOTO/0,0,0,0,0,1\nFEDRAT/600,MMPM\nGOTO/30,0,0,0,0.6,-0.8'
-    blocks = read_text(text, 't.apt', TableAC(), ReadOptions()).blocks
+    blocks = read_text(text, 't.apt', TableAC(), Settings()).blocks
     assert len(blocks) == 3
     angle = np.arccos(-0.8)
     middle = [0.0, np.sin(angle / 2), np.cos(angle / 2)]
@@ -182,7 +183,7 @@ def test_vector_blocks_beyond_90_deg_are_split_at_equal_angles():
 
 def test_orivect_leaves_the_rotary_axes_to_the_kinematics():
     text = 'TRAORI\nORIVECT\nG0 X0 A20 C0\nG1 X10 A20 C60 F600\nORIAXES\nG1 X20 C65\nM30'
-    blocks = read_text(text, 't.mpf', TableAC(), ReadOptions()).blocks
+    blocks = read_text(text, 't.mpf', TableAC(), Settings()).blocks
     np.testing.assert_allclose(np.degrees(blocks.rotary[0]), [20, 0])
     assert np.isnan(blocks.rotary[1]).all() and blocks.line_number[2] == 6
     np.testing.assert_allclose(np.degrees(blocks.rotary[-1]), [20, 65])
@@ -190,11 +191,11 @@ def test_orivect_leaves_the_rotary_axes_to_the_kinematics():
 
 def test_interpolation_option_fixes_the_program_words():
     text = 'TRAORI\nORIVECT\nG0 X0 A20 C0\nG1 X10 C60 F600\nM30'
-    options = ReadOptions(interpolation='axes')
+    options = Settings(interpolation='axes')
     program = read_text(text, 't.mpf', TableAC(), options)
     assert len(program.blocks) > 10 and 'ORIVECT' in program.notices[0]
     text = text.replace('ORIVECT\n', '')
-    assert len(read_text(text, 't', TableAC(), ReadOptions(interpolation='vector')).blocks) == 2
+    assert len(read_text(text, 't', TableAC(), Settings(interpolation='vector')).blocks) == 2
 
 
 @settings(max_examples=30, deadline=None)

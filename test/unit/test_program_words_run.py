@@ -7,9 +7,10 @@ import pytest
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, ReadOptions, read_text
+from cnc_interp.program import JobSetup, read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import SPLINE
 
 MACHINE = Machine.load('xyzac')
@@ -70,8 +71,8 @@ PROGRAMS = {
 def test_it_runs_and_is_proven(name, tmp_path):
     lines, set_up = PROGRAMS[name]
     text = lines if name == 'CL data' else f'{HEAD}{lines}\nM30\n'
-    options = ReadOptions(setup=SETUP if set_up else JobSetup())
-    program = read_text(text, 'part.ngc', Transform.of(MACHINE), options)
+    setup = SETUP if set_up else None
+    program = read_text(text, 'part.ngc', Transform.of(MACHINE), Settings(), setup)
     write_plan(plan_program(program, MACHINE), tmp_path)
     proof = verify_plan(tmp_path, MACHINE)
     assert proof.ok, proof.failures
@@ -80,7 +81,7 @@ def test_it_runs_and_is_proven(name, tmp_path):
 def test_a_curve_begins_in_the_turn_that_the_start_pose_names(tmp_path):
     dense = [f'G1 X{0.4 * k:g} Y{0.01 * k * k:g} A{12 + k / 10:g} C{k - 250}' for k in range(40)]
     text = '\n'.join(['TRAORI', 'G0 X0 Y0 Z0 A12 C-250', 'F3000', *dense, 'M30'])
-    program = read_text(text, 'part.ngc', Transform.of(MACHINE), ReadOptions())
+    program = read_text(text, 'part.ngc', Transform.of(MACHINE), Settings())
     plan = plan_program(program, MACHINE)
     assert (plan.segments.kind == SPLINE).sum() > 0.8 * len(plan.segments)
     assert plan.setpoints.position[0, 4] == pytest.approx(-250 * DEG)

@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.feedrate.window import FeedPlanner
-from cnc_interp.kinematics.axis_rates import jerk_rates
+from cnc_interp.kinematics.axis_rates import jerk_rates, traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import cross, turned_by
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
@@ -28,16 +28,16 @@ HEIGHT = 30 * MM
 def cycle_time(blocks, ratio, machine='xyzac'):
     """Time that the whole chain plans for some blocks."""
     transform = Transform.of(Machine.load(machine))
-    lookahead = LookAhead(smoothing_options(transform, ChainOptions(ratio=ratio)))
+    lookahead = LookAhead(Settings(corner_ratio=ratio), traits_of(transform))
     segments = PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
     planner = FeedPlanner(transform.machine)
     pieces = planner.push(AxisPathBuilder(transform, HEIGHT).push(segments))
     return (pieces + planner.finish())[-1].law.end_time
 
 
-def used_ratios(blocks, **options):
+def used_ratios(blocks, axis_rates=None, **settings):
     """L2/L1 on both sides of the corners made of some blocks."""
-    lookahead = LookAhead(SmoothingOptions(HEIGHT, **options))
+    lookahead = LookAhead(Settings(flank_height=HEIGHT, **settings), MachineTraits(axis_rates))
     segments = PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
     bottom = segments.bottom[segments.kind == CORNER]
     from_corner = np.linalg.norm(bottom - bottom[:, 2:3], axis=2)
@@ -87,7 +87,7 @@ def test_axis_rates_of_three_axes_are_the_direction():
 def test_ratio_grows_with_the_turn_between_its_ends():
     for turn, expected in ((5, LEAST), (45, 1.35 + 0.65 * 2 * np.sin(22.5 * DEG)), (100, MOST)):
         assert used_ratios(plane_turn(turn)) == pytest.approx(expected)
-    assert used_ratios(plane_turn(45), ratio=1.75) == pytest.approx(1.75)
+    assert used_ratios(plane_turn(45), corner_ratio=1.75) == pytest.approx(1.75)
 
 
 def test_longer_leg_where_the_axes_move_less_per_metre():
@@ -145,4 +145,4 @@ def test_chosen_ratios_are_faster_where_corners_are_unlike():
 @pytest.mark.parametrize('ratio', [1.0, 1.1, 5.0, float('nan')])
 def test_ratio_out_of_range_is_refused(ratio):
     with pytest.raises(InterpError, match=r'is not between 1\.2 and 4'):
-        SmoothingOptions(ratio=ratio)
+        Settings(corner_ratio=ratio)

@@ -1,5 +1,6 @@
 """Corners and look-ahead: tolerances, continuity and special cases, by independent geometry."""
 
+from dataclasses import fields
 from functools import partial
 
 import numpy as np
@@ -15,10 +16,10 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
-from cnc_interp.smoothing.dense.compression import Compression
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,
@@ -31,12 +32,19 @@ from cnc_interp.smoothing.segments import (
 AXIS_RATES = partial(jerk_rates, Transform.of(Machine.load('xyzac')))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]
 HEIGHT = 30 * MM
-NO_CURVES = Compression(enabled=False)
+
+
+def lookahead_of(**options):
+    """A look-ahead that makes no curves; options are settings or traits of the machine."""
+    names = {field.name for field in fields(MachineTraits)}
+    traits = {name: options.pop(name) for name in names & options.keys()}
+    settings = Settings(flank_height=HEIGHT, compress=False, **options)
+    return LookAhead(settings, MachineTraits(**traits))
 
 
 def smooth(blocks, **options):
     """All segments of some blocks, corner by corner."""
-    lookahead = LookAhead(SmoothingOptions(HEIGHT, compression=NO_CURVES, **options))
+    lookahead = lookahead_of(**options)
     return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
 
 
@@ -165,7 +173,7 @@ def test_paper_parametrization_removes_most_of_the_kink_that_linear_leaves():
     kink = {}
     for name in ('linear', 'paper', 'exact'):
         segments = smooth(
-            pyramid(tolerance=1 * MM), top='tolerance', parametrization=name, ratio=1.4
+            pyramid(tolerance=1 * MM), top='tolerance', parametrization=name, corner_ratio=1.4
         )
         gaps = []
         for i in np.flatnonzero(segments.kind == CORNER):
@@ -179,7 +187,7 @@ def test_paper_parametrization_removes_most_of_the_kink_that_linear_leaves():
 
 def test_unknown_way_to_make_a_corner_is_refused():
     with pytest.raises(InterpError, match="'cubic' is unknown; choose exact or linear or paper"):
-        SmoothingOptions(parametrization='cubic')
+        Settings(parametrization='cubic')
 
 
 def programmed_poses(blocks, row, count=2000):
@@ -250,14 +258,13 @@ def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, t
     assert jumps(segments).max() < 1e-9
 
 
-@pytest.mark.parametrize('options', [{}, {'axis_rates': AXIS_RATES}, {'ratio': 1.75}])
+@pytest.mark.parametrize('options', [{}, {'axis_rates': AXIS_RATES}, {'corner_ratio': 1.75}])
 def test_same_segments_however_the_blocks_arrive(options):
     blocks = zigzag(8, count=60, step=2 * MM)
     whole = smooth(blocks, **options)
-    smoothing = SmoothingOptions(HEIGHT, compression=NO_CURVES, **options)
     rng = np.random.default_rng(0)
     for _ in range(5):
-        lookahead, parts, row = LookAhead(smoothing), [], 0
+        lookahead, parts, row = lookahead_of(**options), [], 0
         while row < len(blocks):
             count = int(rng.integers(1, 9))
             parts.append(lookahead.push(blocks[row : row + count]))

@@ -6,12 +6,13 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_text
-from cnc_interp.run.chain import ChainOptions, smoothing_options
+from cnc_interp.program import read_text
 from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 
 MACHINE = Machine.load('xyzac')
@@ -22,8 +23,8 @@ PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n' + ''.join(
 
 
 def segments():
-    blocks = read_text(PROGRAM, 'steps.ngc', TRANSFORM, ReadOptions()).blocks
-    smoother = PathSmoother(smoothing_options(TRANSFORM, ChainOptions()))
+    blocks = read_text(PROGRAM, 'steps.ngc', TRANSFORM, Settings()).blocks
+    smoother = PathSmoother(Settings(), traits_of(TRANSFORM))
     return [smoother.push(blocks), smoother.finish()]
 
 

@@ -13,10 +13,11 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ReadOptions, read_text
+from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify, verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
+from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
 
@@ -205,7 +206,7 @@ def test_order_time_and_exact_stops(tmp_path):
     ],
 )
 def test_a_stop_that_the_tool_has_passed_before_is_kept(tmp_path, text):
-    program = read_text(text, 'a.ngc', Transform.of(MACHINE), ReadOptions())
+    program = read_text(text, 'a.ngc', Transform.of(MACHINE), Settings())
     write_plan(plan_program(program, MACHINE), tmp_path)
     proof = verify_plan(tmp_path, MACHINE)
     assert proof.ok, proof.failures

@@ -12,11 +12,11 @@ RUN = """
 import sys
 sys.path.insert(0, {here!r})
 from numba.core.dispatcher import Dispatcher
+from cnc_interp.settings.choices import Settings
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.kernel_warmup import warm_all, warm_lookahead
-from cnc_interp.run.chain import Chain, ChainOptions
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.run.chain import Chain
 from programs import dome, zigzag
 
 def compiled():
@@ -27,13 +27,13 @@ def compiled():
         for signature in value.overloads
     }}
 
-machine, compression = Machine.load('xyzac'), Compression(enabled={curves})
+machine, settings = Machine.load('xyzac'), Settings(compress={curves})
 warm_all(Transform.of(machine), 0.001)
-warm_lookahead(Transform.of(machine), compression)
+warm_lookahead(Transform.of(machine), settings)
 before = compiled()
-chain = Chain(machine, ChainOptions(compression=compression))
+chain = Chain(machine, settings)
 stops = [i % 40 == 39 for i in range(300)]
-blocks = dome(2000) if compression.enabled else zigzag(3, count=300, exact_stop=stops)
+blocks = dome(2000) if settings.compress else zigzag(3, count=300, exact_stop=stops)
 for first in range(0, len(blocks), 64):
     chain.push(blocks[first : first + 64])
 chain.finish()

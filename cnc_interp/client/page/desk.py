@@ -6,20 +6,23 @@ import asyncio
 import math
 import time
 from collections import deque
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import LoadedProgram
 
+from cnc_interp.client.goal_sender import goal_of
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
-from cnc_interp.client.page.preview import Choices, Planner, Preview
+from cnc_interp.client.page.preview import Planner, Preview
 from cnc_interp.client.page.tube import tube
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import choices
 
 #: History that the charts show, and the rate it is kept at [s].
 SPAN, STEP = 30.0, 0.1
@@ -52,15 +55,10 @@ class Job:
     name: str
     lines: list[str]
     path: Path
-    choices: Choices
+    settings: Settings
     plan: Preview | None = None
     status: str = 'planning'
     proven: bool | None = None
-
-
-def goal_of(program: Path, choices: Choices) -> RunProgram.Goal:
-    """Return the goal that runs a program with some choices."""
-    return RunProgram.Goal(program=str(program), **asdict(choices))
 
 
 class Desk:
@@ -139,11 +137,8 @@ class Desk:
         if self.job is not None and self.job.lines == lines and self.job.name == program.name:
             self._running = self.job
             return
-        choices = Choices(
-            program.contour_tolerance, program.orientation_tolerance, program.force_tolerances,
-            program.flank_height, program.feedrate,
-        )  # fmt: skip
-        self._running = self._lay(self._planner, program.name, program.text, choices)
+        settings = settings_told(program)
+        self._running = self._lay(self._planner, program.name, program.text, settings)
 
     # The program --------------------------------------------------------------------------------
 
@@ -157,7 +152,7 @@ class Desk:
                 False,
                 'a program is running: load another one when it has ended, or press queue next',
             )
-        self._lay(self._planner, name, text, Choices())
+        self._lay(self._planner, name, text, Settings())
         return Answer(True, f'{name} loaded')
 
     async def queue(self, name: str, text: str) -> Answer:
@@ -166,7 +161,7 @@ class Desk:
         if self._planner is None or state is None or state.state not in ON_PATH:
             return Answer(False, 'no program is running: load this one and press cycle start')
         path = self._planner.keep(name, text)
-        return await asyncio.wrap_future(self.nodes.start_program(goal_of(path, Choices())))
+        return await asyncio.wrap_future(self.nodes.start_program(goal_of(path, Settings())))
 
     def empty_queue(self) -> Answer:
         """Let the programs go that wait."""
@@ -176,9 +171,9 @@ class Desk:
             f'{count} removed from the queue' if count else 'no program of this page is waiting',
         )
 
-    def _lay(self, planner: Planner, name: str, text: str, choices: Choices) -> Job:
+    def _lay(self, planner: Planner, name: str, text: str, settings: Settings) -> Job:
         path = planner.keep(name, text)
-        job = self.job = Job(path.name, text.splitlines(), path, choices)
+        job = self.job = Job(path.name, text.splitlines(), path, settings)
         self._begin(self._plan(planner, job))
         return job
 
@@ -189,7 +184,7 @@ class Desk:
 
     async def _plan(self, planner: Planner, job: Job) -> None:
         try:
-            plan = await planner.plan(job.path, job.choices)
+            plan = await planner.plan(job.path, job.settings)
         except InterpError as problem:
             job.status = str(problem)
             return
@@ -234,7 +229,7 @@ class Desk:
             return Answer(False, f'{self.nodes.silent} does not answer')
         if self.job is None:
             return Answer(False, 'no program is loaded: press load')
-        started = self.nodes.start_program(goal_of(self.job.path, self.job.choices))
+        started = self.nodes.start_program(goal_of(self.job.path, self.job.settings))
         return await asyncio.wrap_future(started)
 
     async def trigger(self, name: str) -> Answer:
@@ -256,3 +251,15 @@ class Desk:
         if self._planner is not None:
             self._planner.close()
         self.nodes.close()
+
+
+def settings_told(program: LoadedProgram) -> Settings:
+    """Return the settings that a run was told to have."""
+    fields = program.get_fields_and_field_types()
+    return Settings(
+        **{
+            choice.name: choice.from_plain(getattr(program, choice.name))
+            for choice in choices(Settings)
+            if choice.name in fields
+        }
+    )

@@ -20,36 +20,13 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.command_line import command_words
 
 #: Points that are drawn at most.
 DRAWN = 20000
 #: Of the planning process: the nodes always come first, yet it gets on beside other work.
 NICENESS = 5
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Options of `plan` where the program is silent, as in ``LoadedProgram``; SI units."""
-
-    contour_tolerance: float = 0.02 * MM
-    orientation_tolerance: float = 0.02 * MM
-    force_tolerances: bool = False
-    flank_height: float = 30.0 * MM
-    feedrate: float = 0.0
-
-    def words(self) -> list[str]:
-        """Return them as options of the command line."""
-        words = [
-            f'--contour-tolerance={self.contour_tolerance / MM:.12g}',
-            f'--orientation-tolerance={self.orientation_tolerance / MM:.12g}',
-            f'--flank-height={self.flank_height / MM:.12g}',
-        ]
-        if self.force_tolerances:
-            words.append('--force-tolerances')
-        if self.feedrate > 0.0:
-            words.append(f'--feed={self.feedrate / MM_PER_MIN:.12g}')
-        return words
 
 
 @dataclass(frozen=True)
@@ -142,7 +119,7 @@ class Planner:
         path.write_text(text, encoding='utf-8')
         return path
 
-    async def plan(self, program: Path, choices: Choices) -> Preview:
+    async def plan(self, program: Path, settings: Settings) -> Preview:
         """
         Plan a program.
 
@@ -153,7 +130,7 @@ class Planner:
 
         """
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
-        _, said = await self._run([*words, *choices.words()])
+        _, said = await self._run([*words, *command_words(settings)])
         notes = [line.removeprefix('note: ') for line in said if line.startswith('note: ')]
         # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
         return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))

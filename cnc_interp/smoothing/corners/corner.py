@@ -18,6 +18,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.connection import connect
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.orientation_bounds import orientation_bounds
@@ -88,6 +89,12 @@ class Style:
     in_step: bool
     method: str
     septic: bool
+
+    @staticmethod
+    def of(settings: Settings) -> Style:
+        """Take what concerns the corners alone."""
+        in_step = settings.top == 'in_step'
+        return Style(settings.flank_height, in_step, settings.parametrization, settings.septic)
 
     def room(self, count: int) -> Curves:
         """Return room for the curves of some corners."""

@@ -12,7 +12,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.growing_skeleton import STANDSTILL
 from cnc_interp.smoothing.dense.rows import Rows
-from cnc_interp.smoothing.options import SmoothingOptions
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
 
 #: Directions (relative to 1) and rates at flank height that differ less go straight on.
@@ -58,26 +58,45 @@ def refuse_reversals(rows: Rows, legs: Legs) -> None:
         )
 
 
-def classify(rows: Rows, legs: Legs, options: SmoothingOptions) -> IntArray:
-    """Decide what each vertex becomes, shape (n,); the ends are stops."""
+def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits) -> IntArray:
+    """
+    Decide what each vertex becomes.
+
+    Parameters
+    ----------
+    rows : Rows
+        The blocks, n vertices.
+    legs : Legs
+        Their geometry.
+    flank_height : float
+        Height at which orientation is measured [m].
+    machine : MachineTraits
+        Where the machine has to stop.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        PASS, ROUND or STOP; the ends are stops.
+
+    """
     blocks, curve = rows.blocks, rows.count > 0
     kind = np.full(len(blocks), STOP)
     before, after = slice(None, -1), slice(1, None)
     resting = legs.resting[before] | legs.resting[after]
     cosine = dot(legs.direction[before], legs.direction[after])
     turning = (legs.turn[before] > 0.0) | (legs.turn[after] > 0.0)
-    sharpest = np.where(turning, options.sharpest_swing, options.sharpest_turn)
+    sharpest = np.where(turning, machine.sharpest_swing, machine.sharpest_turn)
     sharp = cosine < np.cos(sharpest)
     bend = norm(np.diff(legs.direction, axis=0))
-    twist = norm(np.diff(legs.rate, axis=0)) * options.flank_height
+    twist = norm(np.diff(legs.rate, axis=0)) * flank_height
     straight = (bend < STRAIGHT) & (twist < STRAIGHT)
     kind[1:-1] = np.where(straight, PASS, ROUND)
     at_pole = np.zeros(len(kind) - 2, dtype=bool)
-    if options.pole is not None:
+    if machine.pole is not None:
         o = blocks.axis[1:-1]
-        pole = np.broadcast_to(np.asarray(options.pole), o.shape)
+        pole = np.broadcast_to(np.asarray(machine.pole), o.shape)
         angle = angles_between(o, pole)
-        close = np.minimum(angle, np.pi - angle) < options.pole_cone
+        close = np.minimum(angle, np.pi - angle) < machine.pole_cone
         at_pole = close & turning
     stop = resting | sharp | at_pole | blocks.exact_stop[1:-1]
     kind[1:-1][stop] = STOP

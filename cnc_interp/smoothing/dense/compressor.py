@@ -16,13 +16,14 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense.corner_search import CornerSearch
 from cnc_interp.smoothing.dense.curve_fit import AHEAD, Run, Window
 from cnc_interp.smoothing.dense.end_lines import Leg, leg_at, longest_spacing, with_leg
 from cnc_interp.smoothing.dense.growing_skeleton import LONG, SHORT, Chain, ChainBuilder
 from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.dense.rows import Rows
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between
 
 #: Blocks that a run must have at least.
@@ -39,14 +40,10 @@ class Compressor:
 
     Parameters
     ----------
-    compression : Compression
-        What becomes a curve.
-    height : float
-        Flank height [m].
-    pole : tuple of float or None
-        Direction at which a rotary axis is undefined; None where there is none.
-    pole_cone : float
-        Angle around it within which a turning tool stops [rad].
+    settings : Settings
+        The user's choices: what becomes a curve.
+    machine : MachineTraits
+        Where a turning tool stops.
     row : int
         Row in the program of the first block to come.
     joined : bool
@@ -56,18 +53,16 @@ class Compressor:
 
     def __init__(
         self,
-        compression: Compression,
-        height: float,
-        pole: tuple[float, float, float] | None = None,
-        pole_cone: float = 0.0,
+        settings: Settings,
+        machine: MachineTraits,
         row: int = 0,
         joined: bool = False,
     ):
-        self._compression, self._height = compression, height
-        self._share = compression.tolerance_share
-        self._pole, self._pole_cone = pole, pole_cone
-        self._builder = ChainBuilder(compression, height, pole, pole_cone, row, joined)
-        self._corners = CornerSearch(compression.corner_angle)
+        self._enabled, self._height = settings.compress, settings.flank_height
+        self._share = settings.tolerance_share
+        self._pole, self._pole_cone = machine.pole, machine.pole_cone
+        self._builder = ChainBuilder(settings, machine, row, joined)
+        self._corners = CornerSearch(settings.corner_angle)
         self._first = row
         self._at = 0  # the vertex that everything before is sent of
         self._begun = False
@@ -88,7 +83,7 @@ class Compressor:
             The next rows of the program; the very first row is the start pose.
 
         """
-        if not self._compression.enabled:
+        if not self._enabled:
             self._first += len(blocks)
             return Rows.plain(blocks, self._first - len(blocks))
         self._builder.push(blocks, final=False)
@@ -96,7 +91,7 @@ class Compressor:
 
     def finish(self, joined: bool = False) -> Rows:
         """Return the rest; with ``joined`` the last block stays a line."""
-        if self._compression.enabled:
+        if self._enabled:
             self._builder.push(None, final=True, joined=joined)
         return self._advance(final=True)
 

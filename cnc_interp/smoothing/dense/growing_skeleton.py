@@ -8,8 +8,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense import skeleton
-from cnc_interp.smoothing.dense.compression import Compression
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
 
 #: A tip that moves less than this stands still [m].
@@ -104,14 +105,10 @@ class ChainBuilder:
 
     Parameters
     ----------
-    compression : Compression
-        What becomes a curve.
-    height : float
-        Flank height [m].
-    pole : tuple of float or None
-        Direction at which a rotary axis is undefined.
-    pole_cone : float
-        Angle around it within which a turning tool stops [rad].
+    settings : Settings
+        The user's choices: what becomes a curve.
+    machine : MachineTraits
+        Where a turning tool stops.
     row : int
         Row in the program of the first block to come.
     joined : bool
@@ -119,17 +116,9 @@ class ChainBuilder:
 
     """
 
-    def __init__(
-        self,
-        compression: Compression,
-        height: float,
-        pole: tuple[float, float, float] | None,
-        pole_cone: float,
-        row: int,
-        joined: bool,
-    ):
-        self._compression, self._height = compression, height
-        self._pole, self._pole_cone = pole, pole_cone
+    def __init__(self, settings: Settings, machine: MachineTraits, row: int, joined: bool):
+        self._longest_block, self._height = settings.longest_block, settings.flank_height
+        self._pole, self._pole_cone = machine.pole, machine.pole_cone
         self._raw: Blocks | None = None  # from the last vertex of the chain on
         self._row = row  # in the program, of its first block
         self._joined = joined
@@ -191,7 +180,7 @@ class ChainBuilder:
             at_pole = angle < self._pole_cone
         kind = np.full(n, SHORT)
         narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
-        kind[1:][length > np.minimum(self._compression.longest_block, LONGEST * narrow)] = LONG
+        kind[1:][length > np.minimum(self._longest_block, LONGEST * narrow)] = LONG
         fixed = resting | raw.rapid[1:] | reversed_axis | ((near[1:] | near[:-1]) & (turn > 0.0))
         kind[1:][fixed] = FIXED
         if self._joined and self.chain is not None and len(self.chain) == 1:

@@ -1,0 +1,107 @@
+"""Settings: every choice of the user, once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
+from cnc_interp.settings.declaration import (
+    ANGLE,
+    FEED,
+    LENGTH,
+    PLAIN,
+    TIME,
+    Stage,
+    choices,
+    file,
+    number,
+    one_of,
+    switch,
+    whole_number,
+)
+
+READING, SMOOTHING, MOTION = Stage.READING, Stage.SMOOTHING, Stage.MOTION
+#: Range of every tolerance and block length [m].
+LENGTHS = (1e-6 * MM, 1e4 * MM)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """
+    The choices of the user for one run; SI units.
+
+    Raises
+    ------
+    SettingsError
+        If a value is of the wrong type or outside its range; names the choice.
+
+    """
+
+    contour_tolerance: float = number(
+        0.02 * MM, LENGTH, LENGTHS, READING, 'largest deviation of the tool tip'
+    )
+    orientation_tolerance: float = number(
+        0.02 * MM, LENGTH, LENGTHS, READING, 'largest deviation at flank height'
+    )
+    flank_height: float = number(
+        30.0 * MM, LENGTH, LENGTHS, READING, 'height at which orientation is measured'
+    )
+    force_tolerances: bool = switch(False, READING, 'ignore the tolerances of the program')
+    feedrate: float | None = number(
+        None, FEED, (1e-3 * MM_PER_MIN, 1e9 * MM_PER_MIN), READING,
+        'feedrate where the program has no F', option='feed',
+    )  # fmt: skip
+    setup: Path | None = file(  # noqa: RUF009 (a field)
+        READING, 'YAML file with work offsets, tool lengths and reference points'
+    )
+    interpolation: str = one_of(
+        ('auto', 'vector', 'axes'), READING,
+        'orientation between blocks: great circle, rotary axes linear, or as the program says',
+    )  # fmt: skip
+    rotary_sense: str = one_of(
+        ('programmed', 'shortest'), READING,
+        'rotary words as programmed, or the shortest way there',
+    )  # fmt: skip
+    skip_blocks: bool = switch(False, READING, 'leave out lines that begin with a slash')
+    most_jumps: int = whole_number(
+        1_000_000, (1, 10**12), READING,
+        'loops and calls after which a program counts as endless',
+    )  # fmt: skip
+    corner_ratio: float | None = number(
+        None, PLAIN, (1.2, 4.0), SMOOTHING,
+        'shape of the corners, 1.2 to 4, or auto: chosen for each',
+        option='ratio', nothing='auto', metavar='L2/L1',
+    )  # fmt: skip
+    parametrization: str = one_of(
+        ('exact', 'linear', 'paper'), SMOOTHING,
+        'how the orientation of a corner joins its lines', for_comparison=True,
+    )  # fmt: skip
+    top: str = one_of(
+        ('in_step', 'tolerance'), SMOOTHING,
+        'how the top curve of a corner is placed', for_comparison=True,
+    )  # fmt: skip
+    septic: bool = switch(
+        False, SMOOTHING, 'continue the third derivative of the tool axis too',
+        for_comparison=True,
+    )  # fmt: skip
+    compress: bool = switch(True, SMOOTHING, 'make curves of dense blocks, or round every corner')
+    longest_block: float = number(
+        5.0 * MM, LENGTH, LENGTHS, SMOOTHING, 'longer blocks stay straight lines'
+    )
+    corner_angle: float = number(
+        35.0 * DEG, ANGLE, (0.01 * DEG, pi), SMOOTHING,
+        'a sharper turn of dense blocks is a corner',
+    )  # fmt: skip
+    tolerance_share: float = number(
+        0.98, PLAIN, (0.01, 1.0), SMOOTHING,
+        'part of the tolerances that curves through dense blocks may use', metavar='SHARE',
+    )  # fmt: skip
+    interpolation_period: float = number(
+        1.0 * MS, TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period', option='period'
+    )
+
+    def __post_init__(self) -> None:
+        for choice in choices(self):
+            choice.check(getattr(self, choice.name))

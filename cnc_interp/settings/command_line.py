@@ -1,0 +1,68 @@
+"""Settings as options of a command, and back."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+from cnc_interp.core.errors import SettingsError
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import Choice, choices
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add one option for each choice."""
+    for choice in choices(Settings):
+        _add(parser, choice)
+
+
+def _add(parser: argparse.ArgumentParser, choice: Choice) -> None:
+    """Add the option of a choice; its default stands in the help."""
+    name, told = f'--{choice.option}', choice.sentence
+    more: dict[str, Any] = {'dest': choice.name, 'default': choice.default}
+    if choice.kind is bool and not choice.default:
+        parser.add_argument(name, action='store_true', help=told, **more)
+        return
+    if choice.kind is bool:
+        help_text = f'{told} (--{choice.option})'
+        parser.add_argument(name, action=argparse.BooleanOptionalAction, help=help_text, **more)
+        return
+    if choice.default is not None or choice.nothing:
+        told = f'{told} ({choice.shown(choice.default)})'
+    if choice.values:
+        more['choices'] = choice.values
+    else:
+        more |= {'type': _reader(choice), 'metavar': choice.metavar}
+    parser.add_argument(name, help=told, **more)
+
+
+def _reader(choice: Choice) -> Callable[[str], Any]:
+    """Return what turns a word of the command line into a value."""
+
+    def read(text: str) -> Any:
+        try:
+            return choice.from_shop(text)
+        except SettingsError as problem:
+            raise argparse.ArgumentTypeError(problem.reason) from None
+
+    return read
+
+
+def settings_from(options: argparse.Namespace) -> Settings:
+    """Return what was chosen on the command line."""
+    return Settings(**{choice.name: getattr(options, choice.name) for choice in choices(Settings)})
+
+
+def command_words(settings: Settings) -> list[str]:
+    """Return the options of the command line that give these settings; defaults are left out."""
+    words = []
+    for choice in choices(settings):
+        value = getattr(settings, choice.name)
+        if value == choice.default:
+            continue
+        if choice.kind is bool:
+            words.append(f'--{choice.option}' if value else f'--no-{choice.option}')
+        else:
+            words.append(f'--{choice.option}={choice.shop_text(value)}')
+    return words

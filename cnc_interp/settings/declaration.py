@@ -1,0 +1,313 @@
+"""
+How one choice of the user is declared: its value, its range, its unit and its sentence.
+
+``Settings`` holds the choices. The command line, ROS parameters, goals, bags, plan files and the
+operator page are made from the declarations: they walk ``choices(Settings)`` and name none.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.core.errors import SettingsError
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
+
+#: Key of a declaration in the metadata of a dataclass field.
+DECLARED = 'choice'
+#: Most digits that a number needs to be read back bit for bit.
+DIGITS = 17
+
+Value = float | int | bool | str | Path | None
+
+
+class Stage(enum.Enum):
+    """The stage of the chain that uses a choice."""
+
+    READING = 'reading'
+    SMOOTHING = 'smoothing'
+    MOTION = 'motion'
+
+
+@dataclass(frozen=True)
+class Unit:
+    """
+    The unit in which people give a number.
+
+    Parameters
+    ----------
+    name : str
+        Unit of the shop floor; empty for a plain number.
+    size : float
+        One unit in SI.
+    si : str
+        Name of the SI unit.
+
+    """
+
+    name: str
+    size: float
+    si: str
+
+
+PLAIN = Unit('', 1.0, '-')
+LENGTH = Unit('mm', MM, 'm')
+ANGLE = Unit('deg', DEG, 'rad')
+FEED = Unit('mm/min', MM_PER_MIN, 'm/s')
+TIME = Unit('ms', MS, 's')
+
+
+@dataclass(frozen=True)
+class Choice:
+    """
+    One choice of the user.
+
+    Parameters
+    ----------
+    name : str
+        Name of the field, of the ROS parameter and of the key in a goal.
+    kind : type
+        float, int, bool, str or Path.
+    default : float, int, bool, str, Path or None
+        Value where the user says nothing [SI].
+    stage : Stage
+        Stage of the chain that uses it.
+    sentence : str
+        What it means, in one plain sentence without a full stop.
+    option : str
+        Name on the command line, without the dashes.
+    unit : Unit
+        Unit on the shop floor.
+    low, high : float
+        Range of a number, ends included [SI].
+    values : tuple of str
+        The words to choose from; empty for other kinds.
+    optional : bool
+        Whether None is allowed.
+    nothing : str
+        Word for None; empty where people leave the choice out instead.
+    metavar : str
+        What stands for the value in the help.
+    for_comparison : bool
+        Whether the choice exists to compare methods; operators leave it alone.
+
+    """
+
+    name: str
+    kind: type
+    default: Value
+    stage: Stage
+    sentence: str
+    option: str
+    unit: Unit = PLAIN
+    low: float = -math.inf
+    high: float = math.inf
+    values: tuple[str, ...] = ()
+    optional: bool = False
+    nothing: str = ''
+    metavar: str = ''
+    for_comparison: bool = False
+
+    def check(self, value: Any) -> None:
+        """
+        Refuse a value of the wrong type or outside the range.
+
+        Raises
+        ------
+        SettingsError
+            If the value cannot be chosen; names the choice.
+
+        """
+        if value is None and self.optional:
+            return
+        if self.kind in (float, int):
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if not (whole or (self.kind is float and isinstance(value, float))):
+                raise SettingsError(self.name, f'{value!r} is not a number')
+            if not self.low <= value <= self.high:  # NaN neither
+                raise SettingsError(self.name, f'{self.shown(value)} is not {self.range}')
+        elif not isinstance(value, self.kind):
+            raise SettingsError(self.name, f'{value!r} is not a {self.kind.__name__}')
+        elif self.values and value not in self.values:
+            known = ' or '.join(self.values)
+            raise SettingsError(self.name, f'{value!r} is unknown; choose {known}')
+
+    @property
+    def range(self) -> str:
+        """The range of a number in words of the shop floor."""
+        low, high = (f'{bound / self.unit.size:.6g}' for bound in (self.low, self.high))
+        return f'between {low} and {high} {self.unit.name}'.rstrip()
+
+    def shown(self, value: Value) -> str:
+        """Return a value in words of the shop floor, with its unit."""
+        if value is None:
+            return self.nothing or 'not given'
+        if isinstance(value, bool):
+            return 'on' if value else 'off'
+        if isinstance(value, float):
+            return f'{value / self.unit.size:g} {self.unit.name}'.rstrip()
+        return str(value)
+
+    def shop_text(self, value: Value) -> str:
+        """Return a value as people write it: in the shop's unit, which is left out."""
+        if isinstance(value, float):
+            return shortest(value, self.unit.size)
+        return self.text(value)
+
+    def from_shop(self, text: str) -> Any:
+        """
+        Read a value as people write it, in the shop's unit.
+
+        Raises
+        ------
+        SettingsError
+            If the text is no value of this choice.
+
+        """
+        return self._read(text, self.unit.size)
+
+    def text(self, value: Value) -> str:
+        """Return a value as exact text in SI; None is the word for nothing."""
+        if value is None:
+            return self.nothing
+        if isinstance(value, bool):
+            return 'true' if value else 'false'
+        if isinstance(value, Path):
+            return str(value.resolve())
+        return repr(float(value)) if self.kind is float else str(value)
+
+    def from_text(self, text: str) -> Any:
+        """
+        Read a value from text in SI.
+
+        Raises
+        ------
+        SettingsError
+            If the text is no value of this choice.
+
+        """
+        return self._read(text, 1.0)
+
+    def plain(self, value: Value) -> float | int | bool | str:
+        """Return a value as a ROS parameter, which is never None: 0 or empty instead."""
+        if value is None:
+            return 0.0 if self.kind is float else ''
+        return self.text(value) if isinstance(value, Path) else value
+
+    def from_plain(self, value: float | int | bool | str) -> Any:
+        """
+        Take the value of a ROS parameter; 0 or empty is None where that is allowed.
+
+        Raises
+        ------
+        SettingsError
+            If it is no value of this choice.
+
+        """
+        found: Value = None if self.optional and not value else value
+        if self.kind is Path and isinstance(found, str):
+            found = Path(found)
+        self.check(found)
+        return found
+
+    def _read(self, text: str, unit: float) -> Value:
+        """Read a value whose number counts units [SI]."""
+        text = text.strip()
+        value: Value = text
+        if self.optional and text in ('', self.nothing):
+            value = None
+        elif self.kind is bool:
+            words = {'true': True, 'false': False}
+            if text.lower() not in words:
+                raise SettingsError(self.name, f'{text!r} is unknown; choose true or false')
+            value = words[text.lower()]
+        elif self.kind in (float, int):
+            try:
+                value = float(text) * unit if self.kind is float else int(text)
+            except ValueError:
+                other = f" or '{self.nothing}'" if self.nothing else ''
+                raise SettingsError(self.name, f'{text!r} is not a number{other}') from None
+        elif self.kind is Path:
+            value = Path(text)
+        self.check(value)
+        return value
+
+
+def number(
+    default: float | None,
+    unit: Unit,
+    bounds: tuple[float, float],
+    stage: Stage,
+    sentence: str,
+    **more: Any,
+) -> Any:
+    """Declare a number [SI] with its bounds [SI]; None as default makes it optional."""
+    low, high = bounds
+    metavar = unit.name.upper().replace('/', '_PER_')
+    declared = {'unit': unit, 'low': low, 'high': high, 'metavar': metavar}
+    return _declare(float, default, stage, sentence, optional=default is None, **declared | more)
+
+
+def whole_number(
+    default: int, bounds: tuple[int, int], stage: Stage, sentence: str, **more: Any
+) -> Any:
+    """Declare a whole number with its bounds."""
+    declared = {'low': bounds[0], 'high': bounds[1], 'metavar': 'N'}
+    return _declare(int, default, stage, sentence, **declared | more)
+
+
+def switch(default: bool, stage: Stage, sentence: str, **more: Any) -> Any:
+    """Declare a choice between on and off."""
+    return _declare(bool, default, stage, sentence, **more)
+
+
+def one_of(values: tuple[str, ...], stage: Stage, sentence: str, **more: Any) -> Any:
+    """Declare a choice between words; the first one is the default."""
+    return _declare(str, values[0], stage, sentence, values=values, **more)
+
+
+def file(stage: Stage, sentence: str, **more: Any) -> Any:
+    """Declare the path of a file, which is not given by default."""
+    return _declare(Path, None, stage, sentence, optional=True, metavar='FILE', **more)
+
+
+def _declare(kind: type, default: Value, stage: Stage, sentence: str, **more: Any) -> Any:
+    """Return the dataclass field of a choice."""
+    told = {'kind': kind, 'default': default, 'stage': stage, 'sentence': sentence}
+    return field(default=default, metadata={DECLARED: told | more})
+
+
+def choices(settings: Any, *stages: Stage) -> tuple[Choice, ...]:
+    """
+    Return the choices of a settings class in their order.
+
+    Parameters
+    ----------
+    settings : Settings or type
+        The class that declares them, or one of its objects.
+    *stages : Stage
+        Only choices of these stages; none: all.
+
+    """
+    found = (_choice(field) for field in fields(settings))
+    return tuple(choice for choice in found if not stages or choice.stage in stages)
+
+
+def _choice(declared: Field[Any]) -> Choice:
+    """Return the choice that a dataclass field declares."""
+    told: Mapping[str, Any] = declared.metadata[DECLARED]
+    option = declared.name.replace('_', '-')
+    return Choice(**{'name': declared.name, 'option': option} | dict(told))
+
+
+def shortest(value: float, unit: float) -> str:
+    """Return the shortest number that is ``value`` again when it is multiplied by ``unit``."""
+    for digits in range(1, DIGITS + 1):
+        text = f'{value / unit:.{digits}g}'
+        if float(text) * unit == value:
+            return text
+    return text

@@ -1,0 +1,36 @@
+"""What smoothing must know of the machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cnc_interp.core.units import DEG
+from cnc_interp.smoothing.corners.ratio import AxisRates
+
+
+@dataclass(frozen=True)
+class MachineTraits:
+    """
+    What smoothing must know of the machine.
+
+    Parameters
+    ----------
+    axis_rates : callable, optional
+        Rates of the axes along a line, each over its jerk limit; L2/L1 of corners is chosen by
+        them, see ``ratio.py``.
+    pole : tuple of float, optional
+        Direction at which a rotary axis is undefined; a turning tool stops there. None: no such
+        direction exists.
+    pole_cone : float
+        Angle around the pole within which a turning tool stops [rad].
+    sharpest_turn, sharpest_swing : float
+        Largest turn of the path that is rounded while the tool axis rests, and while it turns
+        [rad]. At sharper turns the tool stops, which is faster on average.
+
+    """
+
+    axis_rates: AxisRates | None = None
+    pole: tuple[float, float, float] | None = None
+    pole_cone: float = 0.02 * DEG
+    sharpest_turn: float = 178.0 * DEG
+    sharpest_swing: float = 176.0 * DEG

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +14,6 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 
 if TYPE_CHECKING:
-    from cnc_interp.client.recorded_run import RecordedRun
     from cnc_interp.proof.verdict import Proof
 
 
@@ -92,36 +93,32 @@ def check_bag(path: Path, machine: str) -> Proof:
         If the bag cannot be read, or does not hold the whole run.
 
     """
-    from cnc_interp.client.recorded_run import plan_files_of
-    from cnc_interp.proof.verify import verify
+    from cnc_interp.proof.verify import verify_plan
 
-    run = _run_of(path)
-    return verify(plan_files_of(run), _machine_of(run, machine, path))
+    with _plan_files_of(path, machine) as (folder, found):
+        return verify_plan(folder, found)
 
 
 def report_bag(path: Path, page: Path, machine: str) -> None:
     """Write the HTML page about the last run of a bag."""
-    from cnc_interp.client.recorded_run import plan_of
     from cnc_interp.report import write_report
-    from cnc_interp.run.chain import write_plan
 
-    run = _run_of(path)
-    found = _machine_of(run, machine, path)
-    with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
-        write_plan(plan_of(run, found), Path(folder))
-        write_report(Path(folder), page, found)
+    with _plan_files_of(path, machine) as (folder, found):
+        write_report(folder, page, found)
 
 
-def _run_of(path: Path) -> RecordedRun:
+@contextmanager
+def _plan_files_of(path: Path, machine: str) -> Iterator[tuple[Path, Machine]]:
+    """Write the plan files of the last run of a bag for a while; yield their folder."""
     from cnc_interp.client.bag import Bag
-    from cnc_interp.client.recorded_run import recorded_run
+    from cnc_interp.client.recorded_run import recorded_run, write_run
 
     with Bag(path) as bag:
-        return recorded_run(bag)
-
-
-def _machine_of(run: RecordedRun, machine: str, path: Path) -> Machine:
+        run = recorded_run(bag)
     name = machine or run.machine
     if not name:
         raise InterpError(f'{path}: does not tell the machine; name it with --machine')
-    return Machine.load(name)
+    found = Machine.load(name)
+    with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
+        write_run(run, found, Path(folder))
+        yield Path(folder), found

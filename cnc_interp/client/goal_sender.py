@@ -53,7 +53,7 @@ class SentProgram:
         self._client = client
         self._id = UUID(uuid=list(uuid.uuid4().bytes))
         self._answers: list[Any] = []
-        self._handle: Any = None
+        self.handle: Any = None  # of the goal, once it is accepted
         self._result: Any = None
         self._send()
 
@@ -73,19 +73,19 @@ class SentProgram:
         A second answer to the same goal says "not accepted", because the first one runs. So the
         first answer counts.
         """
-        if self._handle is not None:
+        if self.handle is not None:
             return
         answer = next((answer for answer in self._answers if answer.done()), None)
         if answer is not None:
-            self._handle = answer.result()
-            self._result = self._handle.get_result_async()
+            self.handle = answer.result()
+            self._result = self.handle.get_result_async()
         elif time.monotonic() - self._sent_at > AGAIN:
             self._send()
 
     @property
     def accepted(self) -> bool:
         """True once program_node has taken the goal."""
-        return self._handle is not None
+        return self.handle is not None
 
     @property
     def result(self) -> RunProgram.Result | None:
@@ -102,5 +102,5 @@ class SentProgram:
 
     def cancel(self) -> None:
         """Ask program_node to cancel the program."""
-        if self._handle is not None:
-            self._handle.cancel_goal_async()
+        if self.handle is not None:
+            self.handle.cancel_goal_async()

@@ -1,27 +1,34 @@
-"""A run out of a bag: its blocks, what the machine executed, and how the nodes were set."""
+"""A run as it was on the wire: blocks, segments and executed setpoints -> plan files."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.client.bag import Bag
-from cnc_interp.client.executed_plan import executed
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_path import AxisPath, refine
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.nodes import parameters
-from cnc_interp.program import Program
-from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.run.chain import Plan, plan_program
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.chunk import part_of
 from cnc_interp.run.interpolator import Setpoints
-from cnc_interp.run.plan_writer import block_columns
+from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
-from cnc_interp.settings.choices import Settings
-from cnc_interp.wire.path_messages import blocks_from
+from cnc_interp.wire.chunk_messages import setpoints_from
+from cnc_interp.wire.path_messages import blocks_from, segments_from
 from cnc_interp.wire.run_id_messages import run_id_of
+
+#: Segments taken over together.
+BATCH = 256
+#: Every so many setpoints the path gets a grid point, and the shortest cell made so [m].
+GRID_EVERY, SHORTEST = 10, 1e-6
 
 
 @dataclass(frozen=True)
@@ -36,13 +43,13 @@ class RecordedRun:
     name : str
         Name of the program.
     machine : str
-        Machine that the nodes were started with; empty where the bag does not know.
-    settings : Settings
-        The choices of the run.
+        Machine that the nodes were started with; empty where the bag does not say.
     blocks : list of G1Block
         The program, gap-free from the start pose.
+    segments : list of PathSegment
+        The smoothed path, gap-free from its first segment.
     chunks : list of SetpointChunk
-        What the machine executed, as it told.
+        What the machine executed.
     largest_override : float
         Largest feed override of the run, at least 1 [-].
 
@@ -51,18 +58,49 @@ class RecordedRun:
     program_id: str
     name: str
     machine: str
-    settings: Settings
     blocks: list[G1Block]
+    segments: list[PathSegment]
     chunks: list[SetpointChunk]
     largest_override: float
 
-    def program(self) -> Program:
-        """Return the program as its reader made it."""
-        return Program(blocks_from(self.blocks), (), self.name, 'gcode')
+    @property
+    def flank_height(self) -> float:
+        """Height at which the orientation tolerance is measured [m]."""
+        return float(self.blocks[0].flank_height)
+
+    @property
+    def period(self) -> float:
+        """Interpolation period [s]."""
+        return float(self.chunks[0].period)
 
     def setpoints(self) -> Setpoints:
-        """Return what was executed, the approach left out."""
-        return executed(self.chunks)
+        """
+        Return what was executed, without the approach; time counts from the program's start.
+
+        Raises
+        ------
+        InterpError
+            If a setpoint is missing.
+
+        """
+        parts, following = [], None
+        for chunk in sorted(self.chunks, key=lambda chunk: chunk.first_sample):
+            if following is not None and chunk.first_sample > following:
+                missing = f'{following} to {chunk.first_sample - 1}'
+                raise InterpError(f'executed setpoints {missing} were not recorded')
+            following = chunk.first_sample + len(chunk.sequences)
+            parts.append(setpoints_from(chunk))
+        executed = Setpoints.concatenate(parts)
+        program = part_of(executed, int(np.searchsorted(executed.block, 1)), len(executed))
+        return replace(program, time=np.arange(len(program)) * self.period)
+
+    def paths(self, machine: Machine) -> Iterator[AxisPath]:
+        """Yield the recorded path in machine axes, part by part."""
+        builder = AxisPathBuilder(Transform.of(machine), self.flank_height)
+        for first in range(0, len(self.segments), BATCH):
+            path = builder.push(segments_from(self.segments[first : first + BATCH]))
+            if path is not None:
+                yield path
 
 
 def recorded_run(bag: Bag) -> RecordedRun:
@@ -72,30 +110,38 @@ def recorded_run(bag: Bag) -> RecordedRun:
     Raises
     ------
     InterpError
-        If nothing was executed, or blocks are missing.
+        If nothing was executed, or blocks or segments are missing.
 
     """
-    told = bag.read('executed_setpoints')
-    if not told:
+    executed = bag.read('executed_setpoints')
+    if not executed:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
-    last = run_id_of(told[-1])
-    blocks = blocks_of(bag, last)
+    last = run_id_of(executed[-1])
     names = {m.program_id: m.name for m in bag.read('loaded_program')}
     overrides = [m.data for m in bag.read('feed_override') if np.isfinite(m.data)]
     return RecordedRun(
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
         machine=str(bag.parameters.get('machine_node.machine', '')),
-        settings=settings_of_run(bag.parameters, blocks[0].flank_height, told[-1].period),
-        blocks=blocks,
-        chunks=[m for m in told if m.program_id == last.program_id],
+        blocks=stream_of(bag, 'blocks', last),
+        segments=stream_of(bag, 'segments', last),
+        chunks=[m for m in executed if m.program_id == last.program_id],
         largest_override=max([1.0, *overrides]),
     )
 
 
-def blocks_of(bag: Bag, run_id: RunId) -> list[G1Block]:
+def stream_of(bag: Bag, topic: str, run_id: RunId) -> list[Any]:
     """
-    Return the blocks of an attempt at a run in order, each once.
+    Return the messages of an attempt at a run in order, each once.
+
+    Parameters
+    ----------
+    bag : Bag
+        The bag.
+    topic : {'blocks', 'segments'}
+        The stream.
+    run_id : RunId
+        The attempt.
 
     Raises
     ------
@@ -103,52 +149,62 @@ def blocks_of(bag: Bag, run_id: RunId) -> list[G1Block]:
         If one is missing.
 
     """
-    found = {m.sequence: m for m in bag.read('blocks') if run_id_of(m).same_attempt(run_id)}
+    found = {m.sequence: m for m in bag.read(topic) if run_id_of(m).same_attempt(run_id)}
     missing = next((k for k in range(len(found)) if k not in found), None)
     if missing is not None or not found:
         raise InterpError(
-            f'{bag.path}: block {missing or 0} of run {run_id.program_id} is not in the bag; '
-            'record from before the start'
+            f'{bag.path}: {topic[:-1]} {missing or 0} of run {run_id.program_id} is not in the '
+            'bag; record from before the start'
         )
     return [found[k] for k in range(len(found))]
 
 
-def settings_of_run(told: dict[str, Any], flank_height: float, period: float) -> Settings:
-    """Return how the nodes were told to smooth and interpolate."""
-    prefix = 'lookahead_node.'
-    values = {k.removeprefix(prefix): v for k, v in told.items() if k.startswith(prefix)}
-    smoothing = parameters.settings_of(values)
-    return replace(smoothing, flank_height=flank_height, interpolation_period=period)
-
-
-def plan_files_of(run: RecordedRun) -> PlanFiles:
+def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, Any]:
     """
-    Return the run as a plan to be proven: blocks and executed setpoints alone.
+    Write the plan files of a run: nothing is read, smoothed or planned again.
 
-    Feeds are those that the largest override of the run allowed.
+    Blocks, path and setpoints are those of the wire. The feed of the path is that of the executed
+    setpoints.
+
+    Parameters
+    ----------
+    run : RecordedRun
+        The run.
+    machine : Machine
+        The machine that executed it.
+    directory : Path
+        For the plan files.
+
+    Returns
+    -------
+    dict
+        The summary as written to ``summary.json``; SI units.
+
     """
     samples = run.setpoints()
-    columns = block_columns(run.program().blocks)
-    columns['feed'] = columns['feed'] * run.largest_override
-    columns['duration'] = columns['duration'] / run.largest_override
-    setpoints = {
-        'time': samples.time,
-        'position': samples.position,
-        'velocity': samples.velocity,
-        'acceleration': samples.acceleration,
-        'block': samples.block,
-        's': samples.s,
-    }
-    summary = {
-        'program': run.name,
-        'machine': run.machine,
-        'interpolation_period': run.settings.interpolation_period,
-        'flank_height': run.settings.flank_height,
-    }
-    return PlanFiles(setpoints, {}, columns, summary)
+    with PlanWriter(directory, machine, run.period, run.flank_height) as writer:
+        writer.blocks(blocks_from(run.blocks))
+        for first in range(0, len(run.segments), BATCH):
+            writer.segments(segments_from(run.segments[first : first + BATCH]))
+        way, feed = executed_feed(samples, run.period)
+        for path in run.paths(machine):
+            fine = refine(path, grid_points(path, samples.s[::GRID_EVERY]))
+            writer.path(fine, np.interp(fine.s[:-1], way, feed, right=0.0))
+        writer.setpoints(samples)
+        return writer.finish(run.name, {}, run.largest_override)
 
 
-def plan_of(run: RecordedRun, machine: Machine) -> Plan:
-    """Return the run as a plan to be reported: path planned anew, setpoints as executed."""
-    plan = plan_program(run.program(), machine, run.settings)
-    return replace(plan, setpoints=run.setpoints())
+def executed_feed(samples: Setpoints, period: float) -> tuple[FloatArray, FloatArray]:
+    """Return increasing positions on the path [m] and the executed speed there [m/s]."""
+    speed = np.gradient(samples.s, period) if len(samples) > 1 else np.zeros(len(samples))
+    way, first = np.unique(samples.s, return_index=True)
+    return way, speed[first]
+
+
+def grid_points(path: AxisPath, s: FloatArray) -> FloatArray:
+    """Return the positions [m] that lie well inside the cells of a path, and well apart."""
+    s = s[(s > path.s[0]) & (s < path.s[-1])]
+    s = s[np.diff(s, prepend=-np.inf) > SHORTEST]
+    after = np.searchsorted(path.s, s)
+    inside = np.minimum(s - path.s[after - 1], path.s[after] - s) > SHORTEST
+    return np.asarray(s[inside])

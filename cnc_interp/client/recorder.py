@@ -1,23 +1,22 @@
-"""Listens to every topic of a run and writes it into a bag; `cnc-interp record`."""
+"""Records the messages of a run into a bag, with the parameters of its nodes."""
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import rclpy
+from cnc_interp_msgs.msg import SetpointChunk
 from rcl_interfaces.srv import GetParameters
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
-from rclpy.signals import SignalHandlerOptions
+from rclpy.serialization import deserialize_message
 
 from cnc_interp.client.bag import TOPICS, BagWriter
+from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.node_main import stay_on_this_host
 
 #: Nodes whose parameters decide what becomes of the same blocks.
 ASKED = {
@@ -25,13 +24,15 @@ ASKED = {
 }
 #: Topics that a run cannot do without; a recorder that hears them hears the run.
 STREAMS = ('blocks', 'segments', 'setpoints', 'executed_setpoints')
+#: Topics from which plan files are written.
+NEEDED = ('loaded_program', 'blocks', 'segments', 'executed_setpoints', 'feed_override')
 #: A publisher that is found finds the recorder within this time [s].
 MUTUAL = 0.5
 
 
 class Recorder:
     """
-    Records what the nodes of a namespace say.
+    Records the topics of a namespace.
 
     Parameters
     ----------
@@ -39,14 +40,18 @@ class Recorder:
         Listens; in the namespace of the run.
     path : Path
         Folder of the bag, to be created.
+    topics : iterable of str
+        What is recorded, of ``TOPICS``.
 
     """
 
-    def __init__(self, node: Any, path: Path):
+    def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
         self._bag = BagWriter(path)
         self._subscriptions = {
-            topic: node.create_subscription(kind, topic, self._taking(topic), profile, raw=True)
-            for topic, (kind, profile) in TOPICS.items()
+            topic: node.create_subscription(
+                TOPICS[topic][0], topic, self._writing(topic), TOPICS[topic][1], raw=True
+            )
+            for topic in topics
         }
         self._clients = {
             name: node.create_client(GetParameters, f'{name}/get_parameters') for name in ASKED
@@ -54,9 +59,19 @@ class Recorder:
         self._asked: dict[str, Any] = {}
         self._known: set[str] = set()
         self._found = time.monotonic()  # when a stream was missing last
+        self.executed = 0
 
-    def _taking(self, topic: str) -> Callable[[bytes], None]:
-        return lambda data: self._bag.write(topic, data, time.time_ns())
+    def _writing(self, topic: str) -> Callable[[bytes], None]:
+        """Return the callback of a topic; that of executed setpoints counts them, too."""
+
+        def write(data: bytes) -> None:
+            self._bag.write(topic, data, time.time_ns())
+
+        def count(data: bytes) -> None:
+            write(data)
+            self.executed += len(deserialize_message(data, SetpointChunk).sequences)
+
+        return count if topic == 'executed_setpoints' else write
 
     @property
     def count(self) -> int:
@@ -75,7 +90,8 @@ class Recorder:
                 names = [parameter.name for parameter in ASKED[node]]
                 self._bag.note(node, dict(zip(names, values, strict=True)))
                 self._known.add(node)
-        if any(self._subscriptions[t].get_publisher_count() == 0 for t in STREAMS):
+        streams = [self._subscriptions[t] for t in STREAMS if t in self._subscriptions]
+        if any(stream.get_publisher_count() == 0 for stream in streams):
             self._found = time.monotonic()
         heard = time.monotonic() - self._found > MUTUAL
         return heard and len(self._known) == len(ASKED)
@@ -95,32 +111,15 @@ def record(path: Path, namespace: str) -> int:
         If the bag cannot be made.
 
     """
-    stop: list[int] = []
-    previous = {
-        number: signal.signal(number, lambda found, _frame: stop.append(found))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    stay_on_this_host()
-    context = rclpy.Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node('record', namespace=namespace, context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
-        recorder = Recorder(node, path)
+    with stop_signals() as stop, OperatorClient('record', namespace) as client:
+        recorder = Recorder(client.node, path)
         try:
             heard = False
             while not stop:
-                executor.spin_once(timeout_sec=0.1)
+                client.serve(0.1)
                 if recorder.ready() and not heard:
                     heard = True
                     print(f'recording into {path}; Ctrl-C ends it', file=sys.stderr)
         finally:
             recorder.close()
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
-        for number, handler in previous.items():
-            signal.signal(number, handler)
     return recorder.count

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -17,15 +17,18 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from cnc_interp.client.bag import TOPICS, Bag
-from cnc_interp.client.recorded_run import blocks_of, settings_of_run
+from cnc_interp.client.recorded_run import stream_of
+from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
@@ -118,7 +121,7 @@ def _compare_run(
 ) -> Iterator[Comparison]:
     """Compute the plans of one attempt at a run again."""
     told = [joined(bag, plans[plan]) for plan in sorted(plans)]
-    blocks = blocks_of(bag, run_id)
+    blocks = stream_of(bag, 'blocks', run_id)
     period = plans[min(plans)][0].period
     overrides = _overrides(bag, run_id)
     # Behind a loss the run went on from where the machine stood when planning began again.
@@ -151,6 +154,14 @@ def _compare_run(
             replace(run_id, plan=plan), len(samples), _same(samples, again),
             _difference(samples, again), len(set(overrides)) > 1,
         )  # fmt: skip
+
+
+def settings_of_run(told: dict[str, Any], flank_height: float, period: float) -> Settings:
+    """Return how the nodes were told to smooth and interpolate."""
+    prefix = 'lookahead_node.'
+    values = {k.removeprefix(prefix): v for k, v in told.items() if k.startswith(prefix)}
+    smoothing = parameters.settings_of(values)
+    return replace(smoothing, flank_height=flank_height, interpolation_period=period)
 
 
 def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
@@ -222,11 +233,6 @@ def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
         Publish the time of the bag on ``/clock`` too.
 
     """
-    stop: list[int] = []
-    previous = {
-        number: signal.signal(number, lambda found, _frame: stop.append(found))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
     stay_on_this_host()
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -237,20 +243,19 @@ def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
     clocks = node.create_publisher(Clock, '/clock', 10) if clock else None
     count, first, begun = 0, 0, time.monotonic()
     try:
-        for topic, stamp, data in bag.raw(*SHOWN):
-            first = first or stamp
-            due = begun + (stamp - first) * 1e-9 / rate
-            while not stop and (wait := due - time.monotonic()) > 0.0:
-                time.sleep(min(wait, 0.1))
-            if stop:
-                break
-            if clocks is not None:
-                clocks.publish(Clock(clock=Time(sec=stamp // 10**9, nanosec=stamp % 10**9)))
-            publishers[topic].publish(data)
-            count += 1
+        with stop_signals() as stop:
+            for topic, stamp, data in bag.raw(*SHOWN):
+                first = first or stamp
+                due = begun + (stamp - first) * 1e-9 / rate
+                while not stop and (wait := due - time.monotonic()) > 0.0:
+                    time.sleep(min(wait, 0.1))
+                if stop:
+                    break
+                if clocks is not None:
+                    clocks.publish(Clock(clock=Time(sec=stamp // 10**9, nanosec=stamp % 10**9)))
+                publishers[topic].publish(data)
+                count += 1
     finally:
         node.destroy_node()
         rclpy.shutdown(context=context)
-        for number, handler in previous.items():
-            signal.signal(number, handler)
     return count

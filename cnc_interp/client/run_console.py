@@ -7,24 +7,28 @@ import signal
 import sys
 import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from cnc_interp_msgs.msg import MachineState
 
+from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.goal_sender import SentProgram, goal_of
 from cnc_interp.client.operator_client import Answer, OperatorClient
-from cnc_interp.client.recorder import Recorder
+from cnc_interp.client.recorded_run import recorded_run, write_run
+from cnc_interp.client.recorder import NEEDED, Recorder
 from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.playback import PROGRAM_STOP
 from cnc_interp.nodes.node_processes import Children
-from cnc_interp.nodes.qos import STREAM
 
 Result = RunProgram.Result
 #: Longest start of the nodes; all kernels may have to be compiled first [s].
@@ -49,6 +53,8 @@ class RunConsole:
         Processes of the nodes.
     request : RunRequest
         What shall be run.
+    recorder : Recorder or None
+        Records the run.
     attended : bool
         Whether an operator has buttons. Without one, program stops wait for Enter on a terminal,
         and for nobody where there is none.
@@ -56,12 +62,16 @@ class RunConsole:
     """
 
     def __init__(
-        self, client: OperatorClient, children: Children, request: RunRequest, attended: bool
+        self,
+        client: OperatorClient,
+        children: Children,
+        request: RunRequest,
+        recorder: Recorder | None,
+        attended: bool,
     ):
         self._client, self._children, self._request = client, children, request
-        self._attended = attended
+        self._recorder, self._attended = recorder, attended
         self._progress = ProgressBar(None if request.quiet else sys.stderr)
-        self.received: list[SetpointChunk] = []
         self._first_motion = float('nan')
         self._interrupted = self._cancelling = False
         self._restarted = False  # a node, and the run has not gone on since
@@ -97,33 +107,14 @@ class RunConsole:
             When the first program was refused before anything moved, or a node ended.
 
         """
-        request, node = self._request, self._client.node
-        if request.out is not None or request.record is not None:
-            executed = node.create_subscription(
-                SetpointChunk, 'executed_setpoints', self.received.append, STREAM
-            )
-            self._spin(lambda: executed.get_publisher_count() > 0, START_TIMEOUT)
-        recorder = Recorder(node, request.record) if request.record is not None else None
-        try:
-            return self._run(machine, started, recorder)
-        finally:
-            if recorder is not None:
-                recorder.close()
-
-    def _run(self, machine: Machine, started: float, recorder: Recorder | None) -> list[RunResult]:
-        """Run all programs while the messages are recorded."""
-        request = self._request
         self._wait_for_nodes()
-        if recorder is not None and not self._spin(recorder.ready, RECORD_TIMEOUT):
-            raise InterpError(f'{request.record}: not all topics of the run can be heard')
-        programs = [self._send(program) for program in request.programs]
+        programs = [self._send(program) for program in self._request.programs]
         results: list[RunResult] = []
         count = 0
         for sent in programs:
             outcome = self._result_of(sent)
             count += outcome.samples + round(outcome.approach_time / self._client.peers.period)
-            if request.out is not None or recorder is not None:
-                self._wait_for_record(count)
+            self._wait_for_record(count)
             refused = outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples
             if refused and not results:
                 raise InterpError(outcome.message)
@@ -167,14 +158,27 @@ class RunConsole:
         )
 
     def _wait_for_record(self, count: int) -> None:
-        """Wait until all executed setpoints have been heard."""
-        self._spin(lambda: sum(len(m.sequences) for m in self.received) >= count, RECORD_TIMEOUT)
+        """Wait until all executed setpoints have been recorded."""
+        recorder = self._recorder
+        if recorder is not None:
+            self._spin(lambda: recorder.executed >= count, RECORD_TIMEOUT)
 
     def _wait_for_nodes(self) -> None:
-        """Wait until all four nodes answer."""
-        if not self._spin(lambda: not self._client.silent_for(SILENCE), START_TIMEOUT):
+        """Wait until all four nodes answer, and until what is to be recorded is heard."""
+        recorder = self._recorder
+
+        def recording() -> bool:
+            return recorder is None or recorder.ready()
+
+        def ready() -> bool:
+            recording()
+            return not self._client.silent_for(SILENCE)
+
+        if not self._spin(ready, START_TIMEOUT):
             silent = self._client.silent_for(SILENCE)
             raise InterpError(f'{silent} does not answer; is another ROS middleware set?')
+        if not self._spin(recording, RECORD_TIMEOUT):
+            raise InterpError('not all topics of the run can be heard; run it again')
 
     def _send(self, program: Path) -> SentProgram:
         """Send a program; it waits for those before it."""
@@ -304,3 +308,67 @@ class RunConsole:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
+
+
+def run_recorded(
+    request: RunRequest,
+    machine: Machine,
+    children: Children,
+    place: tuple[str, int],
+    started: float,
+    attended: bool,
+) -> list[RunResult]:
+    """
+    Run programs, record them where that is asked for, and write the plan files of ``out``.
+
+    Parameters
+    ----------
+    request : RunRequest
+        What shall be run, and what is wanted of it.
+    machine : Machine
+        The machine of the nodes.
+    children : Children
+        Processes of the nodes.
+    place : tuple
+        ROS namespace and domain.
+    started : float
+        When the command began, in monotonic time [s].
+    attended : bool
+        See ``RunConsole``.
+
+    Raises
+    ------
+    InterpError
+        See ``RunConsole.run``.
+
+    """
+    with bag_folder(request) as folder:
+        with OperatorClient('run', *place) as client, ExitStack() as records:
+            recorder = None
+            if folder is not None:
+                topics = NEEDED if request.record is None else TOPICS
+                recorder = Recorder(client.node, folder, topics)
+                records.callback(recorder.close)
+            with RunConsole(client, children, request, recorder, attended) as console:
+                results = console.run(machine, started)
+        if request.out is not None and folder is not None and results[0].ok:
+            with Bag(folder) as bag:
+                run = replace(recorded_run(bag), name=results[0].program)
+            write_run(run, machine, request.out)
+    return results
+
+
+@contextmanager
+def bag_folder(request: RunRequest) -> Iterator[Path | None]:
+    """Yield the bag of a run: as asked for, or one for the plan files alone, or none."""
+    if request.record is not None or request.out is None:
+        yield request.record
+        return
+    created = not request.out.exists()
+    request.out.mkdir(parents=True, exist_ok=True)
+    try:
+        with TemporaryDirectory(prefix='.run-', dir=request.out) as folder:
+            yield Path(folder) / 'bag'
+    finally:
+        if created and not any(request.out.iterdir()):
+            request.out.rmdir()

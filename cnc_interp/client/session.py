@@ -213,8 +213,7 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
     domain = chosen_domain()
     begin_loading()
     # Imported meanwhile: ROS and the kernels take a second each.
-    from cnc_interp.client.operator_client import OperatorClient
-    from cnc_interp.client.run_console import RunConsole
+    from cnc_interp.client.run_console import run_recorded
     from cnc_interp.kinematics.machine import Machine
 
     with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
@@ -222,18 +221,10 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
         if companion is not None:
             companion.start(namespace, domain)
         attended = companion is not None
-        with (
-            OperatorClient('run', namespace, domain) as client,
-            RunConsole(client, children, request, attended) as console,
-        ):
-            results = console.run(machine, started)
-            received = console.received
+        place = (namespace, domain)
+        results = run_recorded(request, machine, children, place, started, attended)
         if companion is not None:
             companion.finish(results[-1])
-    if request.out is not None and results[0].ok:
-        from cnc_interp.client.executed_plan import write_received
-
-        write_received(request, machine, received, request.out)
     return results
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -121,6 +121,19 @@ def read_plan(directory: Path) -> PlanFiles:
                 f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
             )
     return PlanFiles(setpoints, path, complete_blocks(blocks), summary)
+
+
+def with_override(plan: PlanFiles) -> PlanFiles:
+    """Return a plan with the feeds that the largest feed override of its run allowed."""
+    share = float(plan.summary.get('largest_override', 1.0))
+    if share == 1.0:
+        return plan
+    blocks, path = dict(plan.blocks), dict(plan.path)
+    blocks['feed'] = blocks['feed'] * share
+    blocks['duration'] = blocks['duration'] / share
+    if 'programmed_feed' in path:
+        path['programmed_feed'] = path['programmed_feed'] * share
+    return replace(plan, blocks=blocks, path=path)
 
 
 def complete_blocks(columns: Columns) -> Columns:

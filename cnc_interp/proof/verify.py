@@ -19,7 +19,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.proof.plan_files import PlanFiles, read_plan
+from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath, approach
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
@@ -59,6 +59,7 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
     """Prove a plan that is in memory; without ``path`` the planner's grid is not looked at."""
+    plan = with_override(plan)
     ledger, programmed = Ledger(plan, machine), len(plan.blocks['tip']) - 1
     axes = machine.axis_names
     if plan.position.shape[1] != len(axes):

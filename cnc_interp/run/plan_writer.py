@@ -125,7 +125,9 @@ class PlanFigures:
         self._use = np.maximum(self._use, shares.max(axis=1))
         self._last = held[-BEFORE:]
 
-    def summary(self, source: str, seconds: Mapping[str, float]) -> dict[str, Any]:
+    def summary(
+        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0
+    ) -> dict[str, Any]:
         """
         Return the summary at the end of the motion; SI units.
 
@@ -134,7 +136,9 @@ class PlanFigures:
         source : str
             The program.
         seconds : mapping
-            Planning time of every room [s].
+            Planning time of every room [s]; empty for a run, which is not planned again.
+        largest_override : float
+            Largest feed override that was in force [-].
 
         """
         if self._last is not None:
@@ -146,6 +150,7 @@ class PlanFigures:
             'cycle_time': self.cycle_time,
             'interpolation_period': self._period,
             'flank_height': self._height,
+            'largest_override': largest_override,
             'samples': self._samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,
@@ -222,9 +227,22 @@ class PlanWriter:
         self._archives['segments'].append(columns)
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Write the grid of a further piece but its last point, which belongs to the next too."""
+        """Write the path of a further piece; its law has one row for every cell."""
         self.figures.piece(piece)
-        path, speed = piece.path, piece.law.s_dot  # one piece of the law in every cell
+        self.path(piece.path, piece.law.s_dot)
+
+    def path(self, path: AxisPath, speed: FloatArray) -> None:
+        """
+        Write a further part of the path but its last point, which belongs to the next part, too.
+
+        Parameters
+        ----------
+        path : AxisPath
+            The part; its first point is the last one of the part before.
+        speed : ndarray, shape (N - 1,)
+            Path speed at the left end of every cell [m/s].
+
+        """
         if self._path is not None:
             path = AxisPath.join([self._path[0], path])
             speed = np.concatenate([[self._path[1]], speed])
@@ -262,13 +280,15 @@ class PlanWriter:
         columns = {field.name: getattr(samples, field.name) for field in fields(samples)}
         self._archives['setpoints'].append(columns)
 
-    def finish(self, source: str, seconds: Mapping[str, float]) -> dict[str, Any]:
+    def finish(
+        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0
+    ) -> dict[str, Any]:
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
         if self._path is not None:
             self._grid(self._path[0], np.zeros(2), slice(1, 2))
         for name, archive in self._archives.items():
             archive.save(self._directory / f'{name}.npz')
-        summary = self.figures.summary(source, seconds)
+        summary = self.figures.summary(source, seconds, largest_override)
         text = json.dumps(summary, indent=2)
         (self._directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
         return summary

@@ -21,8 +21,11 @@ from rosbags.rosbag2 import Reader
 
 from cnc_interp.cli import main
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter
+from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
+from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.stream_ends import sealed
+from cnc_interp.proof.plan_files import read_plan
 
 HERE = Path(__file__).parent
 HELD, FAULTY = HERE / 'held', HERE / 'faulty'
@@ -105,10 +108,46 @@ def test_an_executed_setpoint_off_the_path_is_not_proven(tmp_path, capsys):
     assert 'NOT proven' in capsys.readouterr().out
 
 
+def test_the_path_of_a_run_is_that_of_its_recorded_segments(tmp_path, capsys):
+    def shift(topic, data):
+        if topic != 'segments':
+            return data
+        message = deserialize_message(data, TOPICS[topic][0])
+        for k in range(0, len(message.bottom.control_points), 3):
+            message.bottom.control_points[k] += 1e-3
+        return sealed(message)
+
+    copied(HELD, tmp_path / 'shifted', shift)
+    assert main(['check', str(tmp_path / 'shifted')]) == 1
+    failures = [line for line in capsys.readouterr().out.splitlines() if 'contour error' in line]
+    assert any('of path' in line and '1.0' in line for line in failures), failures
+
+
+def test_plan_files_of_a_run_have_its_blocks_segments_and_feeds(tmp_path):
+    with Bag(HELD) as bag:
+        run = recorded_run(bag)
+    summary = write_run(run, Machine.load(run.machine), tmp_path)
+    plan = read_plan(tmp_path)
+    assert len(plan.blocks['tip']) == len(run.blocks)
+    assert summary['segments'] == len(run.segments)
+    s, time = plan.setpoints['s'], plan.setpoints['time']
+    assert plan.path['s'][-1] == pytest.approx(s[-1], abs=1e-9)
+    middle = s[200:-200:50]  # the feed column against differences of the executed setpoints
+    k = np.searchsorted(s, middle)
+    speed = (s[k + 1] - s[k - 1]) / (time[k + 1] - time[k - 1])
+    moving = speed > 1e-3
+    feed = np.interp(middle, plan.path['s'], plan.path['feed'])
+    np.testing.assert_allclose(feed[moving], speed[moving], rtol=0.02)
+    assert moving.sum() > 10
+
+
 def test_what_is_missing_is_named(tmp_path, capsys):
     copied(HELD, tmp_path / 'no_blocks', lambda topic, data: data if topic != 'blocks' else None)
     assert main(['check', str(tmp_path / 'no_blocks')]) == 2
     assert 'block 0' in capsys.readouterr().err
+    copied(HELD, tmp_path / 'no_path', lambda topic, data: data if topic != 'segments' else None)
+    assert main(['check', str(tmp_path / 'no_path')]) == 2
+    assert 'segment 0' in capsys.readouterr().err
     assert main(['record', str(HELD)]) == 2
     assert 'is there already' in capsys.readouterr().err
     shutil.copytree(HELD, tmp_path / 'cut')

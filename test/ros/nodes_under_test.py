@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from cnc_interp.client.goal_sender import AskedGoal
+from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.node_processes import Children
@@ -96,9 +96,14 @@ class NodesUnderTest:
 
     def start(self, **goal):
         """Send a goal; returns its handle."""
-        asked = AskedGoal(self.action, RunProgram.Goal(**goal))
-        self.spin_until(lambda: asked.handle is not None)
-        return asked.handle
+        sent = SentProgram(self.action, RunProgram.Goal(**goal))
+
+        def accepted():
+            sent.follow()
+            return sent.accepted
+
+        self.spin_until(accepted)
+        return sent.handle
 
     def result_of(self, handle, patience=PATIENCE):
         wanted = handle.get_result_async()

@@ -67,7 +67,7 @@ def smoothed(blocks: Blocks, machine: Machine) -> AxisPath:
     transform = Transform.of(machine)
     settings = Settings(compress=False)
     lookahead = LookAhead(settings, traits_of(transform))
-    builder = AxisPathBuilder(transform, settings.flank_height)
+    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
     parts = [builder.push(part) for part in (lookahead.push(blocks), lookahead.finish())]
     return AxisPath.join([part for part in parts if part is not None])
 

@@ -17,8 +17,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.kinematics.axis_rates import traits_of
+from cnc_interp.kinematics.branch import start_positions
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import Blocks
@@ -148,8 +148,8 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
 def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
     """Return rotary positions of all rows, each nearest to the one before, shape (n, 2) [rad]."""
     found = np.empty((len(blocks), 2))
-    here = AxisPathBuilder(transform).start(
-        blocks.axis[0], blocks.rotary[0], int(blocks.line_number[0])
+    here, _ = start_positions(
+        transform, blocks.axis[0], blocks.rotary[0], np.zeros(2), int(blocks.line_number[0])
     )
     found[0] = here
     for i in range(1, len(blocks)):

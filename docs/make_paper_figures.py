@@ -73,7 +73,11 @@ class Run:
     def parts(self) -> list[AxisPath]:
         """Return the axes of each segment by itself, with its own one-sided derivatives."""
         segments = self.plan.segments
-        builder = AxisPathBuilder(self.transform, self.plan.settings.flank_height)
+        builder = AxisPathBuilder(
+            self.transform,
+            self.plan.settings.flank_height,
+            self.plan.settings.interpolation_period,
+        )
         paths = [builder.push(segments[i : i + 1]) for i in range(len(segments))]
         return [path for path in paths if path is not None]
 

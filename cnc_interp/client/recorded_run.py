@@ -96,7 +96,7 @@ class RecordedRun:
 
     def paths(self, machine: Machine) -> Iterator[AxisPath]:
         """Yield the recorded path in machine axes, part by part."""
-        builder = AxisPathBuilder(Transform.of(machine), self.flank_height)
+        builder = AxisPathBuilder(Transform.of(machine), self.flank_height, self.period)
         for first in range(0, len(self.segments), BATCH):
             path = builder.push(segments_from(self.segments[first : first + BATCH]))
             if path is not None:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
+from cnc_interp.core.units import MS
+from cnc_interp.kinematics.axis_path import (
+    UNSEEN,
+    AxisPath,
+    septic_coefficients,
+    septic_value,
+)
+from cnc_interp.kinematics.machine import Machine
+
+#: From this period on, what joins of cells add to third differences is within the slack [s].
+ROOMY = 1.0 * MS
 
 
 class AxisLimits(Protocol):
@@ -31,6 +42,46 @@ def limit_table(limits: AxisLimits) -> FloatArray:
     """Stack the velocity, acceleration and jerk limits, shape (3, n_axes)."""
     rows = (limits.max_velocity, limits.max_acceleration, limits.max_jerk)
     return np.array(rows, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class PlanningLimits:
+    """
+    Limits with which a motion is planned.
+
+    Parameters
+    ----------
+    max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
+        Limits [m/s or rad/s, per s, per s2].
+
+    """
+
+    max_velocity: FloatArray
+    max_acceleration: FloatArray
+    max_jerk: FloatArray
+
+
+def limits_at(machine: Machine, period: float) -> AxisLimits:
+    """
+    Return the limits to plan with, so that differences at the period hold those of the machine.
+
+    Cells of an AxisPath join to ``UNSEEN`` on axes that move far while s hardly does, which are
+    rotary ones. A step of that size has a third difference of 2 UNSEEN / T^3. The slack of the
+    jerk stage has room for it from ``ROOMY`` on. Below, jerk limits of rotary axes give way.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    period : float
+        Interpolation period T [s].
+
+    """
+    if period >= ROOMY:
+        return machine
+    step = 2.0 * UNSEEN * (1.0 / period**3 - 1.0 / ROOMY**3)
+    jerk = np.where(machine.is_linear, 0.0, np.minimum(step, 0.5 * machine.max_jerk))
+    return PlanningLimits(machine.max_velocity, machine.max_acceleration, machine.max_jerk - jerk)
 
 
 def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:

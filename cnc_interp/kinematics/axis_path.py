@@ -16,7 +16,7 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 UNSEEN = 1e-12
-"""A step of an axis that no limit notices: at 1 ms its third difference is 0.002 m/s3 [m, rad]."""
+"""A step of an axis [m, rad]: at 1 ms its third difference is 0.002 m/s3, see ``limits_at``."""
 
 
 @dataclass(frozen=True)

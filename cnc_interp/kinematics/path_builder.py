@@ -15,8 +15,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
-from cnc_interp.core.units import DEG, MM, MS
+from cnc_interp.core.units import DEG
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.branch import branch_at, start_positions
 from cnc_interp.kinematics.sampling import (
     FINE,
     FOLLOWING,
@@ -35,8 +36,8 @@ from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSe
 SAME_ANGLE = 1e-8
 #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
 SAME_TOOL = 1e-12
-#: A kink of the path shows as jerk over this period [s]; more than this share of the limit counts.
-KINK_PERIOD, KINK_JERK = 1.0 * MS, 0.02
+#: A kink that asks for more than this share of a jerk limit within one period makes a stop [-].
+KINK_JERK = 0.02
 #: A great circle whose normal is this perpendicular to the pole runs through it [-].
 IN_PLANE = 1e-10
 
@@ -65,6 +66,8 @@ class AxisPathBuilder:
         The machine's five-axis transformation.
     flank_height : float
         Height h that measures inserted rotations [m].
+    period : float
+        Interpolation period T, within which a kink shows as jerk [s].
     start_near : ndarray, shape (2,), optional
         Rotary positions near which the first pose is solved where the program names none [rad].
 
@@ -73,11 +76,12 @@ class AxisPathBuilder:
     def __init__(
         self,
         transform: Transform,
-        flank_height: float = 30.0 * MM,
+        flank_height: float,
+        period: float,
         start_near: FloatArray | None = None,
     ):
         self.transform, self.machine = transform, transform.machine
-        self.flank_height = flank_height
+        self.flank_height, self.period = flank_height, period
         self._start_near = np.zeros(2) if start_near is None else np.asarray(start_near, float)
         self._rotary: FloatArray | None = None
         self._branch = 1.0
@@ -110,14 +114,10 @@ class AxisPathBuilder:
             If the orientation cannot be reached within the travel.
 
         """
-        if not self.machine.has_rotary:
-            self._rotary = np.zeros(2)
-        elif np.isfinite(rotary).all():
-            self._rotary = np.asarray(rotary, float).copy()
-            self._branch = self._branch_at(self._rotary)
-        else:
-            self._rotary = self._nearest_start(axis, line_number)
-            self._may_turn_at_once = True
+        self._rotary, self._branch = start_positions(
+            self.transform, axis, rotary, self._start_near, line_number
+        )
+        self._may_turn_at_once = not np.isfinite(rotary).all()
         return self._rotary
 
     def push(self, segments: PathSegments) -> AxisPath | None:
@@ -196,7 +196,7 @@ class AxisPathBuilder:
                 parts.append(self._turn_first(one, start))
             self._rotary = start.copy()
         parts.append(self._cells(one, np.array([LINEAR]), turn))
-        self._branch = self._branch_at(self._rotary)
+        self._branch = branch_at(self.transform, self._rotary)
         return parts
 
     def _through_the_pole(
@@ -314,40 +314,9 @@ class AxisPathBuilder:
         speed = np.minimum(feed_left, feed_right)[:, None]
         speed = np.minimum(speed, self.machine.max_velocity / np.maximum(np.abs(left[1]), 1e-12))
         speed = speed.min(axis=1, keepdims=True)
-        jerk = np.abs(right[1] - left[1]) * speed / KINK_PERIOD**2
-        jerk += np.abs(right[2] - left[2]) * speed**2 / KINK_PERIOD
+        jerk = np.abs(right[1] - left[1]) * speed / self.period**2
+        jerk += np.abs(right[2] - left[2]) * speed**2 / self.period
         return np.asarray((jerk > KINK_JERK * self.machine.max_jerk).any(axis=1))
-
-    def _branch_at(self, rotary: FloatArray) -> float:
-        """Return the branch on which rotary positions lie."""
-        axis = self.transform.tool_axis(rotary[None])[0]
-        gaps = [
-            np.abs(np.sin(0.5 * (rotary - pair))).max()
-            for pair in self.transform.rotary_solutions(axis)
-        ]
-        return 1.0 if not gaps or gaps[0] <= gaps[-1] else -1.0
-
-    def _nearest_start(self, axis: FloatArray, line_number: int) -> FloatArray:
-        """Take the solution within the travel that is nearest to where the machine starts."""
-        low, high = self.machine.travel[3:].T
-        outer, near = self.transform.outer, self._start_near
-        on_pole = 1.0 - abs(axis @ self.transform.pole) < 1e-14
-        found = []
-        for branch, pair in zip((1.0, -1.0), self.transform.rotary_solutions(axis), strict=False):
-            if on_pole:
-                pair[outer] = near[outer]
-            pair = pair + 2.0 * np.pi * np.round((near - pair) / (2.0 * np.pi))
-            if (pair >= low).all() and (pair <= high).all():
-                found.append((float(np.abs(pair - near).sum()), -branch, pair))
-        if not found:
-            raise BlockError(
-                f'no rotary position of machine {self.machine.name} within its travel reaches '
-                f'the tool axis ({axis[0]:.4f}, {axis[1]:.4f}, {axis[2]:.4f})',
-                line_number,
-            )
-        _, minus_branch, pair = min(found, key=lambda option: option[:2])
-        self._branch = -minus_branch
-        return np.asarray(pair)
 
     def _refuse_tilt(self, segments: PathSegments) -> None:
         """Refuse a tilted tool on a machine without rotary axes."""

@@ -75,14 +75,16 @@ def warm_kinematics(transform: Transform, settings: Settings) -> AxisPath:
     machine = transform.machine
     endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
     free = Transform.of(replace(machine, travel=endless))
-    path = AxisPathBuilder(free).push(warm_lookahead(transform, settings))
+    path = AxisPathBuilder(free, settings.flank_height, settings.interpolation_period).push(
+        warm_lookahead(transform, settings)
+    )
     assert path is not None
     return path
 
 
 def warm_all(transform: Transform, period: float) -> None:
     """Load the kernels from corners to setpoints; curves need no others behind the look-ahead."""
-    path = warm_kinematics(transform, Settings(compress=False))
+    path = warm_kinematics(transform, Settings(compress=False, interpolation_period=period))
     for options in (PlanOptions(), SHORT_WINDOWS):
         planner = FeedPlanner(transform.machine, options)
         planner.push(path)

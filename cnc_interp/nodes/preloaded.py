@@ -16,7 +16,8 @@ from cnc_interp.settings.choices import Settings
 __all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))
-warm_lookahead(TRANSFORM, Settings())
-warm_all(TRANSFORM, 1e-3)
+SETTINGS = Settings()
+warm_lookahead(TRANSFORM, SETTINGS)
+warm_all(TRANSFORM, SETTINGS.interpolation_period)
 gc.collect()
 gc.freeze()  # lives as long as the nodes: no collection walks over it, its memory stays shared

@@ -134,7 +134,7 @@ def checked_length(
     Its blocks go into the spool on their way.
     """
     lookahead = PathSmoother(settings, traits_of(transform))
-    builder = AxisPathBuilder(transform, settings.flank_height)
+    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
     length = 0.0
     with at_fault(stream.source):
         for part in stream:

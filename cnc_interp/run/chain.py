@@ -15,6 +15,7 @@ from typing import Any
 
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM
+from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
@@ -61,8 +62,10 @@ class Chain:
     def __init__(self, machine: Machine, settings: Settings):
         transform = Transform.of(machine)
         self.lookahead = PathSmoother(settings, traits_of(transform))
-        self.builder = AxisPathBuilder(transform, settings.flank_height)
-        self.planner = FeedPlanner(machine)
+        self.builder = AxisPathBuilder(
+            transform, settings.flank_height, settings.interpolation_period
+        )
+        self.planner = FeedPlanner(limits_at(machine, settings.interpolation_period))
         self.interpolator = Interpolator(settings.interpolation_period)
         self.seconds = {'smoothing': 0.0, 'kinematics': 0.0, 'feedrate': 0.0, 'interpolation': 0.0}
         self.segments: list[PathSegments] = []

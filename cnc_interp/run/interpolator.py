@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.units import MS
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate
 
@@ -66,7 +65,7 @@ class Interpolator:
 
     """
 
-    def __init__(self, period: float = 1.0 * MS, first: int = 0):
+    def __init__(self, period: float, first: int = 0):
         self.period = period
         self.next_number = first
         self._rest: Setpoints | None = None

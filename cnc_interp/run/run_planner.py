@@ -8,6 +8,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
+from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
@@ -57,8 +58,9 @@ class RunPlanner:
         continue_at: float = math.nan,
     ):
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
-        self._builder = AxisPathBuilder(transform, flank_height)
-        self.stream = MotionStream(transform.machine, period, chunk_size, self.line_of)
+        self._builder = AxisPathBuilder(transform, flank_height, period)
+        limits = limits_at(transform.machine, period)
+        self.stream = MotionStream(limits, period, chunk_size, self.line_of)
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._begun = False

@@ -31,7 +31,7 @@ def path_of(name) -> AxisPath:
     blocks = PROGRAMS[name]()
     transform = Transform.of(MACHINE)
     lookahead = LookAhead(Settings(), traits_of(transform))
-    builder = AxisPathBuilder(transform, 0.03)
+    builder = AxisPathBuilder(transform, 0.03, T)
     parts = [builder.push(lookahead.push(blocks)), builder.push(lookahead.finish())]
     return AxisPath.join([part for part in parts if part is not None])
 

@@ -48,7 +48,7 @@ def blocks_of(text):
 
 def path_of(text):
     lookahead = LookAhead(Settings(), traits_of(TRANSFORM))
-    builder = AxisPathBuilder(TRANSFORM, 0.03)
+    builder = AxisPathBuilder(TRANSFORM, 0.03, T)
     parts = [builder.push(lookahead.push(blocks_of(text))), builder.push(lookahead.finish())]
     return AxisPath.join([part for part in parts if part is not None])
 

@@ -26,7 +26,7 @@ def path_of(blocks, transform=AC, batch=1000, **options):
     """Blocks to AxisPath on a machine, batch by batch."""
     pole = tuple(transform.pole) if transform.machine.has_rotary else None
     lookahead = LookAhead(Settings(**options), MachineTraits(pole=pole))
-    builder = AxisPathBuilder(transform)
+    builder = AxisPathBuilder(transform, 0.03, 1e-3)
     builder.start(blocks.axis[0], blocks.rotary[0])
     parts = [lookahead.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
     pieces = [builder.push(part) for part in [*parts, lookahead.finish()]]
@@ -98,7 +98,7 @@ def test_arc_length_is_that_of_the_tip():
 def test_spline_is_followed_with_its_derivatives(seed):
     """Tip and axis are those of the curve; C4 in u means that q_sss too runs through the joins."""
     segments, curve = spline_segments(seed)
-    path = AxisPathBuilder(AC).push(segments)
+    path = AxisPathBuilder(AC, 0.03, 1e-3).push(segments)
     tip, axis = AC.forward(path.q)
     u = np.linspace(5.0, 5.0 + len(segments), 20001)
     tips, tops = curve(u)[:, :3], curve(u)[:, 3:]
@@ -128,7 +128,7 @@ def test_curve_whose_tip_rests_is_refused():
     segments, _ = spline_segments(0)
     resting = replace(segments, bottom=np.repeat(segments.bottom[:, :1], 6, axis=1))
     with pytest.raises(BlockError, match='the tip rests on a curve while the tool axis turns'):
-        AxisPathBuilder(AC).push(resting)
+        AxisPathBuilder(AC, 0.03, 1e-3).push(resting)
 
 
 def test_same_path_however_it_is_cut():

@@ -31,7 +31,7 @@ def cycle_time(blocks, ratio, machine='xyzac'):
     lookahead = LookAhead(Settings(corner_ratio=ratio), traits_of(transform))
     segments = PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
     planner = FeedPlanner(transform.machine)
-    pieces = planner.push(AxisPathBuilder(transform, HEIGHT).push(segments))
+    pieces = planner.push(AxisPathBuilder(transform, HEIGHT, 1e-3).push(segments))
     return (pieces + planner.finish())[-1].law.end_time
 
 

@@ -38,7 +38,7 @@ def halves():
 @pytest.mark.parametrize('before', [5e-14, 0.0, -5e-14, 2e-3])
 def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     first, second = halves()
-    builder = AxisPathBuilder(TRANSFORM, 0.03)
+    builder = AxisPathBuilder(TRANSFORM, 0.03, 1e-3)
     parts = [builder.push(first), builder.push(second)]
     path, place = AxisPath.join(parts), float(parts[0].s[-1]) - before
     stands = evaluate(path, np.array([place]))[0][0]

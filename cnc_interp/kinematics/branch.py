@@ -1,0 +1,94 @@
+"""The two solutions (branches) of the rotary axes: which one holds, and which one to begin on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import BlockError
+from cnc_interp.kinematics.transform import Transform
+
+#: A tool axis whose cosine with the pole differs from 1 by less lies on the pole [-].
+ON_POLE = 1e-14
+
+
+def branch_at(transform: Transform, rotary: FloatArray) -> float:
+    """
+    Return the branch on which rotary positions lie.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's five-axis transformation.
+    rotary : ndarray, shape (2,)
+        Primary and secondary position [rad].
+
+    Returns
+    -------
+    float
+        +1 or -1: the sign of the sine of the tilt.
+
+    """
+    axis = transform.tool_axis(rotary[None])[0]
+    gaps = [
+        np.abs(np.sin(0.5 * (rotary - pair))).max() for pair in transform.rotary_solutions(axis)
+    ]
+    return 1.0 if not gaps or gaps[0] <= gaps[-1] else -1.0
+
+
+def start_positions(
+    transform: Transform, axis: FloatArray, rotary: FloatArray, near: FloatArray, line_number: int
+) -> tuple[FloatArray, float]:
+    """
+    Choose rotary positions and branch of a start pose.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's five-axis transformation.
+    axis : ndarray, shape (3,)
+        Tool axis of the start pose [-].
+    rotary : ndarray, shape (2,)
+        Rotary positions where the program names them, else NaN [rad].
+    near : ndarray, shape (2,)
+        Where the program names none, the solution nearest to these positions is taken [rad].
+    line_number : int
+        For the message.
+
+    Returns
+    -------
+    rotary : ndarray, shape (2,)
+        Positions of the start pose; zeros on a machine without rotary axes [rad].
+    branch : float
+        +1 or -1.
+
+    Raises
+    ------
+    BlockError
+        If the orientation cannot be reached within the travel.
+
+    """
+    machine = transform.machine
+    if not machine.has_rotary:
+        return np.zeros(2), 1.0
+    if np.isfinite(rotary).all():
+        named = np.array(rotary, dtype=float)
+        return named, branch_at(transform, named)
+    low, high = machine.travel[~machine.is_linear].T
+    outer = transform.outer
+    on_pole = 1.0 - abs(axis @ transform.pole) < ON_POLE
+    found = []
+    for branch, pair in zip((1.0, -1.0), transform.rotary_solutions(axis), strict=False):
+        if on_pole:
+            pair[outer] = near[outer]
+        pair = pair + 2.0 * np.pi * np.round((near - pair) / (2.0 * np.pi))
+        if (pair >= low).all() and (pair <= high).all():
+            found.append((float(np.abs(pair - near).sum()), -branch, pair))
+    if not found:
+        raise BlockError(
+            f'no rotary position of machine {machine.name} within its travel reaches '
+            f'the tool axis ({axis[0]:.4f}, {axis[1]:.4f}, {axis[2]:.4f})',
+            line_number,
+        )
+    _, minus_branch, pair = min(found, key=lambda option: option[:2])
+    return np.asarray(pair), -minus_branch

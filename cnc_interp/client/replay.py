@@ -26,6 +26,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.settings.choices import Settings
@@ -124,14 +125,14 @@ def _compare_run(
     blocks = stream_of(bag, 'blocks', run_id)
     period = plans[min(plans)][0].period
     overrides = _overrides(bag, run_id)
+    followed = OperatorSettings(overrides[0])
     # Behind a loss the run went on from where the machine stood when planning began again.
     goes_on = blocks[0].continue_at > 0.0
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
         int(bag.parameters.get('feedrate_node.chunk_size', 10)), told[0].position[0],
-        float(told[0].s[0]) if goes_on else math.nan,
+        float(told[0].s[0]) if goes_on else math.nan, followed,
     )  # fmt: skip
-    planner.stream.override = overrides[0]
     settings = settings_of_run(bag.parameters, blocks[0].flank_height, period)
     lookahead = PathSmoother(settings, traits_of(transform))
     pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
@@ -148,7 +149,7 @@ def _compare_run(
         if plan > 0:
             if plan - 1 not in rests:
                 raise InterpError(f'{bag.path}: does not tell where plan {plan - 1} was left')
-            planner.resume(rests[plan - 1])
+            planner.resume(rests[plan - 1], followed)
         again = _all_samples(planner, len(samples))
         yield Comparison(
             replace(run_id, plan=plan), len(samples), _same(samples, again),

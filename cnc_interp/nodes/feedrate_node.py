@@ -28,6 +28,7 @@ from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.qos import STATE
 from cnc_interp.nodes.stream_ends import Inlet, Outlet
 from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.motion_plan import MotionPlan
 from cnc_interp.run.run_id import NO_RUN
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.wire.chunk_messages import chunk_message
@@ -184,8 +185,8 @@ class FeedrateNode(LifecycleNode):
                 self._transform, first.flank_height, self._period, self._values['chunk_size'],
                 np.array(state.commanded_positions),
                 state.path_position if mine else first.continue_at,
+                self._wishes.settings,
             )  # fmt: skip
-            self._wishes.tell(self._planner.stream)
 
     def _machine_left_the_plan(self) -> bool:
         """Tell whether the machine has followed a stop tail and rests."""
@@ -204,8 +205,7 @@ class FeedrateNode(LifecycleNode):
         self._sent_before += self._outlet.sender.sent
         self._end_sent = False
         self._outlet.sender.begin(self._run_id)
-        self._wishes.tell(planner.stream)
-        self._submit(self._queue, planner.resume, self._state.path_position)
+        self._submit(self._queue, planner.resume, self._state.path_position, self._wishes.settings)
 
     def _must_revise(self, planner: RunPlanner) -> bool:
         """
@@ -215,7 +215,7 @@ class FeedrateNode(LifecycleNode):
         """
         sender, stream = self._outlet.sender, planner.stream
         return (
-            self._wishes.differ_from(stream)
+            self._wishes.settings != stream.settings
             and sender.sent > 0
             and (sender.unsent > 0 or not (stream.can_sample or stream.can_plan))
             and not self._end_sent
@@ -230,8 +230,8 @@ class FeedrateNode(LifecycleNode):
         """
         self._outlet.paused = True
         self._submit(
-            self._revised, planner.stream.revise, self._outlet.sender.sent - 1,
-            self._wishes.override, self._wishes.single_block,
+            self._revised, planner.stream.revision, self._outlet.sender.sent - 1,
+            self._wishes.settings,
         )  # fmt: skip
 
     def _keep_fed(self) -> None:
@@ -242,11 +242,10 @@ class FeedrateNode(LifecycleNode):
             self._outlet.paused = False
             self._outlet.pump()
 
-    def _revised(self, accepted: bool) -> None:
+    def _revised(self, revision: MotionPlan | None) -> None:
         late = not self._outlet.paused
-        if accepted and late and self._planner is not None:
-            self._planner.stream.take_back()
-        elif accepted:
+        if revision is not None and not late and self._planner is not None:
+            self._planner.stream.adopt(revision)
             self._outlet.sender.drop_unsent()
         self._late = self._late + 1 if late else 0
         self._outlet.paused = False

@@ -17,6 +17,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.chunk import Wait
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
@@ -96,7 +97,7 @@ def warm_all(transform: Transform, period: float) -> None:
     while not stream.can_sample:
         stream.plan()
     handed_out = sum(len(chunk.samples) for chunk in stream.sample())
-    stream.revise(handed_out - 1, 0.5, single_block=False)
+    stream.revision(handed_out - 1, OperatorSettings(0.5))
     state = stream.state_at(handed_out - 1)
     table = limit_table(transform.machine)
     assert state is not None

@@ -11,7 +11,7 @@ from std_srvs.srv import SetBool
 
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import OVERRIDE
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import OperatorSettings
 
 #: Largest feed override.
 MOST = 1.5
@@ -59,13 +59,10 @@ class Wishes:
 
         return serve
 
-    def tell(self, stream: MotionStream) -> None:
-        """Let a stream that plans anew follow them."""
-        stream.override, stream.single_block = self.override, self.single_block
-
-    def differ_from(self, stream: MotionStream) -> bool:
-        """Tell whether what a stream has planned follows older wishes."""
-        return (stream.override, stream.single_block) != (self.override, self.single_block)
+    @property
+    def settings(self) -> OperatorSettings:
+        """The settings that a plan depends on."""
+        return OperatorSettings(self.override, self.single_block)
 
     def pauses_behind(self, segment: PathSegment) -> bool:
         """Tell whether the operator is waited for behind a segment (M0, M1)."""

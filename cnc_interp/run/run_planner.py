@@ -16,6 +16,7 @@ from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -45,6 +46,8 @@ class RunPlanner:
         Where the machine stands, at rest [m, rad].
     continue_at : float
         Path length from which the program goes on; NaN or below 0 from its start [m].
+    settings : OperatorSettings, optional
+        The settings that the first plan follows.
 
     """
 
@@ -56,11 +59,12 @@ class RunPlanner:
         chunk_size: int,
         stands: FloatArray,
         continue_at: float = math.nan,
+        settings: OperatorSettings | None = None,
     ):
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height, period)
         limits = limits_at(transform.machine, period)
-        self.stream = MotionStream(limits, period, chunk_size, self.line_of)
+        self.stream = MotionStream(limits, period, chunk_size, self.line_of, settings)
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._begun = False
@@ -77,7 +81,7 @@ class RunPlanner:
 
         """
         self._note_lines(segments)
-        self.stream.pause_blocks |= pauses
+        self.stream.pause_after(pauses)
         path = self._builder.push(segments)
         if path is None:
             return
@@ -130,9 +134,9 @@ class RunPlanner:
             self.stream.plan()
         return []
 
-    def resume(self, s: float) -> list[Chunk]:
+    def resume(self, s: float, settings: OperatorSettings) -> list[Chunk]:
         """Plan anew from rest at a place on the path."""
-        self.stream.resume(s)
+        self.stream.resume(s, settings)
         return []
 
     def _note_lines(self, segments: PathSegments) -> None:

@@ -16,6 +16,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.run.chunk import Wait, part_of
 from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
@@ -57,6 +58,14 @@ def drain(stream, until=10**9):
         chunks += new
         count += sum(len(chunk.samples) for chunk in new)
     return chunks
+
+
+def revised(stream, number, settings):
+    """Adopt a revision where there is one."""
+    revision = stream.revision(number, settings)
+    if revision is not None:
+        stream.adopt(revision)
+    return revision is not None
 
 
 def joined(chunks):
@@ -129,7 +138,7 @@ def test_stopped_anywhere_and_resumed_runs_the_whole_path(name, seed):
         stream.release(s)
         if executed[-1].wait is Wait.END:
             break
-        stream.resume(s)
+        stream.resume(s, stream.settings)
     rest = drain(stream)
     if rest:
         assert_sound(joined(rest), path)
@@ -144,7 +153,7 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     while True:
         count = sum(len(chunk.samples) for chunk in sent)
         wanted = float(rng.choice([0.0, 0.1, 0.5, 0.9, 1.2, 1.5]))
-        if sent and stream.revise(count - 1, wanted, single_block=False):
+        if sent and revised(stream, count - 1, OperatorSettings(wanted)):
             queue, override, accepted = [], wanted, accepted + 1
         queue += drain(stream, until=int(rng.integers(20, 1200)))
         if override == 0.0 and queue and not stream.can_sample:
@@ -160,18 +169,16 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
 
 
 @pytest.mark.parametrize('name', PROGRAMS)
-def test_a_revision_that_is_taken_back_leaves_no_trace(name):
+def test_a_revision_that_is_dropped_leaves_no_trace(name):
     rng, stream, chunks, revised = np.random.default_rng(7), stream_of(name), [], 0
     while not chunks or chunks[-1].wait is not Wait.END:
         chunks += drain(stream, until=int(rng.integers(20, 400)))
         count = sum(len(chunk.samples) for chunk in chunks)
-        if stream.revise(
-            max(0, count - int(rng.integers(1, 200))), float(rng.choice([0.0, 0.4, 1.3])), True
-        ):
-            stream.take_back()
-            revised += 1
+        settings = OperatorSettings(float(rng.choice([0.0, 0.4, 1.3])), single_block=True)
+        revision = stream.revision(max(0, count - int(rng.integers(1, 200))), settings)
+        revised += revision is not None
     untouched = drain(stream_of(name))
-    assert revised > 3 and (stream.override, stream.single_block) == (1.0, False)
+    assert revised > 3 and stream.settings == OperatorSettings()
     assert np.array_equal(joined(chunks).position, joined(untouched).position)
     tails = [chunk.tail.position for chunk in chunks], [chunk.tail.position for chunk in untouched]
     assert all(np.array_equal(*pair) for pair in zip(*tails, strict=True))
@@ -181,7 +188,7 @@ def test_a_lower_override_slows_at_once_and_down_to_its_feed():
     path, stream = path_of('pyramid'), stream_of('pyramid')
     chunks = drain(stream, until=600)
     count = sum(len(chunk.samples) for chunk in chunks)
-    assert stream.revise(count - 1, 0.3, single_block=False)
+    assert revised(stream, count - 1, OperatorSettings(0.3))
     after = joined(drain(stream))
     speed = np.diff(after.s) / T
     assert speed[60] < speed[:20].min()
@@ -193,7 +200,7 @@ def test_single_block_rests_where_the_block_changes():
     path, stream = path_of('zigzag'), stream_of('zigzag')
     chunks = drain(stream, until=300)
     count = sum(len(chunk.samples) for chunk in chunks)
-    assert stream.revise(count - 1, 1.0, single_block=True)
+    assert revised(stream, count - 1, OperatorSettings(1.0, single_block=True))
     after = drain(stream)
     waits = [chunk.samples.s[-1] for chunk in after if chunk.wait is Wait.CYCLE_START]
     changes = path.s[1:-1][np.diff(path.cell_block) != 0]
@@ -203,7 +210,7 @@ def test_single_block_rests_where_the_block_changes():
 
 def test_a_block_with_a_pause_is_waited_behind():
     path, stream = path_of('zigzag'), MotionStream(MACHINE, T)
-    stream.pause_blocks = {4}
+    stream.pause_after({4})
     stream.push(path)
     stream.end_leg(Wait.END)
     chunks = drain(stream)

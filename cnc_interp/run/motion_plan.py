@@ -1,0 +1,256 @@
+"""One plan of the motion along the rest of a course: legs planned, sampled and cut into chunks."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.chunk_cutter import ChunkCutter
+from cnc_interp.run.course import Course, LegEnd, slowed
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.leg import Leg
+from cnc_interp.run.stop_search import StopSearch
+
+
+@dataclass(frozen=True)
+class OperatorSettings:
+    """
+    The settings of the operator that a plan depends on.
+
+    Parameters
+    ----------
+    override : float
+        Factor on the programmed feed, 0 to 1.5 [-]; 0 stops on the path and waits.
+    single_block : bool
+        Rest at the end of each source line until cycle_start.
+
+    """
+
+    override: float = 1.0
+    single_block: bool = False
+
+
+@dataclass(frozen=True)
+class PlanContext:
+    """
+    What all plans of one run share.
+
+    Parameters
+    ----------
+    limits : AxisLimits
+        Limits of the axes.
+    table : ndarray, shape (3, n_axes)
+        The same limits as ``limit_table`` returns them.
+    period : float
+        Interpolation period [s].
+    chunk_size : int
+        Most setpoints in a chunk.
+    line_of : callable
+        Returns the source line of a block; single block stops where it changes.
+    course : Course
+        The path of the run.
+    pause_blocks : set of int
+        Blocks after which cycle_start is waited for (M0, M1); grows with the path.
+
+    """
+
+    limits: AxisLimits
+    table: FloatArray
+    period: float
+    chunk_size: int
+    line_of: Callable[[int], int]
+    course: Course = field(default_factory=Course)
+    pause_blocks: set[int] = field(default_factory=set)
+
+
+class MotionPlan:
+    """
+    One plan of a run, from one setpoint on.
+
+    Parameters
+    ----------
+    context : PlanContext
+        What it shares with the other plans of the run.
+    settings : OperatorSettings
+        The settings that it follows.
+    todo : deque of AxisPath and LegEnd
+        The path to plan.
+    number : int
+        Number of its first setpoint.
+    leg : Leg, optional
+        The leg that it begins with, in motion; from rest by default.
+    way_down : PlannedPiece, optional
+        A stop from its first state. The feed may lie a little above it.
+    before : MotionPlan, optional
+        The plan that it follows. Its setpoints below ``number`` stay.
+
+    """
+
+    def __init__(
+        self,
+        context: PlanContext,
+        settings: OperatorSettings,
+        todo: deque[AxisPath | LegEnd],
+        number: int = 0,
+        leg: Leg | None = None,
+        way_down: PlannedPiece | None = None,
+        before: MotionPlan | None = None,
+    ):
+        self.settings = settings
+        self._context, self._todo, self._way_down = context, todo, way_down
+        self._legs: deque[Leg] = deque([] if leg is None else [leg])
+        stays = before._history if before is not None and number > 0 else ()
+        self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
+        self._cutter = ChunkCutter(context.chunk_size, number)
+        self._search = StopSearch(context.course, context.table, context.period, number)
+        self._last: Setpoints | None = None if before is None else before._last
+        self._block_before = -1
+
+    def extend(self, items: Iterable[AxisPath | LegEnd]) -> None:
+        """Take further items of the course."""
+        self._todo.extend(items)
+
+    def release(self, s: float) -> None:
+        """Forget the motion before a place on the path [m]."""
+        while len(self._history) > 1 and self._history[1][1].law.s[0] < s:
+            self._history.popleft()
+
+    @property
+    def planned(self) -> float:
+        """Motion planned but not sampled [s]."""
+        return sum(leg.planned for leg in self._legs)
+
+    @property
+    def has_path(self) -> bool:
+        """Tell whether there is path that is not planned."""
+        return bool(self._todo)
+
+    @property
+    def can_plan(self) -> bool:
+        """Tell whether there is path to plan."""
+        return self.has_path and self.settings.override > 0.0
+
+    @property
+    def can_sample(self) -> bool:
+        """Tell whether there is motion to sample."""
+        return bool(self._legs) and (bool(self._legs[0].slices) or self._legs[0].wait is not None)
+
+    def plan(self) -> None:
+        """
+        Plan one portion of the path.
+
+        Raises
+        ------
+        PlanningError
+            If there is no law within the limits.
+
+        """
+        item = self._todo.popleft()
+        if isinstance(item, AxisPath):
+            item = self._until_pause(item)
+        if isinstance(item, LegEnd):
+            self._open_leg().finish(item.wait)
+            return
+        self._block_before = int(item.cell_block[-1])
+        self._open_leg().push(slowed(item, self.settings.override, self._way_down))
+
+    def _open_leg(self) -> Leg:
+        """Return the leg that is being planned."""
+        if not self._legs or self._legs[-1].wait is not None:
+            self._legs.append(Leg(self._context.limits, self._context.period))
+        return self._legs[-1]
+
+    def _until_pause(self, part: AxisPath) -> AxisPath | LegEnd:
+        """Cut a part where cycle_start is waited for; the rest goes back to the path to plan."""
+        pause = self._pause(part)
+        if pause is None:
+            return part
+        if pause == 0:
+            self._todo.appendleft(part)
+            self._block_before = int(part.cell_block[0])
+            return LegEnd(Wait.CYCLE_START)
+        self._todo.appendleft(cut(part, pause, len(part.s) - 1))
+        return cut(part, 0, pause)
+
+    def _pause(self, part: AxisPath) -> int | None:
+        """Find the first grid point of a part at which cycle_start is waited for."""
+        before = np.concatenate([[self._block_before], part.cell_block[:-1]])
+        changes = np.flatnonzero((before != part.cell_block) & (before >= 0))
+        undivided = -math.inf  # no leg is cut before this place: the motion cannot stop earlier
+        if self._way_down is not None:
+            undivided = float(self._way_down.path.s[-1]) * (1 + 1e-12) + 1e-9
+        line_of = self._context.line_of
+        for k in changes.tolist():
+            if part.s[k] < undivided:
+                continue
+            block, following = int(before[k]), int(part.cell_block[k])
+            moves = k > 0 or (bool(self._legs) and self._legs[-1].wait is None)
+            single = self.settings.single_block and line_of(block) != line_of(following)
+            if moves and (single or block in self._context.pause_blocks):
+                return int(k)
+        return None
+
+    def sample(self) -> list[Chunk]:
+        """Sample a slice of the motion and return the chunks that are complete with it."""
+        leg, cutter = self._legs[0], self._cutter
+        if leg.number_of_zero is None:
+            leg.number_of_zero = cutter.next_number - leg.interpolator.next_number
+        if leg.slices:
+            piece = leg.slices.popleft()
+            self._history.append((leg, piece))
+            first = cutter.next_number
+            self._append(leg.interpolator.push(piece))
+            for number, stop in self._search.stops(leg, piece, range(first, cutter.next_number)):
+                cutter.add_stop(number, stop)
+        else:
+            assert leg.wait is not None
+            self._legs.popleft()
+            last = leg.last_sample() if leg.moves else self._last
+            if last is not None and (leg.moves or leg.wait is Wait.END):
+                self._append(last)
+                cutter.end_leg(leg.wait)
+                self._search.rests_at(cutter.next_number - 1)
+        return cutter.cut()
+
+    def _append(self, samples: Setpoints) -> None:
+        """Take sampled setpoints."""
+        self._cutter.take(samples)
+        if len(samples):
+            self._last = part_of(samples, len(samples) - 1, len(samples))
+
+    def state_at(self, number: int) -> tuple[Leg, tuple[float, float, float]] | None:
+        """
+        Return the state of motion at a setpoint that was handed out.
+
+        Parameters
+        ----------
+        number : int
+            Number of the setpoint.
+
+        Returns
+        -------
+        tuple of Leg and (s, s_dot, s_ddot), or None
+            The leg and its state [m, m/s, m/s2]; None where the setpoint is forgotten.
+
+        """
+        for leg, piece in reversed(self._history):
+            assert leg.number_of_zero is not None
+            time = (number - leg.number_of_zero) * self._context.period
+            if time >= piece.law.time[0] - 1e-9:
+                return leg, leg.state_at(number, piece)
+        return None
+
+
+def shifted(piece: PlannedPiece, time: float) -> PlannedPiece:
+    """Let a law begin at another time [s]."""
+    law = piece.law
+    return PlannedPiece(piece.path, replace(law, time=law.time - law.time[0] + time))

@@ -1,0 +1,92 @@
+"""Stops along the path, looked for a few tens of milliseconds apart while a plan is sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.stop_law import stop_law
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.run.course import Course
+from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.leg import Leg
+
+STOP_EVERY = 0.02
+"""Time between setpoints at which a stop is looked for [s]."""
+
+THOROUGH_AFTER, THOROUGH_EVERY = 0.1, 0.06
+"""Time without a stop after which the jerk stage is asked, and how often it is asked [s]."""
+
+
+class StopSearch:
+    """
+    Find stops at the setpoints of one plan.
+
+    Parameters
+    ----------
+    course : Course
+        The path ahead.
+    table : ndarray, shape (3, n_axes)
+        Limits of the axes as ``limit_table`` returns them.
+    period : float
+        Interpolation period [s].
+    number : int
+        Number of the plan's first setpoint.
+
+    """
+
+    def __init__(self, course: Course, table: FloatArray, period: float, number: int):
+        self._course, self._table, self._period = course, table, period
+        self._every = max(1, round(STOP_EVERY / period))
+        self._known = number  # last setpoint with a stop
+        self._asked = number  # setpoint of the last thorough search
+
+    def rests_at(self, number: int) -> None:
+        """Note that the plan is at rest at a setpoint: no search is needed there."""
+        self._known = number + 1
+
+    def stops(
+        self, leg: Leg, piece: PlannedPiece, numbers: range
+    ) -> Iterator[tuple[int, Setpoints]]:
+        """
+        Look for stops at the setpoints of a slice of the motion.
+
+        Parameters
+        ----------
+        leg : Leg
+            The leg that the slice belongs to.
+        piece : PlannedPiece
+            The slice.
+        numbers : range
+            Numbers of its setpoints in the stream.
+
+        Yields
+        ------
+        tuple of int and Setpoints
+            Number of a setpoint, and the setpoints after it down to rest.
+
+        """
+        ahead: AxisPath | None = None
+        first = -(-(numbers.start + 1) // self._every) * self._every - 1
+        for number in range(first, numbers.stop, self._every):
+            state = leg.state_at(number, piece)
+            if state[1] <= 0.0:
+                continue
+            if ahead is None:
+                ahead = self._course.ahead(float(piece.law.s[0]))
+            thorough = (
+                number - self._known >= THOROUGH_AFTER / self._period
+                and number - self._asked >= THOROUGH_EVERY / self._period
+            )
+            stop = stop_law(ahead, state, self._table, 0.0, thorough)
+            if thorough:
+                self._asked = number
+            if stop is not None:
+                self._known = number
+                yield number, self._sampled(stop)
+
+    def _sampled(self, stop: PlannedPiece) -> Setpoints:
+        """Sample a stop: the setpoints after its first state, the last one at rest."""
+        interpolator = Interpolator(self._period, 1)
+        return Setpoints.concatenate([interpolator.push(stop), interpolator.finish()])

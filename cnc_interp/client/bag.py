@@ -36,7 +36,7 @@ from std_msgs.msg import Float64
 
 from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.stream_ends import opened
+from cnc_interp.nodes.message_seal import opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {

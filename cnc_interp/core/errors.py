@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 
 class InterpError(Exception):
     """A request that cannot be carried out; the message says what is wrong and what to do."""
@@ -103,5 +105,37 @@ class PlanningError(BlockError):
     """A path along which no motion law within the limits was found."""
 
 
+class Refusal(IntEnum):
+    """Why a message or the rest of a run is not taken; constants of ``StreamStatus``."""
+
+    NONE = 0
+    # For the whole run:
+    BAD_MESSAGE = 1  # a message is not sound: a value or a shape
+    NOT_READY = 2  # the node is not active, or the machine is busy or on hold
+    BAD_PATH = 3  # a block cannot be executed on this machine
+    GIVEN_UP = 4  # the machine has left the run: it was reset or restarted
+    MACHINE_FAULT = 5  # the machine stopped: fault or emergency stop
+    # For one message; the stream goes on:
+    GAP = 16  # messages before it are missing
+    SPOILT = 17  # its checksum is wrong
+    REPEAT = 18  # it was received before
+    FOREIGN_RUN = 19  # it belongs to another run
+    LATE = 20  # it comes after the end of its run or plan
+
+
 class StreamError(InterpError):
-    """A message that breaks a stream's contract (gap, repeat, foreign program, wrong shape)."""
+    """
+    A message that breaks the contract of a stream (gap, repeat, foreign program, wrong shape).
+
+    Parameters
+    ----------
+    message : str
+        What is wrong and what to do.
+    kind : Refusal
+        What the run is refused for because of it.
+
+    """
+
+    def __init__(self, message: str, kind: Refusal = Refusal.BAD_MESSAGE):
+        self.kind = kind
+        super().__init__(message)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from cnc_interp_msgs.msg import G1Block, PathSegment
 from rclpy.node import Node
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core.errors import InterpError, Refusal
 from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -18,7 +18,8 @@ from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_lookahead
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import SenderWatch
-from cnc_interp.nodes.stream_ends import Inlet, Outlet
+from cnc_interp.nodes.stream_inlet import Inlet
+from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.message_checks import check_block
@@ -81,8 +82,9 @@ class LookaheadNode(Node):
     def _work(self) -> None:
         """Smooth a batch when the way onward is free, and send what may be sent."""
         self._outlet.pump()
-        if self._outlet.refusal and self._inlet.receiver.active:
-            self._inlet.refuse(self._inlet.receiver.run_id, self._outlet.refusal)
+        receiver, outlet = self._inlet.receiver, self._outlet
+        if outlet.refused and receiver.active:
+            self._inlet.refuse(receiver.run_id, outlet.refused, outlet.refusal_text)
         self._watch.look(self._inlet.receiver.active and not self._blocks)
         if self._blocks and self._lookahead is not None and self._outlet.sender.unsent <= QUEUE:
             self._smooth()
@@ -94,7 +96,7 @@ class LookaheadNode(Node):
         try:
             self._send(self._lookahead.push(blocks_from(batch)), end=False)
         except InterpError as problem:
-            self._inlet.refuse(run_id_of(batch[0]), str(problem))
+            self._inlet.refuse(run_id_of(batch[0]), Refusal.BAD_PATH, str(problem))
             return
         self._inlet.receiver.consume(len(batch))
         if batch[-1].end_of_program:

@@ -13,7 +13,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.core.units import UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.drive_model import Drives
@@ -26,7 +26,7 @@ from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
-from cnc_interp.nodes.stream_ends import Inlet, TooLateError
+from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.wire.chunk_messages import chunk_from
 from cnc_interp.wire.machine_messages import (
     executed_setpoints,
@@ -146,13 +146,15 @@ class MachineNode(LifecycleNode):
             state = self._machine.state
             mine = run_id_of(chunk) == playback.run_id
             if mine and playback.left:
-                raise TooLateError(self._left())
+                raise StreamError(self._left(), Refusal.LATE)
             if chunk.first_sample == 0:
                 playback.make_room(run_id_of(chunk))
             before = playback.buffer.newest
         if state in (State.INACTIVE, State.STOPPING, State.FAULT):
             reason = self._machine.message or 'activate it'
-            raise StreamError(f'the machine is {state.value}: {reason}')
+            stopped = state is not State.INACTIVE
+            kind = Refusal.MACHINE_FAULT if stopped else Refusal.NOT_READY
+            raise StreamError(f'the machine is {state.value}: {reason}', kind)
         check_chunk(chunk, self._machine.machine, self._period, before)
 
     def _left(self) -> str:
@@ -175,13 +177,13 @@ class MachineNode(LifecycleNode):
     def _see_refusal(self) -> None:
         """Nothing more comes of this run: stop on the path behind what is sound."""
         with self._lock:
-            self._playback.end_with(self._inlet.receiver.refusal)
+            self._playback.end_with(self._inlet.receiver.refusal_text)
 
-    def _give_up(self, reason: str) -> None:
+    def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
         """Tell the senders that the run is over."""
         receiver = self._inlet.receiver
-        if receiver.run_id and not receiver.refusal:
-            self._inlet.refuse(receiver.run_id, reason)
+        if receiver.run_id and not receiver.refused:
+            self._inlet.refuse(receiver.run_id, kind, reason)
 
     def _work(self) -> None:
         """Open the window by what was played; tell at once when the state changes."""
@@ -194,7 +196,7 @@ class MachineNode(LifecycleNode):
             news = (state, playback.run_id, playback.plan_over, playback.start_wanted)
         self._inlet.buffered_time = playback.buffer.count * self._period
         if fault:
-            self._give_up(fault)
+            self._give_up(fault, Refusal.MACHINE_FAULT)
         elif over and receiver.active:
             receiver.close(self._left())
         if news != self._told:

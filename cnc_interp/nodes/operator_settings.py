@@ -1,8 +1,9 @@
-"""What the operator asks of the planner: feed override, single block, optional stop."""
+"""What the operator has set for the planner: feed override, single block, optional stop."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from cnc_interp_msgs.msg import G1Block, PathSegment
@@ -13,13 +14,13 @@ from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import OVERRIDE
 from cnc_interp.run.motion_plan import OperatorSettings
 
-#: Largest feed override.
+#: Largest feed override [-].
 MOST = 1.5
 
 
-class Wishes:
+class OperatorInputs:
     """
-    The last wish of each kind; they count for all that is planned from now on.
+    The topic and the services by which the operator sets something, and what is set now.
 
     Parameters
     ----------
@@ -27,45 +28,42 @@ class Wishes:
         The node.
     diagnostics : Diagnostics
         Where a wrong override is named.
-    on_change : callable
-        Told when the override has changed: it counts for what is planned already, too.
+    on_override : callable
+        Called when the override was set: it counts for what is planned already, too.
 
     """
 
-    def __init__(self, node: Any, diagnostics: Diagnostics, on_change: Callable[[], None]):
-        self.override, self.single_block, self.optional_stop = 1.0, False, False
-        self._diagnostics, self._on_change = diagnostics, on_change
-        node.create_subscription(Float64, 'feed_override', self._see_override, OVERRIDE)
-        for name in ('single_block', 'optional_stop'):
-            node.create_service(SetBool, name, self._setting(name))
+    def __init__(self, node: Any, diagnostics: Diagnostics, on_override: Callable[[], None]):
+        self.settings, self._optional_stop = OperatorSettings(), False
+        self._diagnostics, self._on_override = diagnostics, on_override
+        node.create_subscription(Float64, 'feed_override', self._set_override, OVERRIDE)
+        node.create_service(SetBool, 'single_block', self._set_single_block)
+        node.create_service(SetBool, 'optional_stop', self._set_optional_stop)
 
-    def _see_override(self, message: Float64) -> None:
+    def _set_override(self, message: Float64) -> None:
         """Take the override, 0 to 1.5."""
         value = float(message.data)
         sound = 0.0 <= value <= MOST
         if sound:
-            self.override = value
-            self._on_change()
+            self.settings = replace(self.settings, override=value)
+            self._on_override()
         said = f'{value:g}' if sound else f'{value:g} refused: it must lie between 0 and {MOST}'
         self._diagnostics.say('feed_override', OK if sound else WARN, said)
 
-    def _setting(self, name: str) -> Callable[[Any, Any], Any]:
-        """Make the service of a switch."""
+    def _set_single_block(self, request: Any, response: Any) -> Any:
+        """Answer the service ``single_block``."""
+        self.settings = replace(self.settings, single_block=request.data)
+        response.success, response.message = True, f'single block: {request.data}'
+        return response
 
-        def serve(request: Any, response: Any) -> Any:
-            setattr(self, name, request.data)
-            response.success, response.message = True, f'{name.replace("_", " ")}: {request.data}'
-            return response
+    def _set_optional_stop(self, request: Any, response: Any) -> Any:
+        """Answer the service ``optional_stop``."""
+        self._optional_stop = request.data
+        response.success, response.message = True, f'optional stop: {request.data}'
+        return response
 
-        return serve
-
-    @property
-    def settings(self) -> OperatorSettings:
-        """The settings that a plan depends on."""
-        return OperatorSettings(self.override, self.single_block)
-
-    def pauses_behind(self, segment: PathSegment) -> bool:
-        """Tell whether the operator is waited for behind a segment (M0, M1)."""
+    def pauses_after(self, segment: PathSegment) -> bool:
+        """Tell whether cycle_start is waited for after a segment (M0, M1)."""
         return segment.program_stop == G1Block.STOP or (
-            segment.program_stop == G1Block.OPTIONAL_STOP and self.optional_stop
+            segment.program_stop == G1Block.OPTIONAL_STOP and self._optional_stop
         )

@@ -8,6 +8,7 @@ from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 
+from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
 from cnc_interp.run.run_id import RunId
@@ -75,12 +76,13 @@ class Peers:
                 return node
         return '' if now - self._state_seen <= timeout else 'machine_node'
 
-    def refusal(self, run_id: RunId) -> str:
-        """Return why a run was refused, by the first node of the chain that did."""
+    def refusal(self, run_id: RunId) -> tuple[Refusal, str]:
+        """Return why a run was refused, by the node nearest to the machine that did."""
         for stream in reversed(RECEIVERS):
-            if self.knows(stream, run_id) and self._status[stream].refusal:
-                return str(self._status[stream].refusal)
-        return ''
+            if self.knows(stream, run_id) and self._status[stream].refusal_kind:
+                status = self._status[stream]
+                return Refusal(status.refusal_kind), str(status.refusal)
+        return Refusal.NONE, ''
 
     def knows(self, stream: str, run_id: RunId) -> bool:
         """Tell whether the receiver of a stream is on this attempt of a run."""

@@ -26,7 +26,7 @@ from cnc_interp.nodes.program_check import prepare
 from cnc_interp.nodes.program_queue import Queue
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
-from cnc_interp.nodes.stream_ends import Outlet
+from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.run_id import NO_RUN
 from cnc_interp.wire.path_messages import block_messages
 

@@ -133,7 +133,7 @@ class ProgramRun:
                 return Result.STOPPED, state.message
             if state.completed:
                 return Result.SUCCEEDED, 'executed to the end'
-        refusal = peers.refusal(self.run_id)
+        _, refusal = peers.refusal(self.run_id)
         if refusal and not self._moves(state):
             if self.cancelled:
                 return Result.CANCELED, 'cancelled; the machine rests on the path'

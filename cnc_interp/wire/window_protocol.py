@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.run.run_id import NO_RUN, RunId
 
 Item = TypeVar('Item')
@@ -157,13 +157,13 @@ class WindowedReceiver:
         self.next_number = 0
         self.consumed = 0
         self.complete = False
-        self.refusal = self._closed = ''
+        self.refused, self.refusal_text, self._closed = Refusal.NONE, '', ''
         self._past: deque[RunId] = deque(maxlen=REMEMBERED)
 
     @property
     def active(self) -> bool:
         """Tell whether a program is being received."""
-        return bool(self.run_id) and not self.complete and not self.refusal
+        return bool(self.run_id) and not self.complete and not self.refused
 
     @property
     def limit(self) -> int:
@@ -181,22 +181,27 @@ class WindowedReceiver:
 
         """
         if not run_id:
-            raise StreamError(f'{self.stream}: {first} has no program id; name the program')
+            raise StreamError(
+                f'{self.stream}: {first} has no program id; name the program', Refusal.FOREIGN_RUN
+            )
         if run_id != self.run_id:
             self._expect_new(run_id, first)
-        elif self.refusal:
-            raise StreamError(f'{self.stream}: {first} after the refusal: {self.refusal}')
+        elif self.refused:
+            text = f'{self.stream}: {first} after the refusal: {self.refusal_text}'
+            raise StreamError(text, self.refused)
         elif first < self.next_number:
             raise StreamError(
-                f'{self.stream}: repeat of {first}; {self.next_number} is next and was not touched'
+                f'{self.stream}: repeat of {first}; {self.next_number} is next; nothing changed',
+                Refusal.REPEAT,
             )
         elif self.complete:
             over = f'{self.stream}: {first} after the end of the program'
-            raise StreamError(self._closed or over)
+            raise StreamError(self._closed or over, Refusal.LATE)
         elif first > self.next_number:
             raise StreamError(
                 f'{self.stream}: gap: {first} came, but {self.next_number} is next; send again '
-                f'from {self.next_number}'
+                f'from {self.next_number}',
+                Refusal.GAP,
             )
 
     def _expect_new(self, run_id: RunId, first: int) -> None:
@@ -204,13 +209,15 @@ class WindowedReceiver:
         if self.active and not run_id.continues(self.run_id):
             raise StreamError(
                 f'{self.stream}: foreign program {run_id} while {self.run_id} runs; '
-                'wait for its end'
+                'wait for its end',
+                Refusal.FOREIGN_RUN,
             )
         if run_id in self._past:
-            raise StreamError(f'{self.stream}: {first} of old program {run_id}')
+            raise StreamError(f'{self.stream}: {first} of old program {run_id}', Refusal.LATE)
         if first != 0:
             raise StreamError(
-                f'{self.stream}: gap: {first} of unknown program {run_id}; a program begins with 0'
+                f'{self.stream}: gap: {first} of unknown program {run_id}; a program begins at 0',
+                Refusal.FOREIGN_RUN,
             )
 
     def take(self, run_id: RunId, count: int = 1, end: bool = False) -> None:
@@ -225,13 +232,13 @@ class WindowedReceiver:
             self._past.append(self.run_id)
         self.run_id = run_id
         self.next_number = self.consumed = 0
-        self.complete, self.refusal, self._closed = False, '', ''
+        self.complete, self.refused, self.refusal_text, self._closed = False, Refusal.NONE, '', ''
 
-    def refuse(self, run_id: RunId, reason: str) -> None:
-        """Let nothing more of a program through."""
+    def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
+        """Take nothing more of a run; kind and reason as in ``StreamStatus``."""
         if run_id != self.run_id:
             self._begin(run_id)
-        self.refusal = reason
+        self.refused, self.refusal_text = kind, reason
 
     def close(self, reason: str) -> None:
         """Expect nothing more of this program; what comes still gets the reason as its answer."""

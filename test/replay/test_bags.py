@@ -24,7 +24,7 @@ from cnc_interp.client.bag import TOPICS, Bag, BagWriter
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.nodes.stream_ends import sealed
+from cnc_interp.nodes.message_seal import sealed
 from cnc_interp.proof.plan_files import read_plan
 
 HERE = Path(__file__).parent

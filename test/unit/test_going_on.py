@@ -7,6 +7,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 
+from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.program_run import SETTLED, ProgramRun
 
 HELD, RUNNING, STARVED = MachineState.HELD, MachineState.RUNNING, MachineState.STARVED
@@ -20,7 +21,7 @@ class Heard:
         self.restarted = False
 
     def refusal(self, _run_id):
-        return ''
+        return Refusal.NONE, ''
 
     def missing(self, _now, _timeout):
         return ''

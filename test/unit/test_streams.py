@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.window_protocol import Silence, WindowedReceiver, WindowedSender
 
@@ -232,12 +232,12 @@ def test_old_programs_never_come_back():
 def test_after_a_refusal_nothing_of_the_program_gets_in_but_another_may_begin():
     receiver = WindowedReceiver('blocks', 10)
     receive(receiver, P, 0)
-    receiver.refuse(P, 'the tool axis has length 2')
+    receiver.refuse(P, Refusal.BAD_MESSAGE, 'the tool axis has length 2')
     with pytest.raises(StreamError, match='length 2'):
         receiver.expect(P, 1)
     assert receiver.limit == 1
     assert receive(receiver, Q, 0)
-    assert receiver.refusal == ''
+    assert receiver.refused is Refusal.NONE
 
 
 def test_silence_counts_from_where_something_was_wanted_and_not_heard():

@@ -1,0 +1,39 @@
+"""The thread that does the tasks of a planning session, one after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
+from typing import Any
+
+from cnc_interp.run.planning_session import Task
+
+
+class PlanningThread:
+    """A thread and the task that it was given last."""
+
+    def __init__(self) -> None:
+        self.longest = 0.0  # time of the longest task since the last reading [s]
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
+        self._job: tuple[Task, Future[Any], float] | None = None
+        # These imports take half a second and are needed first when a window is tried again.
+        self._executor.submit(import_module, 'cnc_interp.feedrate.toppra_stage')
+
+    def submit(self, task: Task) -> None:
+        """Have a task done after those submitted before."""
+        self._job = task, self._executor.submit(task.work), time.monotonic()
+
+    def done(self) -> tuple[Task, Callable[[], Any]] | None:
+        """Return the last task and its outcome once; None while it is under way."""
+        if self._job is None or not self._job[1].done():
+            return None
+        task, future, submitted = self._job
+        self._job = None
+        self.longest = max(self.longest, time.monotonic() - submitted)
+        return task, future.result
+
+    def close(self) -> None:
+        """Begin no further task."""
+        self._executor.shutdown(wait=False, cancel_futures=True)

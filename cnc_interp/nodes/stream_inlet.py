@@ -1,0 +1,194 @@
+"""The receiving end of a stream as a ROS topic: window, checks, refusals, acknowledgements."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from cnc_interp_msgs.msg import SetpointChunk, StreamStatus
+
+from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
+from cnc_interp.nodes.message_seal import opened
+from cnc_interp.nodes.qos import STATUS, STREAM
+from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.window_protocol import WindowedReceiver
+
+#: Time between acknowledgements when nothing happens [s].
+HEARTBEAT = 0.1
+
+
+def numbers_of(message: Any) -> tuple[RunId, int, int]:
+    """
+    Return the run of a message, the number of its first item and how many it has.
+
+    Every plan of a run is a stream of its own: it is numbered from 0 and acknowledged alone.
+    """
+    if isinstance(message, SetpointChunk):
+        return run_id_of(message), message.first_sample, len(message.sequences)
+    return run_id_of(message), message.sequence, 1
+
+
+class Inlet:
+    """
+    The receiving end of a stream.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    receiver : WindowedReceiver
+        Its bookkeeping.
+    kind : type
+        Message type.
+    check : callable
+        Raises StreamError for a message that is not taken. Its kind LATE means that the stream
+        was left; for any other kind the run is refused.
+    on_message : callable
+        Takes a sound message, in order.
+    on_refusal : callable
+        Called when a run is refused.
+    diagnostics : Diagnostics
+        Where refusals are named.
+    status_period : float
+        Time between acknowledgements while a program is received [s].
+
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        receiver: WindowedReceiver,
+        kind: Any,
+        check: Callable[[Any], None],
+        on_message: Callable[[Any], None],
+        on_refusal: Callable[[], None],
+        diagnostics: Diagnostics,
+        status_period: float = 0.02,
+    ):
+        self.receiver = receiver
+        self.buffered_time = math.nan
+        self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
+        self._diagnostics = diagnostics
+        self._told: tuple[Any, ...] = ()
+        self._told_at = -math.inf
+        self._refused: Counter[Refusal] = Counter()
+        self._named = (OK, '')
+        self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
+        self._kind, self._gap = kind, False
+        self._subscription = node.create_subscription(
+            kind, receiver.stream, self._receive, STREAM, raw=True
+        )
+        self._timer = node.create_timer(status_period, self._tick)
+        diagnostics.say(receiver.stream, OK, 'no message refused')
+
+    def _receive(self, data: bytes) -> None:
+        """Take a message, or name why it is not taken."""
+        receiver = self.receiver
+        try:
+            message = opened(data, self._kind)
+        except StreamError as fault:
+            self._ask_again(fault.kind, f'{receiver.stream}: {fault}')
+            return
+        run_id, first, count = numbers_of(message)
+        try:
+            receiver.expect(run_id, first)
+        except StreamError as fault:
+            self._pass_over(fault, mine=run_id == receiver.run_id)
+            return
+        try:
+            self._check(message)
+        except StreamError as fault:
+            if fault.kind is Refusal.LATE:
+                receiver.close(str(fault))
+                self._name(WARN, fault.kind, str(fault))
+            else:
+                self.refuse(run_id, fault.kind, str(fault))
+            return
+        if receiver.run_id != run_id:
+            self._refused.clear()
+            self._diagnostics.say(receiver.stream, OK, 'no message refused')
+        receiver.take(run_id, count, message.end_of_program)
+        self._gap = False
+        self._on_message(message)
+
+    def _pass_over(self, fault: StreamError, mine: bool) -> None:
+        """Name why a message does not belong here; where something is missing, ask for it."""
+        receiver = self.receiver
+        if mine and fault.kind is Refusal.GAP:
+            self._ask_again(fault.kind, str(fault))
+        elif mine and receiver.refused:
+            self._name(ERROR, receiver.refused, receiver.refusal_text)
+        else:
+            self._name(WARN, fault.kind, str(fault))
+
+    def _ask_again(self, kind: Refusal, reason: str) -> None:
+        """Have what is missing sent again."""
+        self._name(WARN, kind, reason)
+        if not self._gap:
+            self._gap = True
+            self.tell()
+
+    def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
+        """
+        Take nothing more of a run, and tell its sender why.
+
+        Parameters
+        ----------
+        run_id : RunId
+            The run.
+        kind : Refusal
+            Why, for the nodes.
+        reason : str
+            Why and what to do, for people.
+
+        """
+        self.receiver.refuse(run_id, kind, reason)
+        self._name(ERROR, kind, reason)
+        self.tell()
+        self._on_refusal()
+
+    def _name(self, level: bytes, kind: Refusal, reason: str) -> None:
+        """
+        Put a refusal into the diagnostics.
+
+        All are counted. Of each kind the 1st, 2nd, 4th, 8th ... are named: to name each one of a
+        burst would take the time to receive.
+        """
+        self._refused[kind] += 1
+        if self._refused[kind].bit_count() == 1:
+            self._named = level, reason
+        self._diagnostics.say(self.receiver.stream, *self._named, refused=self._refused.total())
+
+    def _news(self) -> tuple[Any, ...]:
+        """Return what an acknowledgement tells."""
+        receiver = self.receiver
+        return receiver.run_id, receiver.next_number, receiver.limit, receiver.refused
+
+    def _tick(self) -> None:
+        """Acknowledge when there is news, else now and then."""
+        if self._news() != self._told or time.monotonic() - self._told_at > HEARTBEAT:
+            self.tell()
+
+    def tell(self) -> None:
+        """Publish how far the stream has come and how far it may go."""
+        receiver, run_id = self.receiver, self.receiver.run_id
+        self._told, self._told_at = self._news(), time.monotonic()
+        self._status.publish(
+            StreamStatus(
+                program_id=run_id.program_id,
+                attempt=run_id.attempt,
+                plan=run_id.plan,
+                gap=self._gap,
+                stream=receiver.stream,
+                next_sequence=receiver.next_number,
+                window_limit=receiver.limit,
+                buffered_time=self.buffered_time,
+                refusal_kind=receiver.refused,
+                refusal=receiver.refusal_text,
+            )
+        )

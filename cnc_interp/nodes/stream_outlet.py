@@ -1,0 +1,90 @@
+"""The sending end of a stream as a ROS topic: window, acknowledgements, repetition."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from cnc_interp_msgs.msg import StreamStatus
+from rclpy._rclpy_pybind11 import RCLError
+
+from cnc_interp.core.errors import Refusal
+from cnc_interp.nodes.message_seal import sealed
+from cnc_interp.nodes.qos import STATUS, STREAM
+from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.window_protocol import WindowedSender
+
+
+class Outlet:
+    """
+    The sending end of a stream.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    stream : str
+        Name of the topic.
+    kind : type
+        Message type.
+    resend_after : float
+        Time without acknowledgement after which sending starts again [s].
+    encode : callable
+        Makes the message of a queued item and its number.
+
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        stream: str,
+        kind: Any,
+        resend_after: float,
+        encode: Callable[[Any, int], Any],
+    ):
+        self.sender: WindowedSender[Any] = WindowedSender(resend_after)
+        self.stream = stream
+        self.peer: StreamStatus | None = None
+        self.paused = False
+        self._encode = encode
+        self._publisher = node.create_publisher(kind, stream, STREAM)
+        self._subscription = node.create_subscription(
+            StreamStatus, 'stream_status', self._acknowledge, STATUS
+        )
+
+    def _acknowledge(self, status: StreamStatus) -> None:
+        """Move the window on and use it."""
+        if status.stream != self.stream:
+            return
+        self.peer = status
+        self.sender.acknowledge(
+            run_id_of(status), status.next_sequence, status.window_limit, time.monotonic(),
+            status.gap,
+        )  # fmt: skip
+        self.pump()
+
+    @property
+    def refused(self) -> Refusal:
+        """Why the receiver takes no more of this run; NONE while it does."""
+        peer = self.peer
+        if peer is None or run_id_of(peer) != self.sender.run_id:
+            return Refusal.NONE
+        return Refusal(peer.refusal_kind)
+
+    @property
+    def refusal_text(self) -> str:
+        """The receiver's words for it."""
+        return '' if self.peer is None else str(self.peer.refusal)
+
+    def pump(self) -> None:
+        """Send what may be sent."""
+        if not self.sender.run_id or self.refused or self.paused:
+            return
+        items = self.sender.due(time.monotonic())
+        for done, item in enumerate(items):
+            try:
+                self._publisher.publish(sealed(self._encode(item.item, item.first)))
+            except RCLError:  # the line is busy: the rest goes with the next call
+                self.sender.take_back(len(items) - done)
+                return

@@ -1,0 +1,346 @@
+"""
+The planning of one run after the other; no ROS, no clock, no threads.
+
+``step`` decides what is to be done next and returns it as a task. Whoever called it has the task
+done, in a thread of its own if need be, and hands the result to ``finish``. Messages, windows and
+refusals lie behind ``SessionPort``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError, Refusal
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.machine_report import MachineReport
+from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
+from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
+from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.smoothing.segments import PathSegments
+
+SEGMENTS_PER_TASK = 64
+"""Segments taken over together."""
+
+SAMPLED_AHEAD = 0.6
+"""Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled."""
+
+REVISE_AGAIN = 0.02
+"""Time between the end of a revision and the next one [s]."""
+
+RESERVE = 0.1
+"""The old plan goes on when the machine holds less motion than this during a revision [s]."""
+
+MOST_LATE = 5
+"""After so many late revisions in a row, the next one may take all the time that it needs."""
+
+
+class ChunkSender(Protocol):
+    """The sending end of the setpoints, as far as planning depends on it."""
+
+    sent: int
+    """Number after the last setpoint that was sent."""
+
+    @property
+    def unsent(self) -> int:
+        """Setpoints queued but not sent."""
+
+    def begin(self, run_id: RunId) -> None:
+        """Start with setpoint 0 of a plan; forget what is queued."""
+
+    def put(self, item: Chunk, count: int = 1) -> None:
+        """Queue a chunk of so many setpoints."""
+
+    def drop_unsent(self) -> None:
+        """Forget the setpoints that are not sent."""
+
+
+class SessionPort(Protocol):
+    """What a planning session asks of the node around it."""
+
+    sender: ChunkSender
+
+    def make_planner(
+        self, first: Any, stands: FloatArray, continue_at: float, settings: OperatorSettings
+    ) -> RunPlanner:
+        """Make the planner of the run that begins with a segment message; see RunPlanner."""
+
+    def read(self, segments: list[Any]) -> tuple[PathSegments, set[int]]:
+        """Read segment messages; returns also the blocks after which cycle_start is waited for."""
+
+    def consumed(self, count: int) -> None:
+        """Open the window of the segments."""
+
+    def refuse(self, kind: Refusal, reason: str) -> None:
+        """Tell the sender of the segments that the run is over."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Something to be done, and what takes its result."""
+
+    work: Callable[[], Any]
+    then: Callable[[Any, float], None]
+
+
+class PlanningSession:
+    """
+    The planning of one run after the other.
+
+    Parameters
+    ----------
+    port : SessionPort
+        The surroundings.
+    period : float
+        Interpolation period [s].
+    plan_ahead : float
+        Motion planned beyond what was sent [s].
+
+    """
+
+    def __init__(self, port: SessionPort, period: float, plan_ahead: float):
+        self._port, self._period, self._plan_ahead = port, period, plan_ahead
+        self.settings = OperatorSettings()
+        self.activity = Activity.NONE
+        self.run_id, self.path_end = NO_RUN, PathEnd.OPEN
+        self.planner: RunPlanner | None = None
+        self.task: Task | None = None
+        self.ready = 0.0  # motion planned and not sent [s]
+        self.wants_segments = False
+        self.sent_before = 0  # setpoints, in earlier plans of the run
+        self._continue_at = math.nan
+        self._segments: deque[Any] = deque()
+        self._machine: MachineReport | None = None  # since the run began
+        self._executing = False  # the machine has begun the run and has not completed it
+        self._revised_at, self._late = -math.inf, 0  # late revisions in a row
+
+    def _change(self, step: Step) -> None:
+        """Go on to the next activity of the table."""
+        self.activity = TABLE[self.activity, step]
+
+    def begin(self, run_id: RunId, continue_at: float) -> None:
+        """
+        Begin a run; a task of the run before it is void.
+
+        Parameters
+        ----------
+        run_id : RunId
+            Run and attempt.
+        continue_at : float
+            Path length from which the program goes on; NaN or below 0 from its start [m].
+
+        """
+        self._change(Step.BEGIN)
+        self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
+        self.planner, self.task, self._machine, self._executing = None, None, None, False
+        self.sent_before = self._late = 0
+        self._segments.clear()
+        self._port.sender.begin(run_id)
+
+    def take(self, segment: Any, last: bool) -> None:
+        """Queue a segment message; ``last`` is the end of the program."""
+        self._segments.append(segment)
+        if last:
+            self.end_path()
+
+    def end_path(self) -> None:
+        """Bring the motion to rest at the end of the path known so far."""
+        self.path_end = max(self.path_end, PathEnd.KNOWN)
+
+    def see_machine(self, report: MachineReport) -> None:
+        """Keep what the machine said last."""
+        self._machine = report
+        if self.run_id and report.run_id.same_attempt(self.run_id):
+            self._executing = not report.completed
+
+    def give_up(self, kind: Refusal, reason: str) -> None:
+        """End the run for good; what is on its way is not sent again."""
+        if self.activity not in (Activity.NONE, Activity.ENDED):
+            self._end()
+            self._port.sender.begin(NO_RUN)
+            self._port.refuse(kind, reason)
+
+    def _end(self) -> None:
+        """End the run; a task that is under way is void."""
+        self._change(Step.END)
+        self._segments.clear()
+        self.task, self.wants_segments = None, False
+
+    def step(self, now: float, buffered_time: float) -> Task | None:
+        """
+        Decide what is done next.
+
+        Parameters
+        ----------
+        now : float
+            Time of any steady clock [s].
+        buffered_time : float
+            Motion that the machine holds [s]; NaN where that is unknown.
+
+        Returns
+        -------
+        Task or None
+            What is to be done now; its result goes to ``finish``. None while a task is under way
+            or nothing is to be done.
+
+        """
+        if self.task is not None:
+            self._keep_fed(buffered_time)
+            return None
+        if self._given_up():
+            reason = 'the machine has given up this run; run the program again'
+            self.give_up(Refusal.GIVEN_UP, reason)
+        if self.activity is Activity.WAITING:
+            self._find_place()
+        if self.activity is Activity.PLANNING and self.planner is not None:
+            self.task = self._next_task(self.planner, now)
+        return self.task
+
+    def _given_up(self) -> bool:
+        """Tell whether the machine has left the run: it was reset or restarted."""
+        report = self._machine
+        left = report is not None and not report.run_id.same_attempt(self.run_id)
+        return self._executing and left
+
+    def _find_place(self) -> None:
+        """Begin to plan once the machine has said where it rests."""
+        report = self._machine
+        if not self._segments or report is None or not report.takes(self.run_id):
+            return
+        goes_on = self.run_id.attempt > 0 and report.run_id.program_id == self.run_id.program_id
+        # The machine may have executed something since the rest of the program was asked for.
+        place = report.path_position if goes_on else self._continue_at
+        self.planner = self._port.make_planner(
+            self._segments[0], report.stands, place, self.settings
+        )
+        self._change(Step.PLACE)
+
+    def _next_task(self, planner: RunPlanner, now: float) -> Task | None:
+        """Choose the most urgent task."""
+        report = self._machine
+        if report is not None and report.left(self.run_id):
+            return self._resume(planner, report.path_position)
+        if self._must_revise(planner, now):
+            return self._revise(planner)
+        return self._plan_ahead_task(planner, report)
+
+    def _resume(self, planner: RunPlanner, s: float) -> Task:
+        """Plan anew from where the machine rests."""
+        self._change(Step.RESUME)
+        sender, settings = self._port.sender, self.settings
+        self.run_id = self.run_id.next_plan()
+        self.sent_before += sender.sent
+        self.path_end = min(self.path_end, PathEnd.PLANNED)
+        sender.begin(self.run_id)
+        return Task(lambda: planner.resume(s, settings), self._resumed)
+
+    def _resumed(self, chunks: list[Chunk], _now: float) -> None:
+        self._change(Step.DONE)
+        self._put(chunks)
+
+    def _must_revise(self, planner: RunPlanner, now: float) -> bool:
+        """
+        Tell whether a setting has changed for setpoints that are not sent.
+
+        The machine is given all that it may hold first, so that a revision has time.
+        """
+        sender, stream = self._port.sender, planner.stream
+        return (
+            self.settings != stream.settings
+            and sender.sent > 0
+            and (sender.unsent > 0 or not (stream.can_sample or stream.can_plan))
+            and not (self.path_end is PathEnd.QUEUED and sender.unsent == 0)
+            and now - self._revised_at > REVISE_AGAIN
+        )
+
+    def _revise(self, planner: RunPlanner) -> Task:
+        """
+        Plan anew after the last setpoint that was sent; until then nothing is sent.
+
+        If that takes too long the old plan goes on; from another place it is mostly faster.
+        """
+        self._change(Step.REVISE)
+        number, settings = self._port.sender.sent - 1, self.settings
+        return Task(lambda: planner.stream.revision(number, settings), self._revised)
+
+    def _keep_fed(self, buffered_time: float) -> None:
+        """Let the old plan go on, if it does, before the machine has nothing left."""
+        short = buffered_time < RESERVE and self._port.sender.unsent > 0
+        if self.activity is Activity.REVISING and short and self._late < MOST_LATE:
+            self._change(Step.RUN_SHORT)
+
+    def _revised(self, revision: MotionPlan | None, now: float) -> None:
+        """Adopt a revision that came in time; a late one is dropped."""
+        late = self.activity is Activity.REVISING_LATE
+        if revision is not None and not late and self.planner is not None:
+            self.planner.stream.adopt(revision)
+            self._port.sender.drop_unsent()
+            self.path_end = min(self.path_end, PathEnd.PLANNED)
+        self._late = self._late + 1 if late else 0
+        self._revised_at = now
+        self._change(Step.DONE)
+
+    def _plan_ahead_task(self, planner: RunPlanner, report: MachineReport | None) -> Task | None:
+        """Sample and plan ahead; take segments when little is left to plan."""
+        stream = planner.stream
+        unsent = self._port.sender.unsent * self._period
+        sample = unsent < SAMPLED_AHEAD and stream.can_sample
+        self.ready = unsent + stream.planned
+        ahead = self.ready < self._plan_ahead
+        wants = ahead and not stream.has_path
+        self.wants_segments = wants and not self._segments
+        if sample or (ahead and stream.can_plan):
+            mine = report is not None and report.run_id.same_attempt(self.run_id)
+            executed = report.path_position if report is not None and mine else -math.inf
+            return Task(lambda: planner.work(sample, executed), self._planned)
+        if wants and self._segments:
+            count = min(SEGMENTS_PER_TASK, len(self._segments))
+            segments, pauses = self._port.read([self._segments.popleft() for _ in range(count)])
+            return Task(
+                lambda: planner.push(segments, pauses), lambda _, __: self._port.consumed(count)
+            )
+        if self.path_end is PathEnd.KNOWN and not self._segments:
+            self.path_end = PathEnd.PLANNED
+            return Task(planner.finish, lambda _, __: None)
+        if self.path_end is PathEnd.QUEUED and report is not None and report.completed:
+            self._end()
+        return None
+
+    def _planned(self, chunks: list[Chunk], _now: float) -> None:
+        self._put(chunks)
+
+    def _put(self, chunks: list[Chunk]) -> None:
+        """Give chunks to the sender."""
+        for chunk in chunks:
+            self._port.sender.put(chunk, len(chunk.samples))
+            if chunk.wait is Wait.END:
+                self.path_end = PathEnd.QUEUED
+
+    def finish(self, task: Task, outcome: Callable[[], Any], now: float) -> None:
+        """
+        Take over the result of a task.
+
+        Parameters
+        ----------
+        task : Task
+            The task; one of an earlier run is ignored.
+        outcome : callable
+            Returns the result or raises the InterpError that the task ended with. Then the run is
+            refused; setpoints that are sampled already are still sent.
+        now : float
+            Time of the clock of ``step`` [s].
+
+        """
+        if task is not self.task:
+            return
+        self.task = None
+        try:
+            task.then(outcome(), now)
+        except InterpError as problem:
+            self._end()
+            self._port.refuse(Refusal.BAD_PATH, str(problem))

@@ -1,0 +1,296 @@
+"""The planning of a run, step by step: late revisions, a left plan, given up, begun again."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cnc_interp.core.errors import PlanningError, Refusal
+from cnc_interp.run.chunk import Wait
+from cnc_interp.run.machine_report import MachineReport, Resting
+from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.planning_session import MOST_LATE, PlanningSession
+from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
+from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.wire.window_protocol import WindowedSender
+
+RUN = RunId('run')
+SLOW = OperatorSettings(override=0.5)
+PLENTY, LITTLE = 0.25, 0.05
+
+
+class Stream:
+    """A stream of a hundred chunks, ten setpoints each."""
+
+    def __init__(self, settings):
+        self.settings, self.left, self.planned, self.finds = settings, 100, 1.0, True
+        self.has_path, self.can_plan = False, False
+
+    @property
+    def can_sample(self):
+        return self.left > 0
+
+    def revision(self, number, settings):
+        return SimpleNamespace(after=number, settings=settings) if self.finds else None
+
+    def adopt(self, revision):
+        self.settings, self.adopted = revision.settings, revision
+
+
+class Planner:
+    """A planner that samples a chunk at a time; its last chunk is the end of the program."""
+
+    def __init__(self, stands, place, settings):
+        self.stands, self.place, self.stream = stands, place, Stream(settings)
+        self.pushed, self.finished, self.resumed = [], False, None
+
+    def push(self, segments, pauses):
+        self.pushed += segments
+
+    def finish(self):
+        self.finished = True
+
+    def work(self, sample, executed):
+        self.stream.left -= 1
+        wait = Wait.NOTHING if self.stream.left else Wait.END
+        return [SimpleNamespace(samples=range(10), wait=wait)]
+
+    def resume(self, s, settings):
+        self.resumed, self.stream.settings = s, settings
+        return []
+
+
+class Port:
+    """The surroundings of a session: a sender with a window, and what was asked of them."""
+
+    def __init__(self):
+        self.sender = WindowedSender(0.5)
+        self.refused, self.opened, self.planners = [], 0, []
+
+    def make_planner(self, first, stands, place, settings):
+        self.planners.append(Planner(stands, place, settings))
+        return self.planners[-1]
+
+    def read(self, segments):
+        return segments, set()
+
+    def consumed(self, count):
+        self.opened += count
+
+    def refuse(self, kind, reason):
+        self.refused.append((kind, reason))
+
+
+def report(run_id=NO_RUN, resting=Resting.IDLE, **changes):
+    said = {'plan_over': False, 'start_wanted': False, 'completed': False, 'path_position': 0.0}
+    return MachineReport(run_id, resting, stands=np.zeros(5), **{**said, **changes})
+
+
+class Bench:
+    """A session whose tasks are done when the test says so."""
+
+    def __init__(self):
+        self.port, self.now = Port(), 0.0
+        self.session = PlanningSession(self.port, 1e-3, 10.0)
+
+    def step(self, buffered=PLENTY):
+        self.now += 0.1
+        return self.session.step(self.now, buffered)
+
+    def finish(self, task):
+        self.session.finish(task, task.work, self.now)
+
+    def send(self, window=10**6):
+        """Send what the window lets through."""
+        sender = self.port.sender
+        sender.acknowledge(sender.run_id, 0, window, self.now)
+        sender.due(self.now)
+
+    def work(self):
+        """Do tasks until there is none."""
+        while (task := self.step()) is not None:
+            self.finish(task)
+
+    def begin(self, run_id=RUN, segments=3, place=-1.0):
+        self.session.begin(run_id, place)
+        for k in range(segments):
+            self.session.take(k, last=k == segments - 1)
+
+    def planning(self, window):
+        """Plan a run with so many setpoints sent."""
+        self.begin()
+        self.session.see_machine(report())
+        for _ in range(20):
+            self.finish(self.step())
+        self.send(window)
+        return self.port.planners[-1]
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_a_run_waits_until_the_machine_rests_and_ends_when_it_was_executed(bench):
+    bench.begin()
+    session = bench.session
+    assert bench.step() is None and session.activity is Activity.WAITING
+    session.see_machine(report(RunId('other'), Resting.MOVING))
+    assert bench.step() is None and session.activity is Activity.WAITING
+    session.see_machine(report())
+    for _ in range(200):
+        bench.work()
+        bench.send()
+    (planner,) = bench.port.planners
+    assert planner.pushed == [0, 1, 2] and planner.finished and bench.port.opened == 3
+    assert session.path_end is PathEnd.QUEUED and bench.port.sender.sent == 1000
+    assert session.activity is Activity.PLANNING
+    session.see_machine(report(RUN, completed=True))
+    assert bench.step() is None and session.activity is Activity.ENDED
+    assert bench.port.refused == []
+
+
+def test_a_revision_in_time_takes_the_place_of_what_is_not_sent(bench):
+    planner = bench.planning(window=60)
+    bench.session.settings = SLOW
+    task = bench.step()
+    assert bench.session.activity is Activity.REVISING
+    assert bench.step() is None and bench.session.activity is Activity.REVISING
+    bench.finish(task)
+    assert planner.stream.adopted.after == 59 and planner.stream.settings == SLOW
+    assert bench.port.sender.next_number == bench.port.sender.sent == 60
+    assert bench.session.activity is Activity.PLANNING
+
+
+def test_a_late_revision_is_dropped_and_the_old_plan_goes_on(bench):
+    planner = bench.planning(window=60)
+    queued = bench.port.sender.next_number
+    bench.session.settings = SLOW
+    task = bench.step()
+    bench.step(LITTLE)
+    assert bench.session.activity is Activity.REVISING_LATE
+    bench.finish(task)
+    assert not hasattr(planner.stream, 'adopted') and bench.port.sender.next_number == queued
+    assert bench.session.activity is Activity.PLANNING
+
+
+def test_after_many_late_revisions_the_next_one_gets_its_time(bench):
+    planner = bench.planning(window=60)
+    bench.session.settings = SLOW
+    for _ in range(MOST_LATE):
+        task = bench.step()
+        bench.step(LITTLE)
+        bench.finish(task)
+    task = bench.step()
+    bench.step(LITTLE)
+    assert bench.session.activity is Activity.REVISING
+    bench.finish(task)
+    assert planner.stream.settings == SLOW
+
+
+def test_a_revision_that_was_not_found_is_tried_again_a_moment_later(bench):
+    planner = bench.planning(window=60)
+    planner.stream.finds, bench.session.settings = False, SLOW
+    bench.finish(bench.step())
+    bench.now -= 0.0999
+    task = bench.step()
+    assert bench.session.activity is Activity.PLANNING
+    bench.finish(task)
+    planner.stream.finds = True
+    task = bench.step()
+    assert bench.session.activity is Activity.REVISING
+    bench.finish(task)
+    assert planner.stream.settings == SLOW
+
+
+def test_when_the_last_setpoint_is_sent_nothing_is_revised(bench):
+    bench.begin()
+    bench.session.see_machine(report())
+    for _ in range(200):
+        bench.work()
+        bench.send()
+    bench.session.settings = SLOW
+    assert bench.step() is None and bench.session.activity is Activity.PLANNING
+
+
+@pytest.mark.parametrize('resting', [Resting.HELD, Resting.STARVED])
+def test_a_machine_that_left_the_plan_gets_another_one_from_where_it_rests(bench, resting):
+    planner = bench.planning(window=60)
+    session, left = bench.session, {'plan_over': True, 'path_position': 0.012}
+    session.see_machine(report(RUN, Resting.MOVING, **left))
+    assert session.activity is not Activity.RESUMING
+    bench.finish(bench.step())
+    session.settings = SLOW
+    session.see_machine(report(RUN, resting, **left))
+    task = bench.step()
+    assert session.activity is Activity.RESUMING and session.run_id == RunId('run', plan=1)
+    assert bench.port.sender.run_id == session.run_id and session.sent_before == 60
+    bench.finish(task)
+    assert (planner.resumed, planner.stream.settings) == (0.012, SLOW)
+    # The machine still reports the plan that is over.
+    session.see_machine(report(RUN, resting, **left))
+    bench.finish(bench.step())
+    assert session.activity is Activity.PLANNING and session.run_id.plan == 1
+
+
+def test_a_machine_that_was_reset_has_given_the_run_up(bench):
+    bench.planning(window=60)
+    bench.session.see_machine(report(RUN, Resting.MOVING))
+    bench.session.see_machine(report())
+    bench.step()
+    assert bench.session.activity is Activity.ENDED
+    assert [kind for kind, _ in bench.port.refused] == [Refusal.GIVEN_UP]
+    assert not bench.port.sender.run_id, 'nothing is sent again'
+    assert bench.step() is None and len(bench.port.refused) == 1
+
+
+def test_a_machine_that_has_not_begun_the_run_yet_has_not_given_it_up(bench):
+    bench.planning(window=60)
+    bench.session.see_machine(report(RunId('before'), completed=True))
+    assert bench.step() is not None and bench.port.refused == []
+
+
+def test_a_path_that_cannot_be_planned_is_refused_and_what_is_sampled_is_sent(bench):
+    planner = bench.planning(window=60)
+
+    def fail(*_):
+        raise PlanningError('block 7 has no finite path')
+
+    planner.work = fail
+    bench.finish(bench.step())
+    assert bench.session.activity is Activity.ENDED
+    assert bench.port.refused == [(Refusal.BAD_PATH, 'block 7 has no finite path')]
+    assert bench.port.sender.unsent > 0 and bench.session.planner is planner
+    bench.session.see_machine(report(RUN, Resting.IDLE))
+    assert bench.step() is None and len(bench.port.planners) == 1
+
+
+def test_a_run_begun_again_goes_on_from_where_the_machine_rests_now(bench):
+    bench.planning(window=60)
+    old = bench.step()
+    again = RUN.next_attempt()
+    bench.begin(again, place=0.010)
+    held = {'plan_over': False, 'path_position': 0.013}
+    bench.session.see_machine(report(RUN, Resting.HELD, **held))
+    assert bench.step() is None, 'it may still start with the old plan'
+    bench.session.see_machine(report(RUN, Resting.HELD, start_wanted=True, **held))
+    task = bench.step()
+    bench.finish(old)
+    assert bench.session.task is task, 'a task of the run before is void'
+    assert bench.port.planners[-1].place == 0.013
+
+
+def test_a_first_attempt_does_not_begin_on_a_machine_that_is_held(bench):
+    bench.begin(place=-1.0)
+    bench.session.see_machine(report(RunId('other'), Resting.HELD, plan_over=True))
+    assert bench.step() is None and bench.session.activity is Activity.WAITING
+    bench.session.see_machine(report(RunId('other'), Resting.STARVED, plan_over=True))
+    assert bench.step() is not None
+    assert bench.port.planners[-1].place == -1.0, 'not the place in the other program'
+
+
+def test_every_activity_can_be_reached_and_left():
+    reached = set(TABLE.values())
+    assert reached == set(Activity) - {Activity.NONE}
+    assert {step for _, step in TABLE} == set(Step)
+    assert all((activity, Step.BEGIN) in TABLE for activity in Activity)

@@ -4,7 +4,9 @@
 #   ./cnc run [PROGRAM ...]   stream a part program through the ROS 2 nodes to the simulated
 #                             machine; without PROGRAM the bundled examples/pyramid.ngc
 #   ./cnc panel [PROGRAM]     the operator page in a browser, with a simulated machine behind it
-#   ./cnc test [ARGUMENTS]    the whole test suite; arguments go to pytest
+#   ./cnc test                the tests that every change must pass
+#   ./cnc test --all          all tests, a build with colcon and a bare system; before a release
+#   ./cnc test ARGUMENTS      arguments go to pytest: ./cnc test -x test/unit/test_cli.py
 #   ./cnc lint                ruff and mypy
 #   ./cnc setup               only set up, check all of it, repair what is broken
 #   ./cnc COMMAND ...         any other command of cnc-interp (./cnc --help lists them)
@@ -73,6 +75,16 @@ leave_other_ros() {
   [ -w "${HOME-}" ] || export ROS_LOG_DIR="${ROS_LOG_DIR:-$venv/log}"
 }
 
+# What --all tries beside pytest: a build with colcon, a bare system, LinuxCNC's interpreter.
+try_everything_else() {
+  local workspace
+  workspace=$(mktemp -d)
+  tools/colcon_check "$workspace"
+  rm -rf "$workspace"
+  tools/bare_system
+  if RS274=$(tools/get_rs274 "$venv/linuxcnc"); then export RS274; fi
+}
+
 lint() {
   local clean=0
   cd "$root"
@@ -91,6 +103,7 @@ main() {
       shift
       ensure "${parts[@]}" test panel step
       cd "$root"
+      case " $* " in *' --all '*) try_everything_else ;; esac
       exec "$venv/bin/python" -m pytest "$@"
       ;;
     lint)

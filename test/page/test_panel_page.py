@@ -150,6 +150,7 @@ def test_a_program_is_operated_from_the_page(panel, long_program, short_program)
     assert tab.faults == []
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not IMPELLER.is_dir(), reason='needs the public programs in ../shared')
 def test_the_impeller_is_operated_from_the_page(panel):
     tab, program = panel.open_in_charge(), next(IMPELLER.glob('*.ngc'))
@@ -173,6 +174,7 @@ ws.send = function (frame) {
 """
 
 
+@pytest.mark.thorough
 def test_a_stop_is_never_lost_and_a_start_never_late(panel, long_program):
     tab = panel.open_in_charge()
     panel.load(tab, long_program)
@@ -222,6 +224,7 @@ def test_a_stop_is_never_lost_and_a_start_never_late(panel, long_program):
     stop_and_reset(panel, tab)
 
 
+@pytest.mark.thorough
 def test_only_one_page_with_the_token_commands(panel, short_program):
     first = panel.open_in_charge()
     stranger, second = panel.open('wrong'), panel.open()
@@ -260,6 +263,7 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
     first.wait(lambda: first.text('progress') == '100.0%')
 
 
+@pytest.mark.thorough
 def test_ten_tabs(panel, long_program):
     first = panel.open_in_charge()
     panel.load(first, long_program)
@@ -292,6 +296,7 @@ def test_ten_tabs(panel, long_program):
     assert last.faults == []
 
 
+@pytest.mark.thorough
 def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path):
     tab, first = panel.open_in_charge(), tmp_path / 'first.ngc'
     first.write_text(zigzag('FIRST', SHORT, after_first='M0\n'))
@@ -334,6 +339,7 @@ document.documentElement.scrollWidth <= innerWidth &&
 """
 
 
+@pytest.mark.thorough
 def test_the_page_fits_every_window(panel):
     tab = panel.open()
     tab.wait(lambda: tab.run('document.querySelectorAll(".chart canvas").length') == 4)
@@ -344,6 +350,7 @@ def test_the_page_fits_every_window(panel):
     assert tab.faults == []
 
 
+@pytest.mark.thorough
 def test_what_is_wrong_with_a_program_is_said(panel, tmp_path):
     tab = panel.open_in_charge()
     wrong = tmp_path / 'wrong.ngc'
@@ -359,6 +366,7 @@ def test_what_is_wrong_with_a_program_is_said(panel, tmp_path):
     tab.wait(lambda: 'M8: passed on' in tab.run('document.querySelector(".alarms").textContent'))
 
 
+@pytest.mark.thorough
 def test_the_page_never_comes_before_the_nodes(panel):
     def niceness(number):
         tasks = Path(f'/proc/{number}/task').glob('*/stat')
@@ -370,6 +378,7 @@ def test_the_page_never_comes_before_the_nodes(panel):
         assert max(niceness(number)) <= min(page)
 
 
+@pytest.mark.thorough
 def test_a_killed_node_is_named_and_its_program_goes_on_from_the_page(panel, long_program):
     tab = panel.open_in_charge()
     panel.load(tab, long_program)

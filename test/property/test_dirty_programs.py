@@ -1,10 +1,5 @@
-"""
-Dirty programs run as curves: tolerances both ways, continuity, and the same bits in any batches.
+"""Dirty programs run as curves: tolerances both ways, continuity, the same bits in any batches."""
 
-``CNC_INTERP_EXAMPLES=10000`` runs so many programs instead of the few that every change pays for.
-"""
-
-import os
 from dataclasses import fields
 from itertools import pairwise
 
@@ -12,6 +7,7 @@ import numpy as np
 import pytest
 from dirty_programs import dirty
 from path_samples import deviation, jumps
+from tiers import examples
 
 from cnc_interp.core.errors import BlockError, InterpError
 from cnc_interp.core.units import MM
@@ -24,7 +20,7 @@ from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
-COUNT = int(os.environ.get('CNC_INTERP_EXAMPLES', '12'))
+COUNT = examples(4, 60)
 #: Seeds that once failed: alone, and through the whole chain.
 FOUND, FOUND_IN_CHAIN = (56, 288, 367, 850, 1376), (13, 18, 30, 89, 165)
 #: Seeds of every run of the whole chain; none of them is refused.

@@ -1,9 +1,4 @@
-"""
-Any path, any limits, any state: the emitted samples keep every limit.
-
-``CNC_INTERP_EXAMPLES=5000`` runs so many of each kind instead of the few that every change pays
-for.
-"""
+"""Any path, any limits, any state: the emitted samples keep every limit."""
 
 from __future__ import annotations
 
@@ -12,6 +7,7 @@ import itertools
 import os
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -27,20 +23,20 @@ from feedrate_paths import (
 )
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tiers import examples
 
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.jerk_stage import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 
-EXAMPLES = int(os.environ.get('CNC_INTERP_EXAMPLES', '0'))
 PERIOD = 1e-3
 
 
-def examples(few: int) -> settings:
-    """Settings of one property: ``few`` examples, always the same, or as many as asked for."""
+def tried(few: int, many: int) -> settings:
+    """Settings of one property: the same examples in every run."""
     return settings(
-        max_examples=EXAMPLES or few,
+        max_examples=examples(few, many),
         deadline=None,
         derandomize=True,
         suppress_health_check=[HealthCheck.too_slow],
@@ -85,14 +81,14 @@ def assert_sound(piece: PlannedPiece, path: AxisPath, limits: Limits) -> None:
     assert abs(piece.law.evaluate(np.array([np.inf]))[0][0] - path.s[-1]) < 1e-12
 
 
-@examples(120)
+@tried(60, 500)
 @given(problems())
 def test_samples_keep_every_limit(problem):
     path, limits, _ = problem
     assert_sound(plan_path(path, limits), path, limits)
 
 
-@examples(60)
+@tried(30, 250)
 @given(problems(), st.integers(8, 200))
 def test_samples_keep_every_limit_in_short_windows(problem, cells):
     """Windows far shorter than a stop: every plan begins in motion, much is driven as planned."""
@@ -124,46 +120,42 @@ def across(old: PlannedPiece, new: PlannedPiece, time: float, limits: Limits) ->
     )
 
 
-@examples(100)
-@given(problems(), st.floats(0.001, 0.999))
-def test_going_on_from_a_state_of_motion(problem, share):
+def test_going_on_from_a_state_of_motion():
     """
     From any state of a law that keeps 99 % of the limits there is a law, no slower than that one.
 
-    Where the last per cent is used as well, the older law may be the only one: near a stop any
-    other goes past it. Then, and only then, a start may be refused.
+    A law that uses the last per cent as well may be the only law from its states: near a stop any
+    other law passes the stop. There, and hardly ever, a start is refused.
     """
-    path, limits, _ = problem
-    path = cut(path, 0, int(np.flatnonzero(path.stop)[1]))
-    for part in (0.99, 1.0):
-        old = plan_path(path, scaled(limits, part, part, part))
-        time = share * old.law.end_time
-        s, v, a, _ = (float(x[0]) for x in old.law.evaluate(np.array([time])))
-        rest = rest_of(path, s)
-        try:
-            new = plan_path(rest, limits, start=(v, a))
-        except PlanningError:
-            REFUSED[part] += 1
-            continue
-        PLANNED[part] += 1
-        assert new.law.s_dot[0] == v and new.law.s_ddot[0] == a
-        assert across(old, new, time, limits) <= 1.001
-        assert new.law.end_time <= 1.005 * (old.law.end_time - time) + 1e-6
+    planned, refused = Counter(), Counter()
+
+    @tried(100, 400)
+    @given(problems(), st.floats(0.001, 0.999))
+    def goes_on(problem, share):
+        path, limits, _ = problem
+        path = cut(path, 0, int(np.flatnonzero(path.stop)[1]))
+        for part in (0.99, 1.0):
+            old = plan_path(path, scaled(limits, part, part, part))
+            time = share * old.law.end_time
+            s, v, a, _ = (float(x[0]) for x in old.law.evaluate(np.array([time])))
+            rest = rest_of(path, s)
+            try:
+                new = plan_path(rest, limits, start=(v, a))
+            except PlanningError:
+                refused[part] += 1
+                continue
+            planned[part] += 1
+            assert new.law.s_dot[0] == v and new.law.s_ddot[0] == a
+            assert across(old, new, time, limits) <= 1.001
+            assert new.law.end_time <= 1.005 * (old.law.end_time - time) + 1e-6
+
+    goes_on()
+    print(f'planned {planned}, refused {refused}')
+    assert refused[0.99] <= 0.01 * (planned[0.99] + refused[0.99])
+    assert refused[1.0] <= 0.03 * (planned[1.0] + refused[1.0])
 
 
-PLANNED, REFUSED = {0.99: 0, 1.0: 0}, {0.99: 0, 1.0: 0}
-
-
-def test_starts_in_motion_are_hardly_ever_refused():
-    """Runs after the property above, on what it counted."""
-    if not PLANNED[1.0]:
-        pytest.skip('the property did not run')
-    print(f'planned {PLANNED}, refused {REFUSED}')
-    assert REFUSED[0.99] <= 0.01 * (PLANNED[0.99] + REFUSED[0.99])
-    assert REFUSED[1.0] <= 0.03 * (PLANNED[1.0] + REFUSED[1.0])
-
-
-@examples(60)
+@tried(30, 250)
 @given(problems(4), st.integers(0, 2), st.integers(0, 4), st.floats(1.0, 4.0))
 def test_relaxing_any_one_limit_never_costs_time(problem, order, axis, factor):
     path, limits, _ = problem

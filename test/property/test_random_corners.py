@@ -1,9 +1,10 @@
-"""A hundred thousand random corners: tolerance and continuity recomputed from the curves."""
+"""Random corners: tolerance and continuity recomputed from the curves."""
 
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, BSpline
 from scipy.special import comb
+from tiers import examples
 
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.smoothing.corners.corner import Corners, Style, first_lengths, fit
@@ -12,7 +13,7 @@ from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
 
 HEIGHT = 30 * MM
-COUNT = 50000
+COUNT = examples(10_000, 50_000)
 KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
 #: Sum of the weights that points have in each term of a cubic's power series.
 WEIGHTS = (1, 12, 48, 64)
@@ -206,7 +207,7 @@ def densely(curves, k, u):
 @pytest.mark.parametrize('method, in_step, septic', WAYS)
 def test_no_sample_of_a_corner_is_beyond_the_bound_and_the_bound_is_close(method, in_step, septic):
     u = np.linspace(0.0, 1.0, 20001)
-    corners, outer, curves, deviation = fitted(4, 60, method, in_step, septic)
+    corners, outer, curves, deviation = fitted(4, examples(15, 60), method, in_step, septic)
     assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
     for k in range(len(outer)):
         rows = np.full(len(u), k)

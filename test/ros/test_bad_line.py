@@ -8,6 +8,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from operated import Bench
 from relay import ARGUMENTS, KINDS, Relay
 
+pytestmark = pytest.mark.thorough
+
 
 def test_every_block_is_executed_over_a_bad_line():
     bench = Bench(arguments=ARGUMENTS)

@@ -18,6 +18,8 @@ from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_id_messages import run_id_of
 
+pytestmark = pytest.mark.thorough
+
 Result = RunProgram.Result
 
 
@@ -69,19 +71,13 @@ def test_single_block_rests_behind_every_block(bench):
     bench.until_at(0.03)
     bench.single_block(True)
     lines = []
-    for _ in range(3):
+    for is_on in (True, True, False):
         bench.until_state(MachineState.HELD)
         lines.append(bench.next_state().line_number)
+        bench.single_block(is_on)
         assert bench.press('cycle_start').success
         bench.spin_until(lambda: bench.state.state != MachineState.HELD)
     assert lines == list(range(lines[0], lines[0] + 3))
-    bench.single_block(False)
-    bench.spin_until(
-        lambda: bench.state.state != MachineState.HELD or bench.press('cycle_start') is None
-    )
-    while bench.state.state != MachineState.IDLE:
-        if bench.next_state().state == MachineState.HELD:
-            bench.press('cycle_start')
     bench.finish(handle)
 
 

@@ -14,6 +14,8 @@ from rclpy.node import NodeNameNonExistentError
 
 from cnc_interp.nodes.node_processes import NODES
 
+pytestmark = pytest.mark.thorough
+
 POLICY = Path(__file__).parents[2] / 'config' / 'sros2' / 'policy.xml'
 #: What every node has, and what the includes of sros2 cover.
 COMMON = ('/rosout', '/parameter_events', 'parameter', '_action/', 'type_description', '/clock')

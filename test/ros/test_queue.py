@@ -14,6 +14,8 @@ from operated import LIMITS, Bench, T, path_of, waves
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.kinematics.axis_path import evaluate
 
+pytestmark = pytest.mark.thorough
+
 Result = RunProgram.Result
 FIRST, SECOND = waves(3), waves(2)
 

@@ -82,6 +82,7 @@ def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path
     assert result.cycle_time == pytest.approx(samples['time'][-1])
 
 
+@pytest.mark.thorough
 def test_native_splines_run_over_the_nodes_and_are_proven(tmp_path):
     program, out = tmp_path / 'curves.mpf', tmp_path / 'received'
     read = read_text(PROGRAM, 'part.apt', TRANSFORM, Settings())
@@ -158,6 +159,7 @@ def test_cancelling_ends_at_rest_on_the_path(nodes):
     assert nodes.next_state().state == MachineState.IDLE
 
 
+@pytest.mark.thorough
 def test_nodes_end_with_a_run_that_is_killed():
     run = subprocess.Popen([sys.executable, '-c', RUN_FOR_EVER], stdout=subprocess.PIPE, text=True)
     nodes = [int(word) for word in run.stdout.readline().split()]

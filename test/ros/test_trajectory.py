@@ -11,6 +11,8 @@ from trajectory_msgs.msg import JointTrajectory
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.nodes import qos
 
+pytestmark = pytest.mark.thorough
+
 TOPIC = 'controller/joint_trajectory'
 
 

@@ -16,6 +16,8 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.settings.choices import Settings
 
+thorough = pytest.mark.thorough
+
 SURFACE = {
     'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],
     'placement': {'rotation_deg': [25, 0, 0]},
@@ -76,7 +78,10 @@ def test_all_formats_hold_the_same_path(surface, tmp_path, capsys):
         np.testing.assert_allclose(motions[form], motions['spline'], atol=0.3 * UM)
 
 
-@pytest.mark.parametrize('mill', [[], ['--tool-diameter', '10', '--corner-radius', '5']])
+@pytest.mark.parametrize(
+    'mill',
+    [[], pytest.param(['--tool-diameter', '10', '--corner-radius', '5'], marks=thorough)],
+)
 def test_classical_strategy_makes_a_program_too(mill, surface, tmp_path, capsys):
     out = tmp_path / 'out'
     arguments = ['--strategy', 'classical', '--tilt', '5', '--simulate', '--spacing', '0.3']

@@ -12,6 +12,7 @@ from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
 from programs import blocks_of as blocks_of_points
 from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
+from tiers import examples
 
 from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.kinematics.axis_rates import traits_of
@@ -34,7 +35,8 @@ SHARED = ROOT.parent / 'shared' / 'programs'
 TRANSFORM = Transform.of(Machine.load('xyzac'))
 H = 0.03
 P = RunId('p')
-MOST = 2000
+#: So many blocks of each program.
+MOST = examples(300, 2000)
 
 # Every kind of segment: lines, corners, a turn of the resting tool, inverse time, a rapid.
 ALL_KINDS = """G21 G90 G94
@@ -48,7 +50,7 @@ M30
 """
 
 
-def examples():
+def example_programs():
     return sorted(
         path for path in (ROOT / 'examples').glob('*') if path.suffix in {'.ngc', '.apt'}
     )
@@ -80,7 +82,7 @@ def checked(received, check):
     return received
 
 
-@pytest.mark.parametrize('path', examples(), ids=lambda path: path.name)
+@pytest.mark.parametrize('path', example_programs(), ids=lambda path: path.name)
 def test_examples_keep_every_bit(path):
     keeps_every_bit(blocks_of(path))
 

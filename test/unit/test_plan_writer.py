@@ -142,6 +142,7 @@ def test_a_refusal_leaves_what_was_there(program, tmp_path):
     assert len(list((tmp_path / 'old').iterdir())) == 5
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_program(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, 'BATCH', 16)
     peaks = []

@@ -1,17 +1,17 @@
 """
 Mutated programs: a reader answers with blocks or with ProgramError, soon, and with nothing else.
 
-``CNC_INTERP_FUZZ=1000000`` sets how many programs are tried; a failing one is shown by its seed.
+``CNC_INTERP_EXAMPLES=1000000`` tries so many programs; a failing program is shown by its seed.
 """
 
 import io
-import os
 import random
 import signal
 import warnings
 from pathlib import Path
 
 import numpy as np
+from tiers import examples
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.machine import Machine
@@ -22,9 +22,7 @@ from cnc_interp.settings.choices import Settings
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
 EXAMPLES = Path(__file__).parents[2] / 'examples'
-COUNT = int(os.environ.get('CNC_INTERP_FUZZ', '3000'))
-#: Seeds of faults that were found.
-FOUND = (151688,)
+COUNT = examples(1500, 20_000)
 #: Programs are read for one of these machines.
 GEOMETRIES = [Transform.of(Machine.load(name)) for name in ('xyzac', 'xyzbc', 'xyz')]
 #: Nothing that is read here is longer than some hundred lines.
@@ -189,7 +187,7 @@ def test_mutated_programs_are_read_or_refused():
         answer(text)  # kernels are compiled, without an alarm
     assert not answer(GCODE.encode())[1] and not answer(CL.encode())[1]
     try:
-        for seed in (*FOUND, *range(COUNT)):
+        for seed in range(COUNT):
             text = mutated(random.Random(seed), texts)
             signal.alarm(MOST_SECONDS)
             try:

@@ -59,7 +59,10 @@ SNIPPETS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize(
+    'name',
+    [pytest.param(n, marks=[pytest.mark.thorough] * (MOTIONS[n] > 40_000)) for n in PROGRAMS],
+)
 def test_public_programs(name):
     if not (SHARED / name).is_dir():
         pytest.skip('the collection of real programs is not at hand')

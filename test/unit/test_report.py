@@ -52,6 +52,7 @@ def test_what_is_not_proven_stands_at_the_head(tmp_path):
     assert 'a&lt;b&gt;.ngc' in page and 'a<b>' not in page
 
 
+@pytest.mark.thorough
 def test_a_long_program_stays_small(tmp_path):
     page = page_of(tmp_path, line_x(MACHINE, feed=20 * MM_PER_MIN))
     assert '180,' in page  # samples

@@ -1,0 +1,176 @@
+"""Every input that broke us, and what it must do: the table is cases.yaml."""
+
+import io
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cnc_interp.cli import BAD_INPUT, FINE, main
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.kinematics.machine import Machine
+
+HERE = Path(__file__).parent
+OWN, SHARED = HERE / 'inputs', HERE.parents[2] / 'shared' / 'cases'
+CASES = yaml.safe_load((HERE / 'cases.yaml').read_text())['cases']
+#: Cycle times and positions agree to the digits of the table.
+SECONDS, MILLIMETRES, DEGREES = 1e-3, 0.011, 0.01
+#: Corners between lines are rounded [mm, deg].
+ROUNDED = 0.5
+
+
+@dataclass
+class Outcome:
+    """What a command did with an input: exit code, error text, and the figures of its plan."""
+
+    code: int
+    error: str
+    proven: bool = False
+    seconds: float = np.inf
+    #: First, last, smallest and largest position of each axis [mm, deg].
+    first: dict[str, float] = field(default_factory=dict)
+    last: dict[str, float] = field(default_factory=dict)
+    swing: dict[str, float] = field(default_factory=dict)
+    #: Position of each axis at the last setpoint of each line [mm, deg].
+    ends: dict[int, dict[str, float]] = field(default_factory=dict)
+    #: Last position of the tool tip [mm].
+    tip: tuple[float, ...] = ()
+
+
+def where(name):
+    """Find an input in the folder of this test or in ../shared/cases."""
+    found = next((folder / name for folder in (OWN, SHARED) if (folder / name).exists()), None)
+    if found is None:
+        pytest.skip('needs ../shared/cases')
+    return found
+
+
+def arguments_of(case, machine, folder):
+    """Words of the command, without --out."""
+    program = where(case['input'])
+    if 'generate' in case:
+        made = Path(folder) / f'{program.stem}.ngc'
+        subprocess.run([sys.executable, program, *case['generate'], made], check=True)
+        program = made
+    named = ['--machine', machine] if machine else []
+    return [*case.get('command', ['plan']), str(program), *named, *case.get('options', [])]
+
+
+def said(arguments):
+    """Exit code of a command, and what it wrote to the terminal as an error."""
+    error = io.StringIO()
+    with redirect_stderr(error), redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter('error', RuntimeWarning)
+        return main(arguments), error.getvalue()
+
+
+@cache
+def outcome(number, machine):
+    """Do once what a row of the table says, for all that is expected of it."""
+    case = CASES[number]
+    with tempfile.TemporaryDirectory() as folder:
+        plan = Path(folder) / 'plan'
+        code, error = said([*arguments_of(case, machine, folder), '--out', str(plan)])
+        if code != FINE or 'command' in case:
+            return Outcome(code, error, proven=code == FINE)
+        summary = json.loads((plan / 'summary.json').read_text())
+        with np.load(plan / 'setpoints.npz') as setpoints, np.load(plan / 'path.npz') as path:
+            q, block, tip = setpoints['position'], setpoints['block'], path['tip'][-1] / MM
+        with np.load(plan / 'blocks.npz') as blocks:
+            line = blocks['line'][block]
+        names = Machine.load(machine).axis_names
+        q = q / [DEG if name in 'ABC' else MM for name in names]
+        return Outcome(
+            code, error, said(['check', str(plan)])[0] == FINE, summary['cycle_time'],
+            dict(zip(names, q[0])), dict(zip(names, q[-1])), dict(zip(names, np.ptp(q, axis=0))),
+            {int(n): dict(zip(names, q[line == n][-1])) for n in np.unique(line)}, tuple(tip),
+        )  # fmt: skip
+
+
+def near(axis):
+    return DEGREES if axis in 'ABC' else MILLIMETRES
+
+
+def largest_memory(case, machine, folder):
+    """Largest memory of the command as a process of its own [MB]; it may not take 6 GB."""
+    command = [sys.executable, '-m', 'cnc_interp', *arguments_of(case, machine, folder)]
+    subprocess.run(
+        [*command, '--out', str(folder)], check=True, capture_output=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30)),
+    )  # fmt: skip
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+
+
+def expect(number, machine, wanted):
+    """Compare what a row of the table expects with what happens."""
+    if 'memory' in wanted:
+        with tempfile.TemporaryDirectory() as folder:
+            assert largest_memory(CASES[number], machine, folder) <= wanted['memory']
+        return
+    found = outcome(number, machine)
+    if 'refused' in wanted:
+        assert found.code == BAD_INPUT and found.error.count('\n') == 1
+        assert wanted['refused'] in found.error
+        return
+    assert found.code == FINE, found.error
+    assert found.proven
+    assert found.seconds <= wanted.get('seconds', np.inf) * (1 + SECONDS)
+    for axis, way in wanted.get('moves', {}).items():
+        assert abs(found.last[axis] - found.first[axis] - way) < near(axis), axis
+    for line, axes in wanted.get('lines', {}).items():
+        for axis, way in axes.items():
+            assert abs(found.ends[line][axis] - found.first[axis] - way) < ROUNDED, axis
+    for axis, way in wanted.get('swings', {}).items():
+        assert abs(found.swing[axis] - way) < near(axis), axis
+    if 'tip' in wanted:
+        assert np.abs(np.subtract(found.tip, wanted['tip'])).max() < MILLIMETRES
+
+
+def rows():
+    """All expectations of the table, those of open faults as expected failures."""
+    for number, case in enumerate(CASES):
+        for machine in case.get('machines', ['xyzac']):
+            for kind in ('today', 'must'):
+                if kind not in case:
+                    continue
+                marks = [pytest.mark.thorough] if case.get('thorough') else []
+                if kind == 'must':
+                    marks.append(pytest.mark.xfail(reason=case['fault'], strict=True))
+                words = [case['input'], machine, *case.get('options', []), kind]
+                name = ' '.join(word for word in words if word)
+                yield pytest.param(number, machine, case[kind], marks=marks, id=name)
+
+
+@pytest.mark.parametrize(('number', 'machine', 'wanted'), rows())
+def test_inputs_that_broke_us(number, machine, wanted):
+    expect(number, machine, wanted)
+
+
+@pytest.mark.thorough
+@pytest.mark.xfail(reason='the bag lacks the last setpoints of a short program', strict=True)
+def test_a_bag_holds_all_of_a_short_program(tmp_path):
+    pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+    program, bag = where('words/short_to_record.ngc'), str(tmp_path / 'bag')
+    assert said(['run', str(program), '--record', bag])[0] == FINE
+    assert said(['check', bag])[0] == FINE
+
+
+def test_every_input_is_in_the_table():
+    folders = [folder for folder in (OWN, SHARED) if folder.is_dir()]
+    files = {
+        str(path.relative_to(folder))
+        for folder in folders
+        for path in folder.rglob('*')
+        if path.is_file() and path.name != 'README.md'
+    }
+    assert not files - {case['input'] for case in CASES}

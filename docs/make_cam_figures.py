@@ -26,15 +26,17 @@ from scipy.optimize import fsolve
 from cnc_interp.cam.classical import classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
-from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
+from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
+from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import Needles, cut_needles
 from cnc_interp.cam.next_posture import conditions, nearest_places, resting
 from cnc_interp.cam.passes import Pass, constant_tilt
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder
 from cnc_interp.cam.simulation import Motion, cross_sections
+from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface_file import read_surface
-from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
+from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.cam.work import across
 from cnc_interp.cli import main as command
 from cnc_interp.core.arrays import FloatArray

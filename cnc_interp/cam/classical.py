@@ -1,11 +1,11 @@
 """
-The classical iso-scallop path, for comparison: the angles are constant and the passes wander.
+The classical iso-scallop path, for comparison: the angles are constant, the passes are free.
 
-Every pass follows from the scallop of the one before [TL2008, 1]. Stage 1 is that of the parallel
-planes; then the guided point moves over the guiding surface until the mill, with its constant
-tilt, leaves the same scallop point with the same tangent: two conditions for u and v. The feed
-direction is first that of the scallop, then that of the pass found. Nothing keeps such passes from
-turning back or crossing themselves [TL2008, Fig. 1 and 5a]; where they do is told.
+Every pass follows from the scallop of the previous pass [TL2008, 1]. Stage 1 is that of the
+parallel planes. Then the guided point moves over the guiding surface until the mill, with its
+constant tilt, leaves the same scallop point with the same tangent. These are two conditions for u
+and v. The feed direction is first that of the scallop, then that of the pass just found. Such
+passes may turn back or cross themselves [TL2008, Fig. 1 and 5a]; the result says where.
 """
 
 from __future__ import annotations
@@ -14,80 +14,29 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import Frames, GuidingPlanes
 from cnc_interp.cam.next_posture import conditions
-from cnc_interp.cam.passes import constant_tilt, gouge_depth, place
+from cnc_interp.cam.passes import constant_tilt, place
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
-from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint
+from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface_curve import SurfaceCurve, crossing
 from cnc_interp.cam.vectors import cross, dot, norm, scaled, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import DEG, MM, UM
 
-#: Distance of the points of a pass, and of those that show its change of direction [m].
-SPACING, NEAR = 0.8 * MM, 1.0 * UM
-#: The conditions hold to this; a step goes so far at most [m].
-CLOSE, FARTHEST = 1e-10, 1.0 * MM
+#: Distance of the points of a pass [m].
+SPACING = 0.8 * MM
+#: Largest residual of the conditions [m].
+CLOSE = 1e-10
+#: Largest Newton step [m].
+FARTHEST = 1.0 * MM
 MOST_PASSES = 2000
-#: The feed direction is taken from the pass itself so often.
+#: Number of times that the feed direction is taken from the pass itself.
 SWEEPS = 2
-
-
-@dataclass(frozen=True)
-class SurfaceCurve:
-    """
-    Any curve of the guided point on the guiding surface.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    offset : float
-        Corner radius r_c [m].
-    parameters : BSpline
-        u and v by (about) the arc length of K.
-    length : float
-        Its end [m].
-
-    """
-
-    surface: Surface
-    offset: float
-    parameters: BSpline
-    length: float
-
-    @staticmethod
-    def through(surface: Surface, offset: float, u: FloatArray, v: FloatArray) -> SurfaceCurve:
-        """Interpolate points."""
-        position = surface.at(u, v).offset(offset).position
-        s = np.concatenate([[0.0], np.cumsum(norm(np.diff(position, axis=0)))])
-        spline = make_interp_spline(s, np.stack([u, v], axis=1), k=5)
-        return SurfaceCurve(surface, offset, spline, float(s[-1]))
-
-    def _feed(self, s: FloatArray) -> tuple[SurfacePoint, FloatArray, FloatArray]:
-        """Return the surface, the feed direction and how fast K runs by s."""
-        u, v = self.parameters(s).T
-        u_s, v_s = self.parameters(s, 1).T
-        point = self.surface.at(u, v)
-        guide = point.offset(self.offset)
-        run = scaled(u_s, guide.d_u) + scaled(v_s, guide.d_v)
-        return point, unit(run), norm(run)
-
-    def frames(self, s: FloatArray) -> Frames:
-        """Return K and its frame at places; rates are by arc length of K."""
-        point, feed, speed = self._feed(s)
-        ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]
-        n, n_s = point.normal, point.offset(self.offset).normal_rate(feed)
-        f_s = scaled(0.5 / (NEAR * speed), ahead - behind)
-        t = cross(feed, n)
-        u, v = self.parameters(s).T
-        return Frames(
-            point.offset(self.offset).position, n, feed, t, n_s, f_s,
-            cross(f_s, n) + cross(feed, n_s), u, v, point.curvature(t),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -98,13 +47,13 @@ class ClassicalPass:
     Parameters
     ----------
     curve : SurfaceCurve
-        What K follows.
+        Path of the guided point K.
     s : ndarray, shape (n,)
-        Places [m].
+        Places of the postures [m].
     postures : Postures
         The postures there.
     right : Scallops
-        Scallop points towards the next pass.
+        Scallop points on the side of the next pass.
 
     """
 
@@ -115,11 +64,32 @@ class ClassicalPass:
 
     @property
     def reach(self) -> FloatArray:
-        """Half width, shape (n,) [m]."""
+        """
+        Half width of the strip.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Half widths at the places ``s`` [m].
+
+        """
         return self.right.half_width(self.postures)
 
     def tool(self, s: FloatArray) -> Postures:
-        """Return the postures at places."""
+        """
+        Return the postures at places of the pass.
+
+        Parameters
+        ----------
+        s : ndarray, shape (m,)
+            Places [m].
+
+        Returns
+        -------
+        Postures
+            m postures.
+
+        """
         p, zero = self.postures, np.zeros(len(s))
         return Postures(
             p.cutter, self.curve.frames(s), zero + p.tilt[0], zero + p.yaw[0], zero, zero
@@ -134,9 +104,9 @@ class ClassicalPaths:
     Parameters
     ----------
     passes : list of ClassicalPass
-        In order.
+        The passes in order.
     loop : str
-        Where and how the next pass loops; empty where the surface is covered.
+        Where and how the next pass would loop; empty if the surface is covered.
 
     """
 
@@ -154,24 +124,24 @@ def classical_paths(
     progress: Callable[[float], None] | None = None,
 ) -> ClassicalPaths:
     """
-    Follow the classical iso-scallop path over a surface.
+    Compute the classical iso-scallop path over a surface.
 
     Parameters
     ----------
     surface : Surface
-        What is machined.
+        The surface to machine.
     cutter : Cutter
-        The mill; a ball works too, with any tilt.
+        The mill; for a ball mill the tilt has no effect.
     plane_normal : ndarray, shape (3,)
-        The first pass lies in a plane with this normal, the others follow in its direction.
+        Normal of the plane of the first pass; the other passes follow in its direction [any unit].
     scallop_height : float
         S_h [m].
     tilt : float
         Constant tilt [rad].
     start : float, optional
-        Place of the first plane along the normal [m]; without it the border.
+        Place of the first plane along the normal; the default is the border [m].
     progress : callable, optional
-        Told the share done, 0 to 1.
+        Is called with the share done, 0 to 1.
 
     Returns
     -------
@@ -202,7 +172,7 @@ class _Run:
     def all_passes(
         self, start: float | None, progress: Callable[[float], None] | None
     ) -> ClassicalPaths:
-        """Go on until the strip has left the surface or a pass loops."""
+        """Add passes until the strip has left the surface or the next pass would loop."""
         passes = [self.first_pass(start)]
         while self.covers_more(passes[-1]):
             if len(passes) >= MOST_PASSES:
@@ -217,7 +187,7 @@ class _Run:
         return ClassicalPaths(passes, '')
 
     def first_pass(self, start: float | None) -> ClassicalPass:
-        """Take the curve in a guiding plane."""
+        """Make the first pass in a guiding plane."""
         planes = GuidingPlanes(self.surface, self.cutter.corner_radius, self.normal, self.beyond)
         if start is None:
             curve = planes.curve(planes.span[0])
@@ -231,7 +201,7 @@ class _Run:
         return self.made(u, v, 1)
 
     def made(self, u: FloatArray, v: FloatArray, number: int) -> ClassicalPass:
-        """Lay a pass through points, from beyond the border to beyond it."""
+        """Make a pass through points, from beyond the border to beyond the border."""
         raw = SurfaceCurve.through(self.surface, self.cutter.corner_radius, *self.longer(u, v))
         s = np.linspace(0.0, raw.length, max(25, int(raw.length / SPACING)))
         curve = SurfaceCurve.through(raw.surface, raw.offset, *raw.parameters(s).T)
@@ -257,7 +227,7 @@ class _Run:
         return ClassicalPass(curve, s, postures, right)
 
     def longer(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Cut points that are far out, and go straight on where an end lies on the surface."""
+        """Drop points far outside the surface, and extend ends that lie on it; shapes (n,)."""
         far = self.inside(u, v, self.beyond)
         kept = slice(int(np.argmax(far)), len(far) - int(np.argmax(far[::-1])))
         u, v = u[kept], v[kept]
@@ -275,26 +245,26 @@ class _Run:
         return u, v
 
     def inside(self, u: FloatArray, v: FloatArray, margin: float) -> BoolArray:
-        """Tell which points lie on the surface or nearer to it than a margin [m]."""
+        """Return which points are on the surface or closer to it than a margin [m], shape (n,)."""
         (u0, u1), (v0, v1) = self.surface.domain
         a, b = self.surface.growth(margin)
         return np.asarray((u > u0 - a) & (u < u1 + a) & (v > v0 - b) & (v < v1 + b))
 
     def covers_more(self, before: ClassicalPass) -> bool:
-        """Tell whether the scallop on the right still lies on the surface somewhere."""
+        """Return whether any part of the scallop on the right lies on the surface."""
         frames = before.postures.frames
         u, v, _ = self.surface.project(before.right.position, frames.u, frames.v)
         return bool(self.inside(u, v, 0.0).any())
 
     def share(self, made: ClassicalPass) -> float:
-        """Guess the share done from the middle of the pass."""
+        """Estimate the share done from the middle of the pass."""
         u, v = self.surface.grid(9, 9)
         level = self.surface.at(u, v).position @ self.normal
         here = float(np.median(made.postures.contact @ self.normal))
         return float(np.clip((here - level.min()) / np.ptp(level), 0.0, 1.0))
 
     def followed(self, before: ClassicalPass) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return u, v of the next pass for each scallop point, and where they were found."""
+        """Return u and v of the next pass, and where they were found; shapes (n,)."""
         frames, right = before.postures.frames, before.right
         along = right.tangent
         point = self.surface.at(frames.u, frames.v)
@@ -305,7 +275,7 @@ class _Run:
             u, v, found = self.solved(right, along, u, v)
             if found.sum() < 8:
                 break
-            # The feed is that of the pass itself, where it is one.
+            # The feed direction follows the pass itself.
             here = self.surface.at(u, v).offset(self.cutter.corner_radius).position
             turned = np.gradient(here, axis=0)
             along = np.where(dot(turned, along)[:, None] > 0.0, turned, along)
@@ -314,7 +284,7 @@ class _Run:
     def solved(
         self, right: Scallops, along: FloatArray, u: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Solve both conditions for u and v with given feed directions, by Newton's method."""
+        """Solve both conditions for u and v by Newton's method; directions have shape (n, 3)."""
         step_u, step_v = self.surface.growth(1e-8)
         limit_u, limit_v = self.surface.growth(FARTHEST)
 
@@ -343,7 +313,7 @@ class _Run:
         return u, v, done & valid
 
     def resting(self, u: FloatArray, v: FloatArray, along: FloatArray) -> Postures:
-        """Return postures at points of the surface with given feed directions."""
+        """Return postures at n points of the surface with given feed directions, shape (n, 3)."""
         point = self.surface.at(u, v)
         n = point.normal
         feed = unit(along - scaled(dot(along, n), n))
@@ -355,7 +325,7 @@ class _Run:
         return Postures(self.cutter, frames, zero + self.tilt, zero, zero, zero)
 
     def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:
-        """Say where the next pass turns back, bends tighter than its step or crosses itself."""
+        """Say where the next pass turns back, has a corner or crosses itself; empty if none."""
         ours = self.inside(u, v, 0.0)
         if (ours & ~found).any():
             i = int(np.argmax(ours & ~found))
@@ -372,24 +342,3 @@ class _Run:
             return f'has a corner at {place(position[int(np.argmax(tight)) + 1])}'
         i = crossing(u[ours & found], v[ours & found])
         return '' if i < 0 else f'crosses itself at {place(position[ours & found][i])}'
-
-
-def crossing(u: FloatArray, v: FloatArray) -> int:
-    """Return the first segment of a line that another one, not its neighbour, crosses; or -1."""
-    n = len(u) - 1
-    if n < 3:
-        return -1
-    du, dv = np.diff(u), np.diff(v)
-
-    def side(i: slice, j: slice, shift: int) -> FloatArray:
-        """Tell on which side of segments i the ends j lie, (i, j)."""
-        x = u[j.start + shift : j.stop + shift][None, :] - u[i][:, None]
-        y = v[j.start + shift : j.stop + shift][None, :] - v[i][:, None]
-        return np.asarray(du[i][:, None] * y - dv[i][:, None] * x)
-
-    whole = slice(0, n)
-    apart = side(whole, whole, 0) * side(whole, whole, 1) < 0.0
-    cut = apart & apart.T
-    near = np.abs(np.arange(n)[:, None] - np.arange(n)[None, :]) < 2
-    hit = (cut & ~near).any(axis=1)
-    return int(np.argmax(hit)) if hit.any() else -1

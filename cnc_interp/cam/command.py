@@ -10,7 +10,15 @@ from cnc_interp.command_options import command, number, positive
 
 
 def add_cam_commands(commands: Any) -> None:
-    """Declare `cam` and its commands."""
+    """
+    Declare `cam` and its commands.
+
+    Parameters
+    ----------
+    commands : subparsers of argparse
+        Where the commands are added.
+
+    """
     cam = commands.add_parser(
         'cam',
         help='5-axis iso-scallop programs from surfaces, and the simulated surface',

@@ -1,9 +1,9 @@
 """
-The filleted end mill: a torus of radii R and r_c below a cylinder, with a flat bottom between.
+The filleted end mill: a corner torus of radii R and r_c, a flat bottom and a cylinder above.
 
-C_L is the centre of the circle of corner centres (radius R), u the unit tool axis towards the
-spindle. The mill is everything within r_c of the cylinder that stands on that circle's disk; R = 0
-is a ball mill, r_c = 0 a flat one.
+C_L is the centre of the circle of corner centres, which has the radius R. u is the unit tool axis
+towards the spindle. The mill is the set of all points within r_c of the cylinder that stands on
+the disk of that circle. R = 0 is a ball mill, r_c = 0 a flat mill.
 """
 
 from __future__ import annotations
@@ -31,6 +31,11 @@ class Cutter:
     corner_radius : float
         r_c [m].
 
+    Raises
+    ------
+    InterpError
+        If a radius is negative or not finite, or both are zero.
+
     """
 
     tool_radius: float
@@ -46,7 +51,26 @@ class Cutter:
 
     @staticmethod
     def of_diameter(diameter: float, corner_radius: float) -> Cutter:
-        """Return the cutter of an outer diameter [m]."""
+        """
+        Return the cutter with an outer diameter.
+
+        Parameters
+        ----------
+        diameter : float
+            Outer diameter 2 (R + r_c) [m].
+        corner_radius : float
+            r_c [m].
+
+        Returns
+        -------
+        Cutter
+
+        Raises
+        ------
+        InterpError
+            If the corner radius exceeds half the diameter.
+
+        """
         if not 0.0 <= corner_radius <= 0.5 * diameter:
             raise InterpError(
                 f'a corner radius of {corner_radius / MM:g} mm does not fit a diameter of '
@@ -56,19 +80,47 @@ class Cutter:
 
     @property
     def is_ball(self) -> bool:
-        """True without a flat bottom: the tilt then changes nothing."""
+        """True for a ball mill, whose contact does not depend on the tilt."""
         return self.tool_radius == 0.0
 
     def tip(self, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the tool tip, the lowest point on the axis, of centres C_L [m]."""
+        """
+        Return the tool tip, the lowest point on the axis.
+
+        Parameters
+        ----------
+        centre : ndarray, shape (..., 3)
+            Centres C_L [m].
+        axis : ndarray, shape (..., 3)
+            Unit tool axes u [-].
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            Tool tips C_L - r_c u [m].
+
+        """
         return np.asarray(centre - self.corner_radius * axis)
 
     def implicit(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
         """
-        Return F of the torus at points [TL2008, Eq. 3.2], zero on it, negative inside [m^4].
+        Return F of the corner torus [TL2008, Eq. 3.2]: zero on it, negative inside.
 
-        The square of the paper's last bracket is one too many: with rho the distance from the
-        axis, ``F = (v.v + R^2 - r_c^2)^2 - 4 R^2 rho^2``, and ``rho^2 = v.v - (v.u)^2``.
+        The square of the paper's last bracket is one too many. With rho, the distance from the
+        axis, ``F = (v.v + R^2 - r_c^2)^2 - 4 R^2 rho^2`` and ``rho^2 = v.v - (v.u)^2``.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 3)
+            Points P [m].
+        centre, axis : ndarray, shape (..., 3)
+            Centres C_L [m] and unit tool axes u [-].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            F [m^4].
+
         """
         v = points - centre
         square, along = dot(v, v), dot(v, axis)
@@ -76,7 +128,22 @@ class Cutter:
         return np.asarray((square + R**2 - r**2) ** 2 - 4.0 * R**2 * (square - along**2))
 
     def distance(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the distance of points from the mill, negative inside the fillet [m]."""
+        """
+        Return the distance of points from the mill.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 3)
+            Points P [m].
+        centre, axis : ndarray, shape (..., 3)
+            Centres C_L [m] and unit tool axes u [-].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Distance, negative inside the fillet [m].
+
+        """
         v = points - centre
         along = dot(v, axis)
         across = norm(v - scaled(along, axis))
@@ -86,7 +153,24 @@ class Cutter:
     def envelope_condition(
         self, points: FloatArray, velocity: FloatArray, centre: FloatArray, axis: FloatArray
     ) -> FloatArray:
-        """Return V_P . n_tool at points of the torus [TL2008, Eq. 3.3]; zero where it grazes."""
+        """
+        Return V_P . n_tool [TL2008, Eq. 3.3]: zero where the envelope touches the corner torus.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 3)
+            Points P of the torus [m].
+        velocity : ndarray, shape (..., 3)
+            Their velocities V_P [m/s, or - per path length].
+        centre, axis : ndarray, shape (..., 3)
+            Centres C_L [m] and unit tool axes u [-].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Velocity along the tool normal [unit of ``velocity``].
+
+        """
         v = points - centre
         across = v - scaled(dot(v, axis), axis)
         nearest = scaled(self.tool_radius / norm(across), across)
@@ -95,11 +179,22 @@ class Cutter:
 
     def effective_radius(self, tilt: float, yaw: float = 0.0) -> float:
         """
-        Return the radius of the swept profile at the contact point on a plane [m].
+        Return the radius of the swept profile at the contact point on a plane.
 
-        With R_T = (R + r sin(tilt)) / sin(tilt), Eq. 3.17, the profile seen along the feed has
-        the radius ``R_T cos^2(yaw) + r sin^2(yaw)``. Eq. 3.16 is the radius of the tool's normal
-        section across the feed instead; they agree without yaw.
+        With R_T = (R + r_c sin(tilt)) / sin(tilt), Eq. 3.17, the profile seen along the feed has
+        the radius ``R_T cos^2(yaw) + r_c sin^2(yaw)``. Eq. 3.16 is the radius of the tool's normal
+        section across the feed instead. Both agree without yaw.
+
+        Parameters
+        ----------
+        tilt, yaw : float
+            Angles of the posture [rad].
+
+        Returns
+        -------
+        float
+            Radius [m].
+
         """
         sine = np.sin(tilt)
         across = (self.tool_radius + self.corner_radius * sine) / sine

@@ -1,8 +1,8 @@
 """
-Guiding curves: where the guiding surface S_G = S + r_c n meets a guiding plane [TL2008, 3.2].
+Guiding curves: sections of the guiding surface S_G = S + r_c n by guiding planes [TL2008, 3.2].
 
-The plane has the unit normal N, towards the next pass; along the curve the feed direction is
-f = n x N / |n x N|, and t = f x n points towards the next pass too.
+The plane has the unit normal N, which points to the next pass. Along the curve the feed direction
+is f = n x N / |n x N|. The direction t = f x n points to the next pass, too.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from cnc_interp.cam.vectors import cross, dot, norm, scaled
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM
 
-#: Cells per direction in which a curve is looked for, and the largest distance of its points [m].
+#: Cells per direction in which a curve is sought.
 CELLS = 200
+#: Largest distance of the points of a curve [m].
 STEP = 0.4 * MM
 
 
 @dataclass(frozen=True)
 class Frames:
     """
-    The guided point K at n places of a curve, its frame, and their change per arc length of K.
+    The guided point K at n places of a curve, its frame, and their derivatives by arc length of K.
 
     Parameters
     ----------
     position : ndarray, shape (n, 3)
         K on the guiding surface [m].
     normal, feed, across : ndarray, shape (n, 3)
-        Orthonormal frame n, f, t = f x n.
+        Orthonormal frame n, f, t = f x n [-].
     normal_rate, feed_rate, across_rate : ndarray, shape (n, 3)
-        Their derivatives by arc length of K [1/m].
+        Derivatives of the frame by arc length of K [1/m].
     u, v : ndarray, shape (n,)
-        Surface parameters.
+        Surface parameters [units of u and v].
     curvature : ndarray, shape (n,)
-        Normal curvature of the surface to machine across the feed, convex positive [1/m].
+        Normal curvature of the surface across the feed, positive where convex [1/m].
 
     """
 
@@ -55,12 +56,20 @@ class Frames:
     curvature: FloatArray
 
     def __len__(self) -> int:
-        """Count the places."""
+        """Return the number of places."""
         return len(self.u)
 
     @property
     def turn(self) -> FloatArray:
-        """Rotation vector of the frame per arc length, half the sum of x_i x x_i' [appendix]."""
+        """
+        Rotation vector of the frame per arc length [TL2008, appendix].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Half the sum of x_i x x_i' over the three directions [rad/m].
+
+        """
         total = cross(self.feed, self.feed_rate) + cross(self.normal, self.normal_rate)
         return 0.5 * (total + cross(self.across, self.across_rate))
 
@@ -77,13 +86,13 @@ class GuidingCurve:
     offset : float
         Corner radius r_c: distance of the guiding surface [m].
     plane_normal : ndarray, shape (3,)
-        N.
+        N [-].
     plane : float
         Distance of the plane from the origin along N [m].
     parameters : BSpline
         u and v by arc length of K.
     length : float
-        Arc length, from 0 [m].
+        Arc length of the curve, which begins at 0 [m].
 
     """
 
@@ -95,7 +104,20 @@ class GuidingCurve:
     length: float
 
     def frames(self, s: FloatArray) -> Frames:
-        """Return K and its frame at arc lengths [m]; the curve continues beyond its ends."""
+        """
+        Return K and its frame; the curve continues beyond its ends.
+
+        Parameters
+        ----------
+        s : ndarray, shape (n,)
+            Arc lengths of K [m].
+
+        Returns
+        -------
+        Frames
+            n frames.
+
+        """
         uv = self.parameters(s)
         u, v = uv[..., 0], uv[..., 1]
         surface = self.surface.at(u, v)
@@ -114,7 +136,7 @@ class GuidingCurve:
 
 class GuidingPlanes:
     """
-    The family of guiding curves of a surface, for parallel planes.
+    The family of guiding curves of a surface in parallel planes.
 
     Parameters
     ----------
@@ -123,9 +145,14 @@ class GuidingPlanes:
     offset : float
         Corner radius r_c [m].
     plane_normal : ndarray, shape (3,)
-        N, the direction in which the passes follow each other.
+        N, the direction in which the passes follow each other [-].
     extension : float
-        How far the curves go beyond the border of the surface [m].
+        Distance by which the curves exceed the border of the surface [m].
+
+    Raises
+    ------
+    SurfaceError
+        If a plane is tangent to the surface.
 
     """
 
@@ -151,6 +178,15 @@ class GuidingPlanes:
         """
         Return the curve in one plane.
 
+        Parameters
+        ----------
+        plane : float
+            Distance of the plane from the origin along N [m].
+
+        Returns
+        -------
+        GuidingCurve
+
         Raises
         ------
         SurfaceError
@@ -171,15 +207,15 @@ class GuidingPlanes:
         return self._fit(lines[longest], plane)
 
     def _length(self, line: FloatArray) -> float:
-        """Return the length of a line in the parameter plane, on the surface [m]."""
+        """Return the length of a line of parameters, shape (n, 2), on the surface [m]."""
         position = self.surface.derivatives(line[:, 0], line[:, 1])[0]
         return float(norm(np.diff(position, axis=0)).sum())
 
     def _fit(self, line: FloatArray, plane: float) -> GuidingCurve:
-        """Put points exactly on the curve, evenly by arc length, and a quintic through them."""
+        """Fit a quintic through points that lie exactly on the curve, evenly by arc length."""
         count = max(48, int(self._length(line) / STEP))
         uv = self._onto(line, plane)
-        for degree in (1, 5):  # even first by the contour's own points, then by the smooth curve
+        for degree in (1, 5):  # first along the points of the contour, then along the smooth curve
             s = self._arc(uv)
             kept = np.concatenate([[True], np.diff(s) > 1e-3 * s[-1] / count])
             spline = make_interp_spline(s[kept], uv[kept], k=degree)
@@ -198,7 +234,7 @@ class GuidingPlanes:
         return curve
 
     def _onto(self, uv: FloatArray, plane: float) -> FloatArray:
-        """Move parameters onto the plane, along the gradient of the level."""
+        """Move parameters, shape (n, 2), onto the plane along the gradient of the level."""
         for _ in range(6):
             point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
             level = point.position @ self.plane_normal - plane
@@ -216,7 +252,7 @@ class GuidingPlanes:
         return uv
 
     def _arc(self, uv: FloatArray) -> FloatArray:
-        """Return arc lengths of K, from chords and the turn between them [m]."""
+        """Return arc lengths of K from chords and the turn between them, shape (n,) [m]."""
         point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
         g = cross(point.normal, np.broadcast_to(self.plane_normal, point.normal.shape))
         f = scaled(1.0 / norm(g), g)

@@ -1,30 +1,30 @@
 """
 5-axis iso-scallop passes along parallel planes [TL2008]: both stages, pass after pass.
 
-The strips of neighbouring passes share their border, so the half width on the left of a pass is
-the plane distance less that on the right of the pass before: the recursion has the multiplier -1
-and does not forget. It is therefore started with a constant half width instead of a constant tilt,
-and started afresh, a little closer, where a pass cannot be found or strays.
+The strips of neighbouring passes share their border. The half width on the left of a pass is the
+plane distance minus the half width on the right of the previous pass. This recursion has the
+multiplier -1, so errors do not decay. It therefore starts with a constant half width instead of a
+constant tilt. It starts afresh, with a small overlap, if a pass cannot be found or strays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
-from cnc_interp.cam.next_posture import Fit, Freedom, fit_postures, nearest_places, resting
+from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.next_posture import Fit, fit_postures, nearest_places, resting
 from cnc_interp.cam.passes import (
     Angles,
     Pass,
     constant_tilt,
     constant_width,
     evenly,
-    gouge_depth,
     place,
     plane_distance,
 )
@@ -33,78 +33,40 @@ from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 
-#: Overlap of a pass that does not continue the one before, as a share of its half width.
+#: Distance of a pass that starts afresh, as a share of its half width.
 CLOSER = 0.985
-#: Points along a pass where the user does not say: one per this length [m], at least 25.
+#: Default distance of the points along a pass [m]; there are at least 25.
 SPACING = 0.8 * MM
 MOST_PASSES = 5000
-#: The scallop of the pass before is met to this [m], but for the free ends of the angles.
-HIDDEN, ENDS = 20.0 * UM, 3
-
-
-@dataclass(frozen=True)
-class IsoScallopOptions:
-    """
-    What the user chooses.
-
-    Parameters
-    ----------
-    scallop_height : float
-        S_h [m].
-    stepover : float, optional
-        Distance d of the guiding planes [m]; without it every pass takes the largest that its
-        tilts allow.
-    tilt : float
-        Of the first pass where it is constant, and the tilt that rules the distance where no
-        stepover is given [rad].
-    tilt_limits : (float, float)
-        Smallest and largest tilt [rad].
-    yaw : float
-        Yaw of all passes; the first guess where it is the free angle [rad].
-    freedom : {'tilt', 'yaw'}
-        The angle that sets the width.
-    start : {'width', 'tilt'}
-        The first pass has a constant half width d/2, or the constant tilt, as in the paper.
-    points : int, optional
-        Scallop points along a pass.
-    stray : float, optional
-        Start afresh where the half width differs by more than this share from d/2; None lets
-        the recursion run as in the paper, and then a pass that cannot be found is an error.
-    gouge : float
-        Deepest that the bottom may enter the surface [m].
-
-    """
-
-    scallop_height: float = 10.0 * UM
-    stepover: float | None = None
-    tilt: float = 5.0 * DEG
-    tilt_limits: tuple[float, float] = (0.5 * DEG, 60.0 * DEG)
-    yaw: float = 0.0
-    freedom: Freedom = 'tilt'
-    start: Literal['width', 'tilt'] = 'width'
-    points: int | None = None
-    stray: float | None = 0.25
-    gouge: float = 1.0 * UM
-
-    def __post_init__(self) -> None:
-        low, high = self.tilt_limits
-        if not 0.0 < low <= self.tilt <= high <= 0.5 * np.pi:
-            raise InterpError(
-                f'tilts of {low / DEG:g} <= {self.tilt / DEG:g} <= {high / DEG:g} deg do not make '
-                'sense; they must rise and lie between 0 and 90 deg'
-            )
-        if not self.scallop_height > 0.0 or (self.stepover is not None and self.stepover <= 0.0):
-            raise InterpError('scallop height and plane distance must be positive')
-        if self.points is not None and self.points < 8:
-            raise InterpError(f'{self.points} points along a pass are too few; give at least 8')
+#: Largest distance from the scallop of the previous pass [m].
+HIDDEN = 20.0 * UM
+#: Points at both ends that are exempt, because the angles are free there.
+ENDS = 3
 
 
 @dataclass(frozen=True)
 class IsoScallopPaths:
-    """All passes of a surface, and what it took to find them."""
+    """
+    All passes over a surface, with the inputs they were made from.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface to machine.
+    cutter : Cutter
+        The mill.
+    options : IsoScallopOptions
+        The user's choices.
+    plane_normal : ndarray, shape (3,)
+        Unit normal N of the guiding planes [-].
+    passes : list of Pass
+        The passes in order.
+    notes : list of str
+        Which passes started afresh, and why.
+
+    """
 
     surface: Surface
     cutter: Cutter
@@ -115,7 +77,7 @@ class IsoScallopPaths:
 
     @property
     def iterations(self) -> tuple[float, float, float]:
-        """Mean iterations per posture: march and solution of stage 1, stage 2."""
+        """Mean iterations per posture: bracketing and solution of stage 1, stage 2."""
         marched = np.concatenate([p.right.marched for p in self.passes])
         refined = np.concatenate([p.right.refined for p in self.passes])
         fitted = [p.iterations for p in self.passes if not p.fresh]
@@ -140,15 +102,15 @@ def iso_scallop_paths(
     Parameters
     ----------
     surface : Surface
-        What is machined.
+        The surface to machine.
     cutter : Cutter
         The mill.
     plane_normal : ndarray, shape (3,)
-        N, the direction in which the passes follow each other.
+        N, the direction in which the passes follow each other [any unit].
     options : IsoScallopOptions
         The user's choices.
     progress : callable, optional
-        Told the share done, 0 to 1.
+        Is called with the share done, 0 to 1.
 
     Returns
     -------
@@ -157,7 +119,7 @@ def iso_scallop_paths(
     Raises
     ------
     SurfaceError
-        If the surface, the mill and the choices do not fit; the message names the place.
+        If surface, mill and choices do not fit; the message names the place.
 
     """
     if cutter.is_ball:
@@ -183,7 +145,7 @@ class _Run:
         self.notes: list[str] = []
 
     def all_passes(self, progress: Callable[[float], None] | None) -> IsoScallopPaths:
-        """Go from border to border."""
+        """Add passes from one border to the other."""
         first, last = self.planes.span
         passes = [self.first_pass()]
         while passes[-1].plane + float(passes[-1].reach.min()) < last:
@@ -205,7 +167,7 @@ class _Run:
         return self.fresh_pass(plane, 1, tilted=self.options.start == 'tilt')
 
     def half_width_at(self, plane: float) -> float:
-        """Return half the distance of the planes there; asks the tilt where none is given [m]."""
+        """Return half the distance of the planes; the tilt determines it without a stepover."""
         if self.options.stepover is not None:
             return 0.5 * self.options.stepover
         curve = self.planes.curve(plane)
@@ -219,7 +181,7 @@ class _Run:
         return self.options.points or max(25, int(np.ceil(curve.length / SPACING)))
 
     def fresh_pass(self, plane: float, number: int, tilted: bool = False) -> Pass:
-        """Make a pass that does not look at the one before."""
+        """Make a pass that does not depend on the previous pass."""
         o, curve = self.options, self.planes.curve(plane)
         if tilted or o.freedom == 'yaw':
             angles = constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
@@ -233,7 +195,7 @@ class _Run:
         return self.checked(self.finished(curve, angles, none, fresh=True), number)
 
     def next_pass(self, before: Pass, number: int) -> Pass:
-        """Continue the pass before exactly, or start afresh beside it."""
+        """Continue the previous pass exactly, or start afresh beside it."""
         reach, stepover = before.reach, self.options.stepover
         middle = self.half_width_at(before.plane) if stepover is None else 0.5 * stepover
         stray = self.options.stray
@@ -248,13 +210,13 @@ class _Run:
                     raise
                 problem = str(error)
         plane = before.plane + float(reach.min()) + CLOSER * middle
-        if stepover is None:  # the width belongs to where the pass will be
+        if stepover is None:  # the width is that of the new plane
             plane = before.plane + float(reach.min()) + CLOSER * self.half_width_at(plane)
         self.notes.append(f'pass {number} starts afresh: {problem}')
         return self.fresh_pass(plane, number)
 
     def distance(self, before: Pass) -> float:
-        """Return the distance of the next plane: as given, or the largest the tilt allows [m]."""
+        """Return the distance to the next plane: the stepover, or the largest for the tilt [m]."""
         if self.options.stepover is not None:
             return self.options.stepover
         distance = 2.0 * float(before.reach.min())
@@ -265,7 +227,7 @@ class _Run:
         return distance
 
     def left_reach(self, curve: GuidingCurve, before: Pass, tilt: float) -> FloatArray:
-        """Return how far the next pass would reach back at each scallop point with a tilt [m]."""
+        """Return the reach of the next pass towards each scallop point, shape (n,) [m]."""
         s = nearest_places(curve, before.right)
         n = len(s)
         postures = resting(
@@ -275,7 +237,7 @@ class _Run:
         return plane_distance(postures, left, self.normal)
 
     def continued(self, before: Pass, distance: float, number: int) -> Pass:
-        """Fit the postures of the next pass to the scallop points of the one before."""
+        """Fit the postures of the next pass to the scallop points of the previous pass."""
         o = self.options
         curve = self.planes.curve(before.plane + distance)
         fixed = o.yaw if o.freedom == 'tilt' else o.tilt
@@ -297,7 +259,7 @@ class _Run:
         return self.checked(made, number)
 
     def check_strip(self, before: Pass, postures: Postures, number: int) -> None:
-        """Refuse a pass whose strip ends before the scallop that it was fitted to."""
+        """Refuse a pass whose strip ends before the scallop to which the pass was fitted."""
         left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
         gap = norm(left.position - before.right.position)[ENDS:-ENDS]
         wrong = ~(gap < HIDDEN)
@@ -319,7 +281,7 @@ class _Run:
         return Pass(curve, angles, s, postures, right, iterations, fresh)
 
     def checked(self, made: Pass, number: int) -> Pass:
-        """Refuse a pass whose strip ends nowhere or whose mill enters the surface."""
+        """Refuse a pass whose strip has no end or whose mill enters the surface."""
         if not made.right.found.all():
             i = int(np.argmin(made.right.found))
             raise NoPassError(
@@ -341,7 +303,7 @@ class _Run:
         self, before: Pass, curve: GuidingCurve, fit: Fit, fits: BoolArray, distance: float,
         number: int,
     ) -> str:  # fmt: skip
-        """Say where no posture was found, and which plane distances could be had there."""
+        """Say where no posture was found, and which plane distances are possible there."""
         o = self.options
         low, high = o.tilt_limits
         i = int(np.argmin(fits))

@@ -1,11 +1,12 @@
 """
 N-buffer: needles along the normals of a surface, cut by the moving mill.
 
-The mill is convex: all points within r_c of a cylinder of radius R standing on C_L. Along a needle
-``B + h n`` its distance is therefore a convex function of h, and Newton's method from below runs
-monotonically to the height at which the needle enters the mill. Between two poses tip and axis
-run straight; the pieces are so short that a parabola through three heights finds the lowest, which
-is then computed exactly. What is left of a needle is the signed height: scallop, excess or gouge.
+The mill is convex: all points within r_c of a cylinder of radius R that stands on C_L. The
+distance of a point of the needle ``B + h n`` from that cylinder is a convex function of h.
+Newton's method from below therefore converges monotonically to the height at which the needle
+enters the mill. Between two poses tip and axis move on straight lines. The pieces are short, so
+that a parabola through three heights locates the lowest height, which is then computed exactly.
+The result is the signed height of the material: scallop, excess or gouge.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 
-#: So many needles, about, make a tile; it is sorted out as a whole.
+#: Approximate number of needles in a tile, which is tested as a whole.
 TILE = 64
 #: Longest piece of motion, as a share of the corner radius.
 PIECE = 0.3
-#: Largest turn of the axis in a piece [rad]: centre and tip of the mill then both run straight.
+#: Largest turn of the axis in a piece [rad]; centre and tip then both move nearly straight.
 TURN = 2.5e-3
 #: Distance of the poses of a first, rough cut [m].
 COARSE = 0.4 * MM
@@ -39,12 +40,14 @@ BATCH = 2000
 @dataclass(frozen=True)
 class Needles:
     """
-    Where the surface is looked at.
+    The points at which the machined surface is measured.
 
     Parameters
     ----------
-    base, normal : ndarray, shape (rows, columns, 3)
-        Points of the surface [m] and its normals.
+    base : ndarray, shape (rows, columns, 3)
+        Points of the surface [m].
+    normal : ndarray, shape (rows, columns, 3)
+        Unit normals there [-].
 
     """
 
@@ -53,7 +56,28 @@ class Needles:
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> Needles:
-        """Return needles about evenly over a surface, off its border by a margin [m]."""
+        """
+        Place needles on a surface at nearly equal distances.
+
+        Parameters
+        ----------
+        surface : Surface
+            The surface.
+        spacing : float
+            Distance of the needles [m].
+        margin : float
+            Distance of the outer needles from the border [m].
+
+        Returns
+        -------
+        Needles
+
+        Raises
+        ------
+        InterpError
+            If spacing and margin make too few or too many needles.
+
+        """
         grow = surface.growth(-margin) if margin else (0.0, 0.0)
         (u0, u1), (v0, v1) = surface.domain
         u0, u1, v0, v1 = u0 - grow[0], u1 + grow[0], v0 - grow[1], v1 + grow[1]
@@ -74,16 +98,16 @@ class Needles:
 @dataclass(frozen=True)
 class Heights:
     """
-    What the mill leaves on the needles.
+    The material that the mill leaves on the needles.
 
     Parameters
     ----------
     needles : Needles
-        Where.
+        The needles.
     height : ndarray, shape (rows, columns)
-        Signed height over the surface [m]; ``TOP`` where nothing was cut.
+        Signed height above the surface; ``TOP`` where nothing was cut [m].
     pairs : int
-        Needles times pieces of motion, for the speed.
+        Needles times pieces of motion, for benchmarks.
 
     """
 
@@ -93,15 +117,25 @@ class Heights:
 
     @property
     def cut(self) -> Any:
-        """True where the mill has been."""
+        """True for needles that the mill has reached, shape (rows, columns)."""
         return self.height < 0.999 * TOP
 
     def statistics(self) -> dict[str, float]:
         """
-        Return what a surface gauge would say [m], over the needles that were cut.
+        Return the roughness figures of the needles that were cut.
 
-        ``uncut`` is the share of needles that no motion reached; ``Sa`` and ``Sq`` are the mean
-        and the root mean square of the height about its mean, ``Sz`` its range.
+        Returns
+        -------
+        dict of str to float
+            ``highest``, ``lowest`` and ``mean`` height; ``Sa`` and ``Sq``, mean and root mean
+            square of the height about its mean; ``Sz``, its range [m]. ``gouged`` is the share of
+            needles deeper than 0.5 um, ``uncut`` the share that no motion reached [-].
+
+        Raises
+        ------
+        InterpError
+            If no needle was cut.
+
         """
         h = self.height[self.cut]
         if not len(h):
@@ -132,17 +166,24 @@ def cut_needles(
     Parameters
     ----------
     needles : Needles
-        Where the surface is looked at.
+        The needles.
     cutter : Cutter
         The mill.
-    tip, axis : ndarray, shape (n, 3)
-        Tool tips [m] and unit tool axes, in order; in between both run straight.
+    tip : ndarray, shape (n, 3)
+        Tool tips in order; tip and axis move on straight lines between them [m].
+    axis : ndarray, shape (n, 3)
+        Unit tool axes [-].
     progress : callable, optional
-        Told the share done, 0 to 1.
+        Is called with the share done, 0 to 1.
 
     Returns
     -------
     Heights
+
+    Raises
+    ------
+    InterpError
+        If there are fewer than two poses or one is not finite.
 
     """
     if len(tip) < 2 or not (np.isfinite(tip).all() and np.isfinite(axis).all()):
@@ -158,9 +199,9 @@ def cut_needles(
     middle[:, 3:] /= norm(middle[:, 3:])[:, None]
     step = np.abs(np.diff(pose, axis=0))
     slack = 0.6 * (norm(step[:, :3]) + (R + r + TOP) * norm(step[:, 3:]))
-    # A flat mill is a hair thicker: the distance from its own cylinder would not pass zero.
+    # The distance from the cylinder of a flat mill never becomes negative, so it gets a skin.
     skin = max(r, 1e-9)
-    # Its edge also makes the height along the motion a V instead of a parabola.
+    # A sharp edge makes the height along the motion a V instead of a parabola.
     stages, reach = (2, 0.25) if r > 0.05 * MM else (14, 1.0)
     usual = float(np.median(norm(step[:, :3])))
     stride = max(1, int(COARSE / max(usual, 1e-9)))
@@ -178,7 +219,28 @@ def cut_needles(
 def pieces(
     tip: FloatArray, axis: FloatArray, longest: float, arm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Divide long motions so that neither tip nor rim moves further than ``longest`` [m]."""
+    """
+    Divide long motions so that neither tip nor rim moves further than a length.
+
+    Parameters
+    ----------
+    tip : ndarray, shape (n, 3)
+        Tool tips [m].
+    axis : ndarray, shape (n, 3)
+        Unit tool axes [-].
+    longest : float
+        Largest motion of a piece [m].
+    arm : float
+        Distance of the rim from the tip [m].
+
+    Returns
+    -------
+    tip : ndarray, shape (m, 3)
+        Tool tips, m >= n [m].
+    axis : ndarray, shape (m, 3)
+        Unit tool axes [-].
+
+    """
     turn = norm(np.diff(axis, axis=0))
     way = norm(np.diff(tip, axis=0)) + arm * turn
     count = np.ceil(np.maximum(way / longest, turn / TURN)).astype(int).clip(1)
@@ -191,7 +253,7 @@ def pieces(
 
 
 def _on_great_circle(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-    """Turn unit vectors a towards b by a share of the angle between them."""
+    """Turn unit vectors a towards b, shape (n, 3), by a share of their angle, shape (n, 1) [-]."""
     angle = np.arctan2(norm(np.cross(a, b)), np.einsum('ij,ij->i', a, b))[:, None]
     sine = np.sin(angle)
     small = sine < 1e-9
@@ -203,10 +265,27 @@ def _on_great_circle(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatAr
 
 
 def tiles(needles: Needles) -> tuple[Any, Any, FloatArray]:
-    """Group needles into tiles: their order, where each begins, centre and radius of its ball."""
+    """
+    Group needles into tiles.
+
+    Parameters
+    ----------
+    needles : Needles
+        k needles.
+
+    Returns
+    -------
+    order : ndarray of int, shape (k,)
+        Numbers of the needles, tile by tile.
+    starts : ndarray of int, shape (tiles + 1,)
+        Place in ``order`` where each tile begins; the last entry is k.
+    ball : ndarray, shape (tiles, 4)
+        Centre and radius of a ball around the points of each tile [m].
+
+    """
     rows, columns = needles.base.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
-    # Sections have rows far apart and columns close together; a tile is about square all the same.
+    # The rows of sections are far apart and their columns close; a tile is still nearly square.
     steps = [
         float(np.median(norm(np.diff(needles.base, axis=k)))) if n > 1 else 1.0
         for k, n in enumerate((rows, columns))

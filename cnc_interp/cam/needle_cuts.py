@@ -7,17 +7,26 @@ from math import inf, sqrt
 import numpy as np
 from numba import njit
 
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import MM
 
-#: Needles begin this deep under the surface and end this high over it [m].
+#: Depth at which needles begin below the surface, and height at which they end above it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM
-#: A cut is looked for from this far below a needle's end [m].
+#: Distance below the end of a needle at which the search for a cut begins [m].
 SHORT = 0.05 * MM
 
 
 @njit(cache=True, nogil=True, inline='always')
-def _distance(x, y, z, pose, i, R):  # type: ignore[no-untyped-def]
-    """Return the distance of a point from the cylinder on C_L, and its parts."""
+def _distance(
+    x: float, y: float, z: float, pose: FloatArray, i: int, R: float
+) -> tuple[float, float, float, float, float]:
+    """
+    Return the distance of a point from the cylinder of radius R on C_L, and its parts.
+
+    The arguments are x, y, z [m] and row i of ``pose``, shape (n, 6): C_L [m] and unit axis [-].
+    The results are the distance, its parts along and across the axis, and the coordinates across
+    and along the axis [m].
+    """
     dx, dy, dz = x - pose[i, 0], y - pose[i, 1], z - pose[i, 2]
     along = dx * pose[i, 3] + dy * pose[i, 4] + dz * pose[i, 5]
     across = sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
@@ -26,8 +35,14 @@ def _distance(x, y, z, pose, i, R):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def _gap(needle, j, h, pose, i, R, skin):  # type: ignore[no-untyped-def]
-    """Return the distance of a point of a needle from the mill, and its change by height."""
+def _gap(
+    needle: FloatArray, j: int, h: float, pose: FloatArray, i: int, R: float, skin: float
+) -> tuple[float, float]:
+    """
+    Return the distance of a point of a needle from the mill [m], and its derivative by height [-].
+
+    The point lies at height h [m] on row j of ``needle``, shape (k, 6): base [m] and normal [-].
+    """
     nx, ny, nz = needle[j, 3], needle[j, 4], needle[j, 5]
     x, y, z = needle[j, 0] + h * nx, needle[j, 1] + h * ny, needle[j, 2] + h * nz
     distance, low, out, across, along = _distance(x, y, z, pose, i, R)
@@ -41,12 +56,14 @@ def _gap(needle, j, h, pose, i, R, skin):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _entry(needle, j, pose, i, R, skin, begin):  # type: ignore[no-untyped-def]
+def _entry(
+    needle: FloatArray, j: int, pose: FloatArray, i: int, R: float, skin: float, begin: float
+) -> float:
     """
-    Return the height at which a needle enters the mill, or TOP if it does not.
+    Return the height at which a needle enters the mill, or TOP if it misses the mill [m].
 
-    The distance from the cylinder is convex along the needle, so that from below every Newton
-    step ends before the root; a distance that no longer falls means a miss.
+    The distance from the cylinder is convex along the needle. Every Newton step from below
+    therefore ends before the root. A distance that no longer falls means a miss.
     """
     h = begin
     gap, rise = _gap(needle, j, h, pose, i, R, skin)
@@ -66,19 +83,27 @@ def _entry(needle, j, pose, i, R, skin, begin):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _entry_at(needle, j, pose, i, share, R, skin, most, mixed):  # type: ignore[no-untyped-def]
-    """Return the entry at a share of the way from pose i to pose i + 1; ``mixed`` is scratch."""
+def _entry_at(
+    needle: FloatArray, j: int, pose: FloatArray, i: int, share: float, R: float, skin: float,
+    most: float, mixed: FloatArray,
+) -> float:  # fmt: skip
+    """
+    Return the entry height at a share of the motion from pose i to pose i + 1 [m].
+
+    ``most`` is the present height of the needle [m]. ``mixed``, shape (1, 6), is overwritten.
+    """
     for a in range(6):
         mixed[0, a] = pose[i, a] + share * (pose[i + 1, a] - pose[i, a])
     size = sqrt(mixed[0, 3] ** 2 + mixed[0, 4] ** 2 + mixed[0, 5] ** 2)
     for a in range(3, 6):
         mixed[0, a] /= size
-    return _entry(needle, j, mixed, 0, R, skin, max(most - SHORT, -DEPTH))
+    height: float = _entry(needle, j, mixed, 0, R, skin, max(most - SHORT, -DEPTH))
+    return height
 
 
 @njit(cache=True, nogil=True)
-def _lowest(first, half, last):  # type: ignore[no-untyped-def]
-    """Return where in [0, 1] the parabola through three even values is lowest, and its value."""
+def _lowest(first: float, half: float, last: float) -> tuple[float, float]:
+    """Return the place and value of the minimum in [0, 1] of the parabola through 3 values."""
     bend = first - 2.0 * half + last
     if bend > 0.0:
         share = 0.5 + 0.25 * (first - last) / bend
@@ -89,8 +114,11 @@ def _lowest(first, half, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _coarse(needle, order, starts, tile, ball, middle, stride, R, skin, height):  # type: ignore[no-untyped-def]
-    """Cut the needles of a tile by every so many poses: most of the material goes here."""
+def _coarse(
+    needle: FloatArray, order: IntArray, starts: IntArray, tile: int, ball: FloatArray,
+    middle: FloatArray, stride: int, R: float, skin: float, height: FloatArray,
+) -> None:  # fmt: skip
+    """Cut the needles of a tile by every ``stride``-th pose, which removes most material."""
     first, last = starts[tile], starts[tile + 1]
     for i in range(0, len(middle), stride):
         far = _distance(ball[tile, 0], ball[tile, 1], ball[tile, 2], middle, i, R)[0]
@@ -105,10 +133,42 @@ def _coarse(needle, order, starts, tile, ball, middle, stride, R, skin, height):
 
 
 @njit(cache=True, nogil=True)
-def cut(  # type: ignore[no-untyped-def]
-    needle, order, starts, ball, pose, middle, slack, stride, stages, widest, R, skin, height
-):
-    """Cut all needles by the pieces of motion between successive poses; lowers ``height``."""
+def cut(
+    needle: FloatArray, order: IntArray, starts: IntArray, ball: FloatArray, pose: FloatArray,
+    middle: FloatArray, slack: FloatArray, stride: int, stages: int, widest: float, R: float,
+    skin: float, height: FloatArray,
+) -> None:  # fmt: skip
+    """
+    Cut all needles by the pieces of motion between successive poses.
+
+    Parameters
+    ----------
+    needle : ndarray, shape (k, 6)
+        Base [m] and unit normal [-] of each needle.
+    order : ndarray of int, shape (k,)
+        Numbers of the needles, tile by tile.
+    starts : ndarray of int, shape (tiles + 1,)
+        Place in ``order`` where each tile begins.
+    ball : ndarray, shape (tiles, 4)
+        Centre and radius of a ball around each tile [m].
+    pose : ndarray, shape (n + 1, 6)
+        C_L [m] and unit tool axis [-].
+    middle : ndarray, shape (n, 6)
+        Poses in the middle of the pieces.
+    slack : ndarray, shape (n,)
+        Largest motion of the mill between the middle and an end of a piece [m].
+    stride : int
+        Distance of the poses of the first, coarse cut.
+    stages : int
+        Number of times that the search interval of the lowest height is halved.
+    widest : float
+        Half the first search interval, as a share of the piece [-].
+    R, skin : float
+        Radius of the cylinder, and distance of the mill's surface from it [m].
+    height : ndarray, shape (k,)
+        Heights of the needles, which are lowered in place [m].
+
+    """
     mixed = np.empty((1, 6))
     for tile in range(len(starts) - 1):
         _coarse(needle, order, starts, tile, ball, middle, stride, R, skin, height)
@@ -116,7 +176,7 @@ def cut(  # type: ignore[no-untyped-def]
         for k in range(starts[tile], starts[tile + 1]):
             highest = max(highest, height[order[k]])
         for i in range(len(middle)):
-            # The ball round the tile and its needles must meet the mill.
+            # The ball around the tile and its needles must touch the mill.
             far = _distance(ball[tile, 0], ball[tile, 1], ball[tile, 2], middle, i, R)[0]
             if far > ball[tile, 3] + skin + max(highest, 0.0) + slack[i]:
                 continue
@@ -128,8 +188,8 @@ def cut(  # type: ignore[no-untyped-def]
                     continue
                 first, rise_first = _gap(needle, j, most, pose, i, R, skin)
                 last, rise_last = _gap(needle, j, most, pose, i + 1, R, skin)
-                # The distance is convex along a straight piece, its lowest at least this; and from
-                # its end down a needle stands clear where the distance falls upwards.
+                # The distance is convex along a straight piece: this bounds its minimum. A needle
+                # is clear from its end down if the distance falls with the height.
                 clear = min(half, 2.0 * half - max(first, last)) > 0.0
                 if clear and rise <= 0.0 and rise_first <= 0.0 and rise_last <= 0.0:
                     continue

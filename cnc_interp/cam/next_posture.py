@@ -1,14 +1,14 @@
 """
 Stage 2: the posture of the next pass that leaves a given scallop point [TL2008, 3.2].
 
-Unknown are the place s on the next guiding curve and one angle, the tilt (or the yaw). With
-v = P - C_L and e* its direction in the corner circle's plane, Q* = C_L + R e*, the conditions are
+The unknowns are the place s on the next guiding curve and one angle, the tilt or the yaw. Let
+v = P - C_L and e* its direction in the plane of the corner circle. With Q* = C_L + R e*:
 
     |P - Q*| = r_c        P lies on the corner torus        (Eq. 3.13)
     T_sc . (P - Q*) = 0   the envelope follows the scallop  (Eq. 3.14)
 
-and for a flat mill (r_c = 0) that P lies on its edge. Up to six roots exist; the one wanted has P
-on the tool's front, on the side of the pass before, and leans forward by at most 90 deg.
+For a flat mill (r_c = 0) P lies on its edge instead. Up to six roots exist. The valid root has P
+on the front of the tool, on the side of the previous pass, and a tilt between 0 and 90 deg.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from cnc_interp.core.units import DEG, MM, UM
 
 Freedom = Literal['tilt', 'yaw']
 
-#: The conditions hold to this [m].
+#: Largest residual of the conditions [m].
 CLOSE = 1e-11
-#: Where the first guess fails, these are tried for the free angle [rad].
+#: Further guesses of the free angle, if the first guess fails [rad].
 OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
+#: Largest Newton step of the place [m] and of the angle [rad].
 LARGEST_STEP = 1.0 * MM, 0.3
 
 
@@ -50,7 +51,7 @@ class Fit:
     found : ndarray of bool, shape (n,)
         False where no valid root was reached.
     iterations : ndarray of int, shape (n,)
-        Newton steps.
+        Number of Newton steps.
 
     """
 
@@ -62,16 +63,48 @@ class Fit:
 
 
 def resting(cutter: Cutter, frames: Frames, tilt: FloatArray, yaw: FloatArray) -> Postures:
-    """Return postures whose angles do not change along the pass."""
+    """
+    Return postures whose angles do not change along the pass.
+
+    Parameters
+    ----------
+    cutter : Cutter
+        The mill.
+    frames : Frames
+        n guided points and their frames.
+    tilt, yaw : ndarray, shape (n,)
+        Angles [rad].
+
+    Returns
+    -------
+    Postures
+        n postures with rates of zero.
+
+    """
     zero = np.zeros(len(frames))
     return Postures(cutter, frames, zero + tilt, zero + yaw, zero, zero)
 
 
 def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, FloatArray, BoolArray]:
     """
-    Return how far both conditions are missed [m], and whether a root there would be the right one.
+    Return the residuals of Eq. 3.13 and 3.14, and which roots would be valid.
 
-    Eq. 3.14 is multiplied by 1 mm, so that both are lengths.
+    Eq. 3.14 is multiplied by 1 mm, so that both residuals are lengths.
+
+    Parameters
+    ----------
+    postures : Postures
+        n postures on the next guiding curve.
+    scallops : Scallops
+        n scallop points of the previous pass.
+
+    Returns
+    -------
+    first, second : ndarray, shape (n,)
+        Residuals [m].
+    valid : ndarray of bool, shape (n,)
+        True on the branch of the valid root.
+
     """
     cutter, u = postures.cutter, postures.axis
     v = scallops.position - postures.centre
@@ -110,17 +143,18 @@ def fit_postures(
     cutter : Cutter
         The mill.
     scallops : Scallops
-        Stage 1 of the pass before.
+        n scallop points of the previous pass.
     height : float
-        Scallop height, for the first guess [m].
+        Scallop height S_h, for the first guess [m].
     freedom : {'tilt', 'yaw'}
-        Which angle is found.
+        The angle that is found.
     fixed_angle : float
-        The other one [rad].
+        The other angle [rad].
 
     Returns
     -------
     Fit
+        n postures; ``found`` is false where there is no valid root.
 
     """
     s = nearest_places(curve, scallops)
@@ -143,7 +177,22 @@ def fit_postures(
 
 
 def nearest_places(curve: GuidingCurve, scallops: Scallops) -> FloatArray:
-    """Return where on the curve K comes nearest to each scallop point, shape (n,) [m]."""
+    """
+    Find where the guided point K comes nearest to each scallop point.
+
+    Parameters
+    ----------
+    curve : GuidingCurve
+        The guiding curve.
+    scallops : Scallops
+        n scallop points.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Places on the curve [m].
+
+    """
     s = np.linspace(0.0, curve.length, max(64, int(curve.length / (0.5 * MM))))
     uv = curve.parameters(s)
     guide = curve.surface.at(uv[:, 0], uv[:, 1]).offset(curve.offset).position
@@ -160,7 +209,32 @@ def first_guess(
     curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float,
     freedom: Freedom, fixed_angle: float, s: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Guess the free angle from the cylinder through the local curvature [TL2008, 3.2]."""
+    """
+    Guess the free angle from the cylinder with the local curvature [TL2008, 3.2].
+
+    Parameters
+    ----------
+    curve : GuidingCurve
+        The next guiding curve.
+    cutter : Cutter
+        The mill.
+    scallops : Scallops
+        n scallop points of the previous pass.
+    height : float
+        Scallop height S_h [m].
+    freedom : {'tilt', 'yaw'}
+        The free angle.
+    fixed_angle : float
+        The other angle [rad].
+    s : ndarray, shape (n,)
+        Places on the curve [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Free angles [rad].
+
+    """
     frames = curve.frames(s)
     width = np.abs(dot(np.nan_to_num(scallops.position) - frames.position, frames.across))
     # The width of a convex surface's strip grows with the distance from it.
@@ -185,7 +259,7 @@ def _newton(
     curve: GuidingCurve, cutter: Cutter, scallops: Scallops, freedom: Freedom, fixed_angle: float,
     s: FloatArray, angle: FloatArray,
 ) -> Fit:  # fmt: skip
-    """Solve both conditions from a guess, all points together."""
+    """Solve both conditions from a guess, for all points at once."""
     n = len(s)
     fixed = np.full(n, fixed_angle)
 

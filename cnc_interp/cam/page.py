@@ -1,4 +1,4 @@
-"""One self-contained HTML page about iso-scallop paths and the simulated surface."""
+"""One self-contained HTML page about iso-scallop passes and the simulated surface."""
 
 from __future__ import annotations
 
@@ -19,20 +19,34 @@ from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.report.figures import BLUE, INK, RED, base_layout, rounded, with_axes
 from cnc_interp.report.page import CONTROLS, STYLE
 
-#: Most cells of a map per direction: more than a screen shows.
+#: Largest number of cells of a map in each direction.
 CELLS = 700
-#: Tilt curves in one picture.
+#: Number of tilt curves in a figure.
 CURVES = 12
 
 
 def map_figure(heights: Heights, scallop: float) -> Any:
-    """Draw the signed heights as a coloured map over the surface."""
+    """
+    Draw the signed heights as a coloured map over the surface.
+
+    Parameters
+    ----------
+    heights : Heights
+        Heights on the needles.
+    scallop : float
+        Scallop height of the colour scale [m].
+
+    Returns
+    -------
+    Figure
+
+    """
     rows, columns = heights.height.shape
     skip = max(1, -(-max(rows, columns) // CELLS))
     base = heights.needles.base
     x = np.concatenate([[0.0], np.cumsum(norm(np.diff(base[:, columns // 2], axis=0)))]) / MM
     y = np.concatenate([[0.0], np.cumsum(norm(np.diff(base[rows // 2], axis=0)))]) / MM
-    # Ridges are thinner than a cell: a cell shows the height farthest from zero within it.
+    # Ridges are thinner than a cell, so a cell shows its height farthest from zero.
     shown = np.where(heights.cut, heights.height, np.nan) / UM
     shown = thinned(shown, skip)
     top = 1.3 * scallop / UM
@@ -52,7 +66,22 @@ def map_figure(heights: Heights, scallop: float) -> Any:
 
 
 def thinned(values: FloatArray, skip: int) -> FloatArray:
-    """Reduce a map by cells of skip x skip, keeping the value farthest from zero."""
+    """
+    Reduce a map by square cells; each cell keeps the value farthest from zero.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, columns)
+        The map [any unit].
+    skip : int
+        Rows and columns of a cell.
+
+    Returns
+    -------
+    ndarray, shape (ceil(rows / skip), ceil(columns / skip))
+        The reduced map [same unit].
+
+    """
     if skip == 1:
         return values
     rows, columns = (-(-n // skip) * skip for n in values.shape)
@@ -66,7 +95,21 @@ def thinned(values: FloatArray, skip: int) -> FloatArray:
 
 
 def section_figure(section: Section, scallop: float) -> Any:
-    """Draw the heights in the middle section against the scallop height."""
+    """
+    Draw the heights of the middle section against the scallop height.
+
+    Parameters
+    ----------
+    section : Section
+        The sections.
+    scallop : float
+        Scallop height [m].
+
+    Returns
+    -------
+    Figure
+
+    """
     row = section.height[len(section.height) // 2] / UM
     figure = go.Figure(go.Scatter(
         x=rounded(section.way / MM), y=rounded(row), line={'color': BLUE, 'width': 1.2},
@@ -80,7 +123,19 @@ def section_figure(section: Section, scallop: float) -> Any:
 
 
 def tilt_figure(paths: IsoScallopPaths) -> Any:
-    """Draw the tilt along some passes [TL2008, Fig. 5b]."""
+    """
+    Draw the tilt along some passes [TL2008, Fig. 5b].
+
+    Parameters
+    ----------
+    paths : IsoScallopPaths
+        The passes.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = go.Figure()
     chosen = np.unique(np.linspace(0, len(paths.passes) - 1, CURVES).astype(int))
     for k in chosen:
@@ -97,7 +152,19 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
 
 
 def path_figure(paths: IsoScallopPaths | ClassicalPaths) -> Any:
-    """Draw contact lines and tool axes of the passes in space."""
+    """
+    Draw contact lines and tool axes of the passes in space.
+
+    Parameters
+    ----------
+    paths : IsoScallopPaths or ClassicalPaths
+        The passes.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = go.Figure()
     gap = np.full((1, 3), np.nan)
     lines, axes = [], []
@@ -119,7 +186,24 @@ def path_figure(paths: IsoScallopPaths | ClassicalPaths) -> Any:
 
 
 def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
-    """Put figures with headings and texts on one page; it opens without a network."""
+    """
+    Write figures with headings and texts as one page that needs no network.
+
+    Parameters
+    ----------
+    title : str
+        Title of the page.
+    facts : str
+        Summary as text.
+    figures : list of (str, str, Figure)
+        Heading, text and figure of each section.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<title>{escape(title)}</title><style>{STYLE} pre {{ color: {INK}; }}</style>'

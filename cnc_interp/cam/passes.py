@@ -1,4 +1,4 @@
-"""Passes: a guiding curve with its angles; how wide it cuts, and whether the mill fits."""
+"""Passes along guiding curves: their angles, their width and the check that the mill fits."""
 
 from __future__ import annotations
 
@@ -11,15 +11,10 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.vectors import dot
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
-
-#: The bottom of the mill is tested on this many rays and circles, out to C_L + R e.
-RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)
-#: Points this far beyond the border are not the surface's any more [m].
-BEYOND = 0.2 * MM
 
 
 @dataclass(frozen=True)
@@ -30,9 +25,9 @@ class Angles:
     Parameters
     ----------
     s : ndarray, shape (n,)
-        Places, rising [m].
+        Places in increasing order [m].
     tilt, yaw : ndarray, shape (n,)
-        Values there [rad].
+        Angles there [rad].
 
     """
 
@@ -41,11 +36,28 @@ class Angles:
     yaw: FloatArray
 
     def postures(self, curve: GuidingCurve, cutter: Cutter, s: FloatArray) -> Postures:
-        """Return the postures at places of the curve."""
+        """
+        Return the postures at places of a curve.
+
+        Parameters
+        ----------
+        curve : GuidingCurve
+            The guiding curve.
+        cutter : Cutter
+            The mill.
+        s : ndarray, shape (m,)
+            Places [m].
+
+        Returns
+        -------
+        Postures
+            m postures.
+
+        """
         inside = np.clip(s, self.s[0], self.s[-1])
         moving = (s >= self.s[0]) & (s <= self.s[-1])
         values = np.stack([self.tilt, self.yaw], axis=1)
-        # Ends without curvature: the constant continuation joins without a kick.
+        # Natural ends: the second derivative joins the constant continuation without a jump.
         spline = CubicSpline(self.s, values, bc_type='natural')
         angle, rate = spline(inside), spline(inside, 1) * moving[:, None]
         frames = curve.frames(s)
@@ -60,19 +72,19 @@ class Pass:
     Parameters
     ----------
     curve : GuidingCurve
-        What K follows.
+        Path of the guided point K.
     angles : Angles
         Tilt and yaw along it.
     s : ndarray, shape (n,)
-        Places at which the scallop was computed [m].
+        Places of the scallop points [m].
     postures : Postures
         The postures there.
     right : Scallops
-        Scallop points towards the next pass.
+        Scallop points on the side of the next pass.
     iterations : ndarray of int, shape (n,)
-        Newton steps of stage 2, zero in passes that were not fitted to the one before.
+        Newton steps of stage 2; zero in passes that were not fitted to the previous pass.
     fresh : bool
-        True for the first pass and for those that do not continue the one before exactly.
+        True for the first pass and for passes that do not continue the previous pass exactly.
 
     """
 
@@ -85,38 +97,105 @@ class Pass:
     fresh: bool
 
     def tool(self, s: FloatArray) -> Postures:
-        """Return the postures at places of the pass."""
+        """
+        Return the postures at places of the pass.
+
+        Parameters
+        ----------
+        s : ndarray, shape (m,)
+            Places [m].
+
+        Returns
+        -------
+        Postures
+            m postures.
+
+        """
         return self.angles.postures(self.curve, self.postures.cutter, s)
 
     @property
     def plane(self) -> float:
-        """Place of the guiding plane along N [m]."""
+        """Distance of the guiding plane from the origin along N [m]."""
         return self.curve.plane
 
     @property
     def reach(self) -> FloatArray:
-        """Distance of the scallop points from the guiding plane, shape (n,) [m]."""
+        """
+        Distance of the scallop points from the guiding plane.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Half widths at the places ``s`` [m].
+
+        """
         return plane_distance(self.postures, self.right, self.curve.plane_normal)
 
 
 def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -> FloatArray:
     """
-    Return the distance of scallop points from the guiding plane, shape (n,) [m].
+    Return the distance of scallop points from the guiding plane.
 
-    The points are lifted to the guiding surface first: on a slope the contact does not lie in the
-    guiding plane, and only there left and right half widths are alike.
+    The points are first lifted to the guiding surface. On a slope the contact point does not lie
+    in the guiding plane, and only on the guiding surface the left and right half widths agree.
+
+    Parameters
+    ----------
+    postures : Postures
+        n postures of the pass.
+    scallops : Scallops
+        Their n scallop points.
+    normal : ndarray, shape (3,)
+        Unit normal N of the guiding planes [-].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Distances [m].
+
     """
     lifted = scallops.position + postures.cutter.corner_radius * scallops.normal
     return np.abs(dot(lifted - postures.frames.position, normal))
 
 
 def evenly(curve: GuidingCurve, count: int) -> FloatArray:
-    """Return places along a whole curve, shape (count,) [m]."""
+    """
+    Return places at equal distances along a whole curve.
+
+    Parameters
+    ----------
+    curve : GuidingCurve
+        The curve.
+    count : int
+        Number of places.
+
+    Returns
+    -------
+    ndarray, shape (count,)
+        Places [m].
+
+    """
     return np.linspace(0.0, curve.length, count)
 
 
 def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> Angles:
-    """Return the same angles all along."""
+    """
+    Return constant angles.
+
+    Parameters
+    ----------
+    curve : GuidingCurve
+        The guiding curve.
+    tilt, yaw : float
+        Angles [rad].
+    count : int
+        Number of places.
+
+    Returns
+    -------
+    Angles
+
+    """
     s = evenly(curve, count)
     return Angles(s, np.full(count, tilt), np.full(count, yaw))
 
@@ -126,27 +205,33 @@ def constant_width(
     limits: tuple[float, float], yaw: float, count: int,
 ) -> Angles:  # fmt: skip
     """
-    Find the tilts with which the scallop lies in a plane parallel to the guiding plane.
+    Find the tilts for which the scallop lies in a plane parallel to the guiding plane.
 
     Parameters
     ----------
     curve : GuidingCurve
-        What K follows.
+        Path of the guided point K.
     cutter : Cutter
         The mill.
-    height, half_width : float
-        Scallop height and distance of the scallop from the guiding plane [m].
+    height : float
+        Scallop height [m].
+    half_width : float
+        Distance of the scallop from the guiding plane [m].
     limits : (float, float)
         Smallest and largest tilt [rad].
     yaw : float
         Yaw [rad].
     count : int
-        Points along the curve.
+        Number of places along the curve.
+
+    Returns
+    -------
+    Angles
 
     Raises
     ------
     SurfaceError
-        If the tilt would leave its limits; names the place and the widths that can be had.
+        If a tilt would leave its limits; the message names the place and the possible width.
 
     """
     s = evenly(curve, count)
@@ -157,7 +242,7 @@ def constant_width(
         angles = Angles(s, tilt_of_curvature(cutter, wanted, limits), np.full(count, yaw))
         postures = angles.postures(curve, cutter, s)
         right = scallop_points(curve.surface, postures, height)
-        # Where nothing was found the strip is wider than the mill.
+        # Where no scallop was found, the strip is wider than the mill.
         reach = plane_distance(postures, right, curve.plane_normal)
         reach = np.where(right.found, reach, 2.0 * half_width)
         if float(np.abs(reach - half_width).max()) < 0.02 * UM:
@@ -182,45 +267,42 @@ def constant_width(
 def tilt_of_curvature(
     cutter: Cutter, curvature: FloatArray, limits: tuple[float, float]
 ) -> FloatArray:
-    """Return the tilts whose swept profile has a curvature [1/m], within limits [rad]."""
+    """
+    Return the tilts for which the swept profile has a curvature.
+
+    Parameters
+    ----------
+    cutter : Cutter
+        The mill.
+    curvature : ndarray, shape (n,)
+        Curvatures of the swept profile [1/m].
+    limits : (float, float)
+        Smallest and largest tilt [rad].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Tilts within the limits [rad].
+
+    """
     R, r = cutter.tool_radius, cutter.corner_radius
     sine = curvature * R / np.maximum(1.0 - curvature * r, 1e-6)
     return np.asarray(np.arcsin(np.clip(sine, np.sin(limits[0]), np.sin(limits[1]))))
 
 
-def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
-    """
-    Return how deep the bottom of the mill enters the surface, shape (n,) [m].
-
-    The equations see the fillet at the contact only. Here circles of the bottom, out to the
-    corner circle all round the heel, must stay r_c above the surface.
-    """
-    cutter, frames = postures.cutter, postures.frames
-    depth = np.zeros(len(postures))
-    if cutter.is_ball:
-        return depth
-    turn = np.linspace(0.0, 2.0 * np.pi, RAYS, endpoint=False)
-    e = (
-        postures.front[:, None, :] * np.cos(turn)[None, :, None]
-        + postures.turned[1][:, None, :] * np.sin(turn)[None, :, None]
-    )
-    (u0, u1), (v0, v1) = surface.domain
-    grow = surface.growth(BEYOND)
-    for part in CIRCLES:
-        points = postures.centre[:, None, :] + part * cutter.tool_radius * e
-        guess = np.broadcast_to(frames.u[:, None], points.shape[:2])
-        u, v, above = surface.project(
-            points, guess, np.broadcast_to(frames.v[:, None], guess.shape)
-        )
-        ours = (
-            (u >= u0 - grow[0]) & (u <= u1 + grow[0]) & (v >= v0 - grow[1]) & (v <= v1 + grow[1])
-        )
-        deep = np.where(ours & np.isfinite(above), cutter.corner_radius - above, 0.0)
-        depth = np.maximum(depth, deep.max(axis=1))
-    return depth
-
-
 def place(point: FloatArray) -> str:
-    """Name a point in mm."""
+    """
+    Write a point in mm.
+
+    Parameters
+    ----------
+    point : ndarray, shape (3,)
+        The point [m].
+
+    Returns
+    -------
+    str
+
+    """
     x, y, z = point / MM
     return f'({x:.2f}, {y:.2f}, {z:.2f}) mm'

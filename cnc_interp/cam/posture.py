@@ -1,14 +1,14 @@
 """
-Postures: how the mill stands at a guided point, and how it moves there.
+Postures: position and orientation of the mill at a guided point, and its motion there.
 
 With tilt theta and yaw y about n, ``f_y = f cos y - t sin y`` (n x f = -t) and
 ``t_y = t cos y + f sin y``:
 
-    u   = n cos(theta) + f_y sin(theta)         tool axis, leaning forward
+    u   = n cos(theta) + f_y sin(theta)         tool axis, which leans forward
     e_f = f_y cos(theta) - n sin(theta)         towards K in the plane of the corner circle
     C_L = K - R e_f
 
-so the mill touches at K - r_c n and its heel is lifted.
+The mill therefore touches the surface at K - r_c n, and its heel is lifted.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Postures:
     cutter : Cutter
         The mill.
     frames : Frames
-        Guided points.
+        Guided points and their frames.
     tilt, yaw : ndarray, shape (n,)
         Angles [rad].
     tilt_rate, yaw_rate : ndarray, shape (n,)
-        Their change per arc length of K [rad/m].
+        Derivatives of the angles by arc length of K [rad/m].
 
     """
 
@@ -49,56 +49,123 @@ class Postures:
     yaw_rate: FloatArray
 
     def __len__(self) -> int:
-        """Count the postures."""
+        """Return the number of postures."""
         return len(self.tilt)
 
     @property
     def turned(self) -> tuple[FloatArray, FloatArray]:
-        """Feed and across direction, turned by the yaw about n; each (n, 3)."""
+        """
+        Feed and across direction, turned by the yaw about n.
+
+        Returns
+        -------
+        f_y, t_y : ndarray, shape (n, 3)
+            Unit vectors [-].
+
+        """
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         f, t = self.frames.feed, self.frames.across
         return scaled(c, f) - scaled(s, t), scaled(c, t) + scaled(s, f)
 
     @property
     def axis(self) -> FloatArray:
-        """Tool axis u, shape (n, 3)."""
+        """
+        Tool axis.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit vectors u [-].
+
+        """
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), self.frames.normal) + scaled(np.sin(self.tilt), f_y)
 
     @property
     def front(self) -> FloatArray:
-        """Direction e_f from C_L to K, shape (n, 3)."""
+        """
+        Direction from C_L to K.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit vectors e_f [-].
+
+        """
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), f_y) - scaled(np.sin(self.tilt), self.frames.normal)
 
     @property
     def centre(self) -> FloatArray:
-        """Centre C_L of the corner circle, shape (n, 3) [m]."""
+        """
+        Centre of the corner circle.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            C_L [m].
+
+        """
         return np.asarray(self.frames.position - self.cutter.tool_radius * self.front)
 
     @property
     def tip(self) -> FloatArray:
-        """Tool tip, shape (n, 3) [m]."""
+        """
+        Tool tip.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Lowest point on the tool axis [m].
+
+        """
         return self.cutter.tip(self.centre, self.axis)
 
     @property
     def contact(self) -> FloatArray:
-        """Contact points K - r_c n, shape (n, 3) [m]."""
+        """
+        Contact point.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            K - r_c n [m].
+
+        """
         return self.frames.position - self.cutter.corner_radius * self.frames.normal
 
     @property
     def turn(self) -> FloatArray:
         """
-        Rotation vector of the mill per arc length, shape (n, 3) [rad/m].
+        Rotation vector of the mill per arc length.
 
-        Omega = Omega_R1 + yaw' n - tilt' t_y [TL2008, Eq. 3.5-3.6 and appendix], the tilt
-        turning u from n towards f_y.
+        Omega = Omega_R1 + yaw' n - tilt' t_y [TL2008, Eq. 3.5-3.6 and appendix]; the tilt turns u
+        from n towards f_y.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Omega [rad/m].
+
         """
         own = scaled(self.yaw_rate, self.frames.normal) - scaled(self.tilt_rate, self.turned[1])
         return np.asarray(self.frames.turn + own)
 
     def velocity(self, points: FloatArray) -> FloatArray:
-        """Return V_P per arc length of K at points of the mill [TL2008, Eq. 3.4], (n, ..., 3)."""
+        """
+        Return V_P of points of the mill per arc length of K [TL2008, Eq. 3.4].
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, ..., 3)
+            Points of the mill, any number for each posture [m].
+
+        Returns
+        -------
+        ndarray, shape (n, ..., 3)
+            Velocities per arc length [-].
+
+        """
         extra = points.ndim - 2
         shape = (len(self), *[1] * extra, 3)
         away = points - self.frames.position.reshape(shape)
@@ -106,7 +173,20 @@ class Postures:
         return np.asarray(self.frames.feed.reshape(shape) + cross(turn, away))
 
     def rim(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return direction e(angle) from C_L in the corner circle's plane and its derivative."""
+        """
+        Return directions from C_L in the plane of the corner circle.
+
+        Parameters
+        ----------
+        angle : ndarray, shape (n,)
+            Angles phi from e_f towards t_y [rad].
+
+        Returns
+        -------
+        e, e_derivative : ndarray, shape (n, 3)
+            Unit vectors and their derivatives by phi [-].
+
+        """
         e_f, e_t = self.front, self.turned[1]
         c, s = np.cos(angle), np.sin(angle)
         return scaled(c, e_f) + scaled(s, e_t), scaled(c, e_t) - scaled(s, e_f)

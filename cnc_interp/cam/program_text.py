@@ -1,4 +1,4 @@
-"""Tool paths as text: native B-splines, CL data, or G-code with the rotary words of a machine."""
+"""Tool paths as part programs: native B-splines, CL data, or G-code with rotary words."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from cnc_interp.cam.tool_path import ARM, Link, SplinePass, ToolPath
+from cnc_interp.cam.spline_pass import ARM, SplinePass
+from cnc_interp.cam.tool_path import Link, ToolPath
 from cnc_interp.convert import convert
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -17,7 +18,7 @@ from cnc_interp.program.writer import ClMove, SiemensMove, cl_data, siemens
 from cnc_interp.settings.choices import Settings
 
 Format = Literal['spline', 'cl', 'gcode']
-#: Names of the files.
+#: Suffix of the file for each dialect.
 SUFFIXES: dict[str, str] = {'spline': '.mpf', 'cl': '.apt', 'gcode': '.ngc'}
 
 
@@ -31,19 +32,19 @@ def write_tool_path(
     Parameters
     ----------
     steps : sequence of Link or SplinePass
-        Passes and the moves between them.
+        Passes and the links between them.
     feedrate : float
-        Of all but rapids [m/s].
+        Feedrate of all moves except rapids [m/s].
     chord_tolerance : float
-        Largest distance between a pass and its blocks, but for splines [m].
+        Largest distance between a pass and its blocks; native splines have none [m].
     file : Path
-        Without suffix.
+        File name without suffix.
     form : {'spline', 'cl', 'gcode'}
-        What to write.
+        Dialect.
     machine : Machine
-        Gives rotary words their letters and their values.
+        The machine that gives rotary words their letters and values.
     reading : Settings
-        Tolerances that go into G-code.
+        Tolerances written into G-code.
 
     Returns
     -------
@@ -65,7 +66,7 @@ def write_tool_path(
 
 
 def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iterator[SiemensMove]:
-    """Yield lines, and control points of passes but the first, where the line before ends."""
+    """Yield lines, and the control points of passes; the first is the end of the previous line."""
     for step in steps:
         if isinstance(step, Link):
             yield SiemensMove(
@@ -80,6 +81,6 @@ def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iter
 
 
 def _points(path: ToolPath, feedrate: float) -> Iterator[ClMove]:
-    """Yield the poses; the first one is where the program begins."""
+    """Yield the poses; the first is the start of the program."""
     for i, (tip, axis) in enumerate(zip(path.tip, path.axis, strict=True)):
         yield ClMove(tip, axis, feedrate, i > 0 and bool(path.rapid[i]), False)

@@ -1,10 +1,10 @@
 """
-Stage 1: scallop points, where the mill's envelope leaves the iso-scallop surface [TL2008, 3.1].
+Stage 1: scallop points, where the envelope of the mill leaves the iso-scallop surface.
 
-One unknown is enough. At the angle phi of the corner circle the profile of the corner torus is a
-circle about Q = C_L + R e; the envelope touches it where the tool normal m is square to V_Q and to
-the circle of centres: m = unit(V_Q x e'). P = Q + r_c m then satisfies Eq. 3.2 and 3.3, and
-Eq. 3.1 is ``height(P) = S_h``, solved from phi = 0, the contact point.
+[TL2008, 3.1] in one unknown. At the angle phi of the corner circle the profile of the corner torus
+is a circle about Q = C_L + R e. The envelope touches it where the tool normal m is perpendicular
+to V_Q and to the circle of centres: m = unit(V_Q x e'). P = Q + r_c m then satisfies Eq. 3.2 and
+3.3. Eq. 3.1 is ``height(P) = S_h``. It is solved from phi = 0, the contact point.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import cross, dot, scaled, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
-#: Scallop points lie on the iso-scallop surface to this [m].
+#: Largest distance of scallop points from the iso-scallop surface [m].
 CLOSE = 1e-11
-#: The envelope is looked for up to this angle of the corner circle [rad].
+#: Largest angle of the corner circle at which the envelope is sought [rad].
 WIDEST = 1.55
 
 
 @dataclass(frozen=True)
 class Scallops:
     """
-    Scallop points of a pass, on one of its sides.
+    Scallop points on one side of a pass.
 
     Parameters
     ----------
-    position, tangent, normal : ndarray, shape (n, 3)
-        P [m], the unit tangent of the scallop curve and the surface's normal; NaN where ``found``
-        is false.
+    position : ndarray, shape (n, 3)
+        P [m]; NaN where ``found`` is false, like ``tangent`` and ``normal``.
+    tangent, normal : ndarray, shape (n, 3)
+        Unit tangent of the scallop curve and unit normal of the surface [-].
     angle : ndarray, shape (n,)
         phi on the corner circle [rad].
     found : ndarray of bool, shape (n,)
         False where the mill does not reach the scallop height within its width.
     marched, refined : ndarray of int, shape (n,)
-        Iterations of the march to the root and of the solution.
+        Iterations that bracketed and that solved phi.
 
     """
 
@@ -52,13 +53,43 @@ class Scallops:
     refined: IntArray
 
     def half_width(self, postures: Postures) -> FloatArray:
-        """Return the distance of P from K across the feed, in the surface [m]."""
+        """
+        Return the distance of P from K across the feed.
+
+        Parameters
+        ----------
+        postures : Postures
+            The n postures that left the scallops.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Half widths of the strip [m].
+
+        """
         away = self.position - postures.frames.position
         return np.abs(dot(away, postures.frames.across))
 
 
 def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return P and the tool normal m where the envelope touches at angles of the corner circle."""
+    """
+    Return the points at which the envelope touches the corner torus.
+
+    Parameters
+    ----------
+    postures : Postures
+        n postures.
+    angle : ndarray, shape (n,)
+        Angles phi of the corner circle [rad].
+
+    Returns
+    -------
+    point : ndarray, shape (n, 3)
+        P [m].
+    normal : ndarray, shape (n, 3)
+        Tool normal m there [-].
+
+    """
     e, e_d = postures.rim(angle)
     centre = postures.centre + postures.cutter.tool_radius * e
     m = unit(cross(postures.velocity(centre), e_d))
@@ -66,7 +97,22 @@ def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, F
 
 
 def estimated_half_width(postures: Postures, height: float) -> FloatArray:
-    """Return w from the curvatures of tool and surface across the feed, 2 w = sqrt(8 h/kappa)."""
+    """
+    Estimate half widths from the curvatures of tool and surface, 2 w = sqrt(8 h / kappa).
+
+    Parameters
+    ----------
+    postures : Postures
+        n postures.
+    height : float
+        Scallop height S_h [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Half widths w [m].
+
+    """
     cutter, sine = postures.cutter, np.sin(postures.tilt)
     swept = (cutter.tool_radius + cutter.corner_radius * sine) / np.maximum(sine, 1e-9)
     swept = swept * np.cos(postures.yaw) ** 2 + cutter.corner_radius * np.sin(postures.yaw) ** 2
@@ -85,15 +131,16 @@ def scallop_points(
     surface : Surface
         The surface to machine.
     postures : Postures
-        The pass.
+        n postures of the pass.
     height : float
         Scallop height S_h [m].
     side : float
-        1 towards the next pass (along t), -1 towards the one before.
+        1 for the side of the next pass (along t), -1 for the side of the previous pass.
 
     Returns
     -------
     Scallops
+        n points; ``found`` is false where there is none.
 
     """
     frames, n = postures.frames, len(postures)
@@ -124,7 +171,7 @@ def scallop_points(
     found = above > 0.0
     angle, kept = high.copy(), np.zeros(n)
     for _ in range(40):
-        # Illinois: the end that stays counts half the next time.
+        # Illinois method: the value at the end that stays is halved.
         gap = np.where(found, above - below, 1.0)
         angle = np.where(found, (low * above - high * below) / gap, angle)
         value = miss(angle)

@@ -1,4 +1,4 @@
-"""Analytic surfaces: what the B-spline ones are tested against, and the paper's examples."""
+"""Analytic surfaces: references for the B-spline surfaces, and the examples of the paper."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
+from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
 
 
 class Graph(Surface):
     """
-    A surface z = h(x, y) over a rectangle, u = x and v = y [m]; the normal points up.
+    A surface z = h(x, y) over a rectangle with u = x and v = y; the normal points up.
 
     Parameters
     ----------
     size : (float, float)
-        Lengths in x and y [m]; the middle is the origin.
+        Lengths in x and y [m]; the origin is the middle.
 
     """
 
@@ -30,10 +30,36 @@ class Graph(Surface):
 
     @abstractmethod
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Return h, h_x, h_y, h_xx, h_xy, h_yy."""
+        """
+        Return the height and its derivatives.
+
+        Parameters
+        ----------
+        x, y : ndarray, shape (...)
+            Coordinates [m].
+
+        Returns
+        -------
+        tuple of float or ndarray, shape (...)
+            h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m].
+
+        """
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return S, S_u, S_v, S_uu, S_uv, S_vv."""
+        """
+        Return the position and its first and second derivatives.
+
+        Parameters
+        ----------
+        u, v : ndarray, shape (...)
+            Coordinates x and y [m].
+
+        Returns
+        -------
+        tuple of ndarray, shape (..., 3)
+            S [m], S_u, S_v [-], S_uu, S_uv and S_vv [1/m].
+
+        """
         x, y = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         zero, one = np.zeros_like(x), np.ones_like(x)
         h = [np.broadcast_to(value, x.shape) for value in self.height(x, y)]
@@ -45,20 +71,34 @@ class Plane(Graph):
     """The plane z = 0."""
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Return zeros."""
+        """
+        Return zeros.
+
+        Parameters
+        ----------
+        x, y : ndarray, shape (...)
+            Coordinates [m].
+
+        Returns
+        -------
+        tuple of float
+            h [m] and its five derivatives.
+
+        """
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 class Bumps(Graph):
     """
-    A plane with bell-shaped bumps, the kind of surface of the paper's application.
+    A plane with bell-shaped bumps, like the surface of the paper's application.
 
     Parameters
     ----------
     size : (float, float)
         Lengths in x and y [m].
     bumps : sequence of (x, y, height, width)
-        Each adds ``height exp(-((X - x)^2 + (Y - y)^2) / (2 width^2))`` [m]; hollows are negative.
+        Each adds ``height exp(-((X - x)^2 + (Y - y)^2) / (2 width^2))`` [m]. Negative heights make
+        hollows.
 
     """
 
@@ -69,7 +109,20 @@ class Bumps(Graph):
             raise SurfaceError('bumps must be rows of x, y, height and a positive width')
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Sum up the bells."""
+        """
+        Return the sum of the bells and its derivatives.
+
+        Parameters
+        ----------
+        x, y : ndarray, shape (...)
+            Coordinates [m].
+
+        Returns
+        -------
+        tuple of ndarray, shape (...)
+            h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m].
+
+        """
         total = [np.zeros_like(x) for _ in range(6)]
         for x0, y0, tall, width in self.bumps:
             p, q, w = (x - x0) / width, (y - y0) / width, width
@@ -82,14 +135,16 @@ class Bumps(Graph):
 
 class Cap(Graph):
     """
-    Part of a sphere that joins a plane through a part of a torus [TL2008, Fig. 1].
+    A part of a sphere that a part of a torus joins to a plane [TL2008, Fig. 1].
 
     Parameters
     ----------
     size : (float, float)
         Lengths in x and y [m].
-    radius, blend : float
-        Radii of the sphere and of the torus' concave meridian [m].
+    radius : float
+        Radius of the sphere [m].
+    blend : float
+        Radius of the concave meridian of the torus [m].
     angle : float
         Slope at which sphere and torus meet [rad].
 
@@ -105,7 +160,20 @@ class Cap(Graph):
         self.top = radius - (radius + blend) * np.cos(angle) + blend
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Return the meridian h(rho) and its derivatives, turned about z."""
+        """
+        Return the meridian h(rho), turned about z, and its derivatives.
+
+        Parameters
+        ----------
+        x, y : ndarray, shape (...)
+            Coordinates [m].
+
+        Returns
+        -------
+        tuple of ndarray, shape (...)
+            h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m].
+
+        """
         rho = np.sqrt(x * x + y * y)
         safe = np.maximum(rho, 1e-12)
         ball = np.sqrt(np.maximum(self.radius**2 - np.minimum(rho, self.join) ** 2, 1e-12))
@@ -136,7 +204,7 @@ class Cap(Graph):
 
 class Cylinder(Surface):
     """
-    Part of a cylinder about y; u is the angle from the vertical, v = y.
+    A part of a cylinder about y; u is the angle from the vertical and v = y.
 
     Parameters
     ----------
@@ -147,7 +215,7 @@ class Cylinder(Surface):
     length : float
         Length in y [m].
     hollow : bool
-        The material lies outside: the trough below the axis.
+        If true, the material lies outside: a trough below the axis.
 
     """
 
@@ -158,7 +226,22 @@ class Cylinder(Surface):
         super().__init__(((-0.5 * angle, 0.5 * angle), (-0.5 * length, 0.5 * length)))
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return S, S_u, S_v, S_uu, S_uv, S_vv."""
+        """
+        Return the position and its first and second derivatives.
+
+        Parameters
+        ----------
+        u : ndarray, shape (...)
+            Angle from the vertical [rad].
+        v : ndarray, shape (...)
+            Coordinate y [m].
+
+        Returns
+        -------
+        tuple of ndarray, shape (..., 3)
+            S, S_u, S_v, S_uu, S_uv and S_vv [m per units of u and v].
+
+        """
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         s, c, zero = self.radius * np.sin(u), self.radius * np.cos(u), np.zeros_like(u)
         k = self.up
@@ -174,12 +257,14 @@ class Cylinder(Surface):
 
 class Torus(Surface):
     """
-    Part of a torus, u along its circle about y, v about that circle; a sphere when ``ring`` is 0.
+    A part of a torus: u runs along its circle about y, v about that circle.
 
     Parameters
     ----------
-    ring, radius : float
-        Radius of the circle of centres, and of the meridian [m].
+    ring : float
+        Radius of the circle of centres; 0 makes a sphere [m].
+    radius : float
+        Radius of the meridian [m].
     u_angle, v_angle : float
         Opening angles, symmetric about the highest point [rad].
 
@@ -192,7 +277,20 @@ class Torus(Surface):
         super().__init__(((-0.5 * u_angle, 0.5 * u_angle), (-0.5 * v_angle, 0.5 * v_angle)))
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return S, S_u, S_v, S_uu, S_uv, S_vv."""
+        """
+        Return the position and its first and second derivatives.
+
+        Parameters
+        ----------
+        u, v : ndarray, shape (...)
+            Angles [rad].
+
+        Returns
+        -------
+        tuple of ndarray, shape (..., 3)
+            S, S_u, S_v, S_uu, S_uv and S_vv [m].
+
+        """
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         s, c, a = np.sin(u), np.cos(u), self.radius
         far, d_far, dd_far = self.ring + a * np.cos(v), -a * np.sin(v), -a * np.cos(v)
@@ -211,81 +309,4 @@ class Torus(Surface):
             turned(far, -s, -c),
             turned(d_far, c, -s),
             turned(dd_far, s, c) + dd_across,
-        )
-
-
-class Placed(Surface):
-    """
-    A surface turned and moved, as on a fixture.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface in its own frame.
-    rotation : ndarray, shape (3, 3)
-        Its rotation.
-    shift : ndarray, shape (3,)
-        Then its shift [m].
-    domain : ((float, float), (float, float)) or None
-        Another rectangle of its parameters.
-    flip : bool
-        Turn the normal round.
-
-    """
-
-    def __init__(
-        self, surface: Surface, rotation: FloatArray, shift: FloatArray,
-        domain: tuple[tuple[float, float], tuple[float, float]] | None = None, flip: bool = False,
-    ):  # fmt: skip
-        super().__init__(domain or surface.domain)
-        self.surface, self.rotation, self.shift = surface, rotation, shift
-        self.sign = -surface.sign if flip else surface.sign
-
-    def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return S, S_u, S_v, S_uu, S_uv, S_vv."""
-        first, *others = (x @ self.rotation.T for x in self.surface.derivatives(u, v))
-        return (first + self.shift, *others)
-
-
-class RationalSurface(Surface):
-    """
-    Rational B-spline surface S = A / w, both B-splines.
-
-    Parameters
-    ----------
-    knots : (ndarray, ndarray)
-        Knot vectors of u and v.
-    control_points : ndarray, shape (n_u, n_v, 3)
-        Control points [m].
-    weights : ndarray, shape (n_u, n_v)
-        Their positive weights.
-    degree : (int, int)
-        Degrees in u and v, at least 2.
-    flip : bool
-        Turn the normal round.
-
-    """
-
-    def __init__(
-        self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
-        weights: FloatArray, degree: tuple[int, int] = (3, 3), flip: bool = False,
-    ):  # fmt: skip
-        w = np.repeat(weights[..., None], 3, axis=2)
-        self.above = BSplineSurface(knots, w * control_points, degree)
-        self.weight = BSplineSurface(knots, w, degree)
-        super().__init__(self.above.domain, flip)
-
-    def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return S, S_u, S_v, S_uu, S_uv, S_vv: w S = A, differentiated twice."""
-        a, a_u, a_v, a_uu, a_uv, a_vv = self.above.derivatives(u, v)
-        w, w_u, w_v, w_uu, w_uv, w_vv = self.weight.derivatives(u, v)
-        s = a / w
-        s_u, s_v = (a_u - w_u * s) / w, (a_v - w_v * s) / w
-        return (
-            s,
-            s_u,
-            s_v,
-            (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
-            (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w,
-            (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
         )

@@ -1,4 +1,4 @@
-"""What is simulated: poses of programs, of plans and of executed motion; scallops in sections."""
+"""What is simulated: motions of programs, of plans and of the machine; sections with scallops."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from scipy.signal import find_peaks
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.nbuffer import Needles, cut_needles
+from cnc_interp.cam.spline_pass import ARM, chord_error
 from cnc_interp.cam.surface import Surface
-from cnc_interp.cam.tool_path import ARM, chord_error
 from cnc_interp.cam.vectors import norm
 from cnc_interp.convert import with_chords
 from cnc_interp.core.arrays import FloatArray
@@ -21,25 +21,31 @@ from cnc_interp.machine.simulated import SimulatedMachine
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
 
-#: Sections across the passes, and distance of their needles [m].
-SECTIONS, FINE = 12, 4.0 * UM
-#: Setpoints are thinned so often, to this error and step [m].
-THINNINGS, THIN, LONGEST = 5, 0.004 * UM, 0.4 * MM
-#: A ridge stands out by this share of the highest.
+#: Number of sections across the passes.
+SECTIONS = 12
+#: Distance of the needles in a section [m].
+FINE = 4.0 * UM
+#: Number of times that every second pose may be dropped.
+THINNINGS = 5
+#: Largest error of thinned motions, and largest distance of their poses [m].
+THIN, LONGEST = 0.004 * UM, 0.4 * MM
+#: Smallest prominence of a ridge, as a share of the range of heights.
 PROMINENCE = 0.15
 
 
 @dataclass(frozen=True)
 class Motion:
     """
-    Poses that the mill takes, one after the other.
+    Successive poses of the mill.
 
     Parameters
     ----------
     name : str
-        What moved: 'programmed', 'planned' or 'executed'.
-    tip, axis : ndarray, shape (n, 3)
-        Tool tips [m] and unit tool axes.
+        'programmed', 'planned' or 'executed'.
+    tip : ndarray, shape (n, 3)
+        Tool tips [m].
+    axis : ndarray, shape (n, 3)
+        Unit tool axes [-].
 
     """
 
@@ -50,9 +56,21 @@ class Motion:
 
 def thinned(motion: Motion) -> Motion:
     """
-    Drop poses that their neighbours give as well.
+    Drop poses that the straight line between their neighbours replaces.
 
-    Setpoints come every period, however slow the tool; a thousandth of a scallop is not missed.
+    Setpoints have a constant period and are dense where the tool is slow. The error allowed here
+    is far below a scallop height.
+
+    Parameters
+    ----------
+    motion : Motion
+        The motion.
+
+    Returns
+    -------
+    Motion
+        Fewer poses, within ``THIN`` of the motion.
+
     """
     tip, axis = motion.tip, motion.axis
     for _ in range(THINNINGS):
@@ -70,18 +88,58 @@ def thinned(motion: Motion) -> Motion:
 
 
 def programmed(program: Program) -> Motion:
-    """Return the poses of a part program's blocks, native splines as chords."""
+    """
+    Return the motion of a part program; native splines become chords.
+
+    Parameters
+    ----------
+    program : Program
+        The program.
+
+    Returns
+    -------
+    Motion
+
+    """
     blocks = with_chords(program.blocks, ARM)
     return Motion('programmed', np.asarray(blocks.tip), np.asarray(blocks.axis))
 
 
 def planned(plan: PlanFiles, machine: Machine) -> Motion:
-    """Return the poses that the setpoints of a plan command."""
+    """
+    Return the motion that the setpoints of a plan command.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    machine : Machine
+        Its machine.
+
+    Returns
+    -------
+    Motion
+
+    """
     return thinned(Motion('planned', *Transform.of(machine).forward(plan.position)))
 
 
 def executed(plan: PlanFiles, machine: Machine) -> Motion:
-    """Return the poses that the drives of the simulated machine reach with these setpoints."""
+    """
+    Return the motion of the simulated machine's drives for the setpoints of a plan.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    machine : Machine
+        Its machine.
+
+    Returns
+    -------
+    Motion
+
+    """
     drives = SimulatedMachine(machine, plan.period, plan.position[0])
     recording = drives.simulate(plan.position, plan.setpoints['velocity'])
     return thinned(Motion('executed', recording.tip, recording.axis))
@@ -97,9 +155,9 @@ class Section:
     way : ndarray, shape (m,)
         Distance along the first line [m].
     height : ndarray, shape (n, m)
-        Heights [m].
+        Heights on n lines [m].
     ridges : ndarray, shape (k,)
-        Heights of all scallop ridges in all lines [m].
+        Heights of all scallop ridges on all lines [m].
 
     """
 
@@ -117,14 +175,14 @@ def cross_sections(
     Parameters
     ----------
     surface : Surface
-        What was machined.
+        The surface.
     cutter : Cutter
         The mill.
     motion : Motion
-        Its poses.
+        Motion of the mill.
     across : ndarray, shape (3,)
-        Direction in which the passes follow each other; the sections run along the parameter
-        line nearest to it.
+        Direction in which the passes follow each other; the sections follow the parameter lines
+        that are closest to it [-].
     margin : float
         Distance of the sections from the border [m].
 

@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Placed, Plane, Torus
+from cnc_interp.cam.placed import Placed
+from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Plane, Torus
+from cnc_interp.cam.spline_surfaces import BSplineSurface
 from cnc_interp.cam.step_file import read_step_face
-from cnc_interp.cam.surface import BSplineSurface, Surface, SurfaceError
+from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
-#: Keys of every kind, and whether they may be left out.
+#: Keys of each kind of surface, and whether they are optional.
 KEYS: dict[str, dict[str, bool]] = {
     'plane': {'size_mm': False},
     'bumps': {'size_mm': False, 'bumps_mm': False},
@@ -49,7 +51,7 @@ class _File:
         return SurfaceError(f'{self.path}: {message}')
 
     def numbers(self, key: str, shape: tuple[int, ...], default: Any = None) -> FloatArray:
-        """Return an array of finite numbers; -1 in the shape is any length."""
+        """Return an array of finite numbers; -1 in the shape stands for any length."""
         value = self.contents.get(key, default)
         try:
             array = np.asarray(value, float)
@@ -64,7 +66,7 @@ class _File:
         return array
 
     def number(self, key: str, unit: float) -> float:
-        """Return one number in SI."""
+        """Return one number, multiplied by its unit."""
         return float(self.numbers(key, ())) * unit
 
 
@@ -78,15 +80,19 @@ def read_surface(
     ----------
     path : Path
         The file.
-    face : int or None
+    face : int, optional
         Number of the face in a STEP file.
-    note : callable
-        Is told what the user should know of the surface.
+    note : callable, optional
+        Is called with a sentence if the user should know something about the surface.
+
+    Returns
+    -------
+    Surface
 
     Raises
     ------
     SurfaceError
-        If the file cannot be read; names the key and what it must be.
+        If the file cannot be read; the message names the key and its permitted values.
 
     """
     if path.suffix.lower() in STEP_SUFFIXES:
@@ -151,7 +157,7 @@ def _surface(file: _File, kind: str) -> Surface:
 
 
 def _placed(file: _File, surface: Surface) -> Surface:
-    """Turn and move the surface as its placement says: about x, then y, then z, then the shift."""
+    """Rotate the surface about x, then y, then z, then shift it, as its placement says."""
     placement = file.contents.get('placement')
     if placement is None:
         return surface

@@ -1,4 +1,4 @@
-"""What the `cam` commands do: surface -> passes -> program -> plan -> motion -> N-buffer."""
+"""The work of the `cam` commands: surface, passes, program, plan, motion, N-buffer, page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
+from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
+from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
 from cnc_interp.cam.program_text import write_tool_path
 from cnc_interp.cam.simulation import (
@@ -23,9 +24,11 @@ from cnc_interp.cam.simulation import (
     planned,
     programmed,
 )
+from cnc_interp.cam.spline_pass import SplinePass
+from cnc_interp.cam.summary import describe, facts_of, heights_in_words, results
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
-from cnc_interp.cam.tool_path import LinkOptions, SplinePass, link
+from cnc_interp.cam.tool_path import LinkOptions, link
 from cnc_interp.cam.vectors import cross, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.progress_bar import ProgressBar
@@ -37,12 +40,25 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.choices import Settings
 
-#: Tolerance of the interpolator for the program, as a share of the scallop height.
+#: Tolerances of the program, as a share of the scallop height.
 SMOOTHING = 0.2
 
 
 def make_program(options: argparse.Namespace) -> int:
-    """Make the program of a surface, simulate it if asked, and write everything."""
+    """
+    Make the program of a surface, simulate it if requested, and write all files.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Arguments of ``cam iso-scallop``.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    """
     surface = read_surface(options.surface, options.face, _note)
     cutter = _cutter(options)
     normal = across(surface, options.direction * DEG)
@@ -100,7 +116,7 @@ def make_program(options: argparse.Namespace) -> int:
 def _followed(
     surface: Surface, cutter: Cutter, normal: FloatArray, options: argparse.Namespace
 ) -> IsoScallopPaths | ClassicalPaths:
-    """Compute the passes of the strategy asked for."""
+    """Compute the passes of the chosen strategy."""
     progress = _progress(options)
     show = progress.of('passes')
     paths: IsoScallopPaths | ClassicalPaths
@@ -121,7 +137,20 @@ def _followed(
 
 
 def simulate_motion(options: argparse.Namespace) -> int:
-    """Cut a surface with a program or a plan."""
+    """
+    Cut a surface with the motion of a program or a plan.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Arguments of ``cam simulate``.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    """
     surface = read_surface(options.surface, options.face, _note)
     cutter = _cutter(options)
     machine = Machine.load(options.machine)
@@ -148,7 +177,7 @@ def simulate_motion(options: argparse.Namespace) -> int:
 
 def across(surface: Surface, direction: float) -> FloatArray:
     """
-    Return N for a feed direction in the surface's mean tangent plane.
+    Return N for a feed direction in the mean tangent plane of a surface.
 
     Parameters
     ----------
@@ -160,7 +189,7 @@ def across(surface: Surface, direction: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (3,)
-        Unit normal of the guiding planes, with n x N along the feed.
+        Unit normal of the guiding planes, with n x N along the feed [-].
 
     """
     u, v = surface.grid(21, 21)
@@ -173,99 +202,16 @@ def across(surface: Surface, direction: float) -> FloatArray:
 
 
 def _mean_normal(surface: Surface) -> FloatArray:
-    """Return the mean of the normals, not of unit length."""
+    """Return the mean of the normals, shape (3,), which is shorter than one [-]."""
     u, v = surface.grid(21, 21)
     return np.asarray(surface.at(u, v).normal.reshape(-1, 3).mean(axis=0))
-
-
-def facts_of(paths: IsoScallopPaths | ClassicalPaths, seconds: float) -> dict[str, Any]:
-    """Return what is known of the passes; SI units."""
-    found = {
-        'passes': len(paths.passes),
-        'postures': sum(len(p.s) for p in paths.passes),
-        'computing_time': seconds,
-        'length': sum(p.curve.length for p in paths.passes),
-    }
-    if isinstance(paths, ClassicalPaths):
-        return found
-    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
-    planes = np.abs(np.diff([p.plane for p in paths.passes]))
-    marched, refined, second = paths.iterations
-    return found | {
-        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
-        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
-        'tilt': [float(tilt.min()), float(tilt.max())],
-        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
-    }
-
-
-def results(heights: Heights, section: Section) -> dict[str, Any]:
-    """Return statistics of heights and ridges; SI units."""
-    found = heights.statistics()
-    if len(section.ridges):
-        low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()
-        found |= {
-            'ridges': len(section.ridges), 'ridge_5': low, 'ridge_50': middle, 'ridge_95': high,
-            'ridge_highest': float(section.ridges.max()),
-        }  # fmt: skip
-    return found
-
-
-def describe(summary: dict[str, Any]) -> str:
-    """Return the summary in words and shop units."""
-    lines = []
-    if 'passes' in summary:
-        lines += [
-            f'surface        {summary["surface"]}',
-            f'passes         {summary["passes"]}; {summary["postures"]} postures in '
-            f'{summary["computing_time"]:.2f} s',
-        ]
-        if 'tilt' in summary:
-            lines += _planes_in_words(summary)
-        lines.append(
-            f'program        {summary["program"]}, {summary["blocks"]} blocks; passes of '
-            f'{summary["length"] / MM:.0f} mm'
-        )
-    if 'cycle_time' in summary:
-        lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
-    for name in ('programmed', 'planned', 'executed'):
-        if name in summary:
-            lines.append(f'{name:<15}{_in_words(summary[name])}')
-    return '\n'.join(lines)
-
-
-def _planes_in_words(summary: dict[str, Any]) -> list[str]:
-    """Return what only passes along parallel planes have."""
-    tilt, steps, counts = summary['tilt'], summary['plane_distance'], summary['iterations']
-    apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
-    return [
-        f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
-        f'planes         {apart}{summary["started_afresh"]} passes started afresh',
-        f'iterations     {counts["march"]:.1f} to bracket and {counts["scallop"]:.1f} to solve '
-        f'a scallop point, {counts["posture"]:.1f} a posture',
-    ]
-
-
-def _in_words(found: dict[str, Any]) -> str:
-    um = {k: v / UM for k, v in found.items() if isinstance(v, float)}
-    text = (
-        f'{um["lowest"]:.2f} to {um["highest"]:.2f} um, Sa {um["Sa"]:.2f}, Sq {um["Sq"]:.2f}, '
-        f'Sz {um["Sz"]:.2f} um; deeper than 0.5 um {found["gouged"]:.2%}, uncut '
-        f'{found["uncut"]:.2%}'
-    )
-    if 'ridges' in found:
-        text += (
-            f'\n{"":15}ridges {um["ridge_5"]:.2f} / {um["ridge_50"]:.2f} / {um["ridge_95"]:.2f} '
-            f'um (5, 50, 95 % of {found["ridges"]}), highest {um["ridge_highest"]:.2f} um'
-        )
-    return text
 
 
 def _cut(
     surface: Surface, cutter: Cutter, motion: Motion, normal: FloatArray,
     options: argparse.Namespace,
 ) -> tuple[Heights, Section]:  # fmt: skip
-    """Cut the map and the sections."""
+    """Cut the needles of the map and of the sections."""
     needles = Needles.on(surface, options.spacing * MM, options.margin * MM)
     progress = _progress(options)
     show = progress.of(f'cutting, {motion.name}')
@@ -288,7 +234,7 @@ def _height_figures(
 ) -> list[tuple[str, str, Any]]:
     from cnc_interp.cam.page import map_figure, section_figure
 
-    words = _in_words(results(heights, section))
+    words = heights_in_words(results(heights, section))
     return [
         (f'Surface, {motion.name}', words, map_figure(heights, scallop)),
         (
@@ -319,10 +265,10 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
 
 
 def _progress(options: argparse.Namespace) -> ProgressBar:
-    """Return the progress bar of the command."""
+    """Return a function that shows progress on a terminal; None elsewhere."""
     return ProgressBar(None if options.json else sys.stderr)
 
 
 def _note(text: str) -> None:
-    """Tell what the user should know, beside the results."""
+    """Print a note to standard error."""
     print(f'note: {text}', file=sys.stderr)

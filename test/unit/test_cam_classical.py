@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from cnc_interp.cam.classical import SurfaceCurve, classical_paths, crossing
+from cnc_interp.cam.classical import classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.shapes import Bumps, Cap, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections
+from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, link
+from cnc_interp.cam.surface_curve import SurfaceCurve, crossing
+from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core.units import DEG, MM, UM
 
 MILL, BALL = Cutter(5 * MM, 1.5 * MM), Cutter(0.0, 5 * MM)

@@ -7,7 +7,8 @@ import pytest
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.nbuffer import Needles, cut_needles
-from cnc_interp.cam.shapes import Bumps, Placed
+from cnc_interp.cam.placed import Placed
+from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import programmed
 from cnc_interp.cli import BAD_INPUT, FINE, main
 from cnc_interp.core.units import DEG, MM, UM

@@ -7,12 +7,14 @@ import pytest
 from scipy.optimize import brentq
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
+from cnc_interp.cam.iso_scallop import iso_scallop_paths
+from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import TOP, Heights, Needles, cut_needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections, thinned
+from cnc_interp.cam.spline_pass import SplinePass, chord_error, sampled
 from cnc_interp.cam.surface_file import read_surface
-from cnc_interp.cam.tool_path import LinkOptions, SplinePass, ToolPath, chord_error, link, sampled
+from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.cam.work import across
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM

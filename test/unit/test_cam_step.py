@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from cnc_interp.cam.shapes import RationalSurface
-from cnc_interp.cam.surface import BSplineSurface, SurfaceError
+from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
+from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cli import BAD_INPUT, FINE, main
 from cnc_interp.core.units import DEG, INCH, MM

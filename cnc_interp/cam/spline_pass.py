@@ -1,0 +1,285 @@
+"""Passes as pairs of cubic B-splines, and poses along them within a chord tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.surface_curve import SurfaceCurve
+from cnc_interp.cam.vectors import dot, norm, scaled, unit
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM, UM
+
+#: Height above the tip at which the tool axis counts for the chord tolerance [m].
+ARM = 10.0 * MM
+#: Most halvings of the intervals along a pass.
+FINEST = 20
+#: Distance of the poses that a spline is compared with [m].
+SPACING = 0.2 * MM
+#: Largest distance of a spline from these poses [m].
+CLOSE = 0.02 * UM
+#: Distance of the knots at first [m].
+COARSEST = 1.6 * MM
+
+
+class Strip(Protocol):
+    """A pass of any strategy: a curve on the surface, a width and postures."""
+
+    @property
+    def curve(self) -> GuidingCurve | SurfaceCurve:
+        """Path of the guided point K."""
+
+    @property
+    def s(self) -> FloatArray:
+        """
+        Places at which the width is known.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Places on the curve [m].
+
+        """
+
+    @property
+    def reach(self) -> FloatArray:
+        """
+        Half width of the strip.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Half widths at the places ``s`` [m].
+
+        """
+
+    def tool(self, s: FloatArray) -> Postures:
+        """
+        Return the postures at places of the pass.
+
+        Parameters
+        ----------
+        s : ndarray, shape (m,)
+            Places [m].
+
+        Returns
+        -------
+        Postures
+            m postures.
+
+        """
+
+
+@dataclass(frozen=True)
+class SplinePass:
+    """
+    A pass as a pair of cubic B-splines: the tool tip, and the point ``ARM`` above it on the axis.
+
+    Parameters
+    ----------
+    spline : BSpline
+        Six columns, tip and upper point [m], by arc length of the guided point [m].
+
+    """
+
+    spline: BSpline
+
+    @staticmethod
+    def of(made: Strip, overrun: float, fixed_axis: FloatArray | None = None) -> SplinePass | None:
+        """
+        Fit splines to the part of a pass whose strip lies on the surface.
+
+        Parameters
+        ----------
+        made : Strip
+            The pass.
+        overrun : float
+            Length added at both ends [m].
+        fixed_axis : ndarray, shape (3,), optional
+            Unit tool axis of a ball mill that keeps its axis [-].
+
+        Returns
+        -------
+        SplinePass or None
+            None if no part of the strip lies on the surface.
+
+        """
+        s = np.linspace(0.0, made.curve.length, max(60, int(made.curve.length / SPACING)))
+        frames, surface = made.curve.frames(s), made.curve.surface
+        width = np.interp(s, made.s, made.reach)
+        a, b = surface.at(frames.u, frames.v).components(scaled(width, frames.across))
+        (u0, u1), (v0, v1) = surface.domain
+        inside = np.zeros(len(s), bool)
+        for side in (-1.0, 0.0, 1.0):
+            u, v = frames.u + side * a, frames.v + side * b
+            inside |= (u >= u0) & (u <= u1) & (v >= v0) & (v <= v1)
+        if not inside.any():
+            return None
+        kept = s[inside]
+        longer = overrun + s[1]
+        ends = max(float(kept[0]) - longer, 0.0), min(float(kept[-1]) + longer, float(s[-1]))
+
+        def rows(places: FloatArray) -> FloatArray:
+            postures = made.tool(places)
+            axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (1, 3))
+            tip = postures.cutter.tip(postures.centre, axis)
+            return np.concatenate([tip, tip + ARM * axis], axis=1)
+
+        return SplinePass.following(rows, ends)
+
+    @staticmethod
+    def following(
+        rows: Callable[[FloatArray], FloatArray], ends: tuple[float, float]
+    ) -> SplinePass:
+        """
+        Interpolate poses with enough knots to keep the splines within ``CLOSE``.
+
+        Parameters
+        ----------
+        rows : callable
+            Returns tip and upper point, shape (n, 6) [m], for places of shape (n,) [m].
+        ends : (float, float)
+            First and last place [m].
+
+        Returns
+        -------
+        SplinePass
+
+        """
+        dense = np.linspace(*ends, max(16, int((ends[1] - ends[0]) / SPACING)))
+        exact = rows(dense)
+        count = max(8, int((ends[1] - ends[0]) / COARSEST))
+        while True:
+            s = np.linspace(*ends, count)
+            spline = make_interp_spline(s, rows(s), k=3)
+            if float(np.abs(spline(dense) - exact).max()) < CLOSE or count >= len(dense):
+                return SplinePass(spline)
+            count = 2 * count - 1
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last place of the splines [m]."""
+        return float(self.spline.t[0]), float(self.spline.t[-1])
+
+    @property
+    def reversed(self) -> SplinePass:
+        """The same pass in the opposite direction."""
+        knots, points = self.spline.t, self.spline.c
+        return SplinePass(BSpline(knots[0] + knots[-1] - knots[::-1], points[::-1], 3))
+
+    def poses(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return poses of the pass.
+
+        Parameters
+        ----------
+        s : ndarray, shape (n,)
+            Places [m].
+
+        Returns
+        -------
+        tip : ndarray, shape (n, 3)
+            Tool tips [m].
+        axis : ndarray, shape (n, 3)
+            Unit tool axes [-].
+
+        """
+        values = self.spline(s)
+        return values[:, :3], unit(values[:, 3:] - values[:, :3])
+
+
+def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """
+    Sample a pass so that its chords keep a tolerance.
+
+    Parameters
+    ----------
+    curve : SplinePass
+        The pass.
+    tolerance : float
+        Largest deviation of the chords, for tip and upper point [m].
+
+    Returns
+    -------
+    tip : ndarray, shape (n, 3)
+        Tool tips [m].
+    axis : ndarray, shape (n, 3)
+        Unit tool axes [-].
+
+    """
+    s = np.linspace(*curve.ends, 9)
+    for _ in range(FINEST):
+        tip, axis = curve.poses(s)
+        top = tip + ARM * axis
+        ends = [np.stack([x[:-1], x[1:]], axis=1) for x in (tip, top)]
+        worst = np.zeros(len(s) - 1)
+        for share in (0.25, 0.5, 0.75):
+            p, o = curve.poses(s[:-1] + share * np.diff(s))
+            worst = np.maximum(worst, chord_error(ends[0], ends[1], p, p + ARM * o))
+        split = worst > tolerance
+        if not split.any():
+            break
+        s = np.sort(np.concatenate([s, 0.5 * (s[:-1] + s[1:])[split]]))
+    return merged(curve, s, tolerance)
+
+
+def chord_error(
+    tip: FloatArray, top: FloatArray, middle_tip: FloatArray, middle_top: FloatArray
+) -> FloatArray:
+    """
+    Return the distance of poses from the linear blocks that replace them.
+
+    A block moves tip and axis together. The upper point is compared where the tip is on its chord.
+
+    Parameters
+    ----------
+    tip, top : ndarray, shape (n, 2, 3)
+        Tips and upper points at both ends of the blocks [m].
+    middle_tip, middle_top : ndarray, shape (n, 3)
+        Tips and upper points of the poses [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Larger of both distances [m].
+
+    """
+    chord, chord_top = tip[:, 1] - tip[:, 0], top[:, 1] - top[:, 0]
+    away = middle_tip - tip[:, 0]
+    share = dot(away, chord) / np.maximum(dot(chord, chord), 1e-24)
+    across = norm(away - scaled(share, chord))
+    return np.maximum(across, norm(middle_top - top[:, 0] - scaled(share, chord_top)))
+
+
+def merged(curve: SplinePass, s: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """
+    Replace a pass by its two end poses if that keeps the tolerance.
+
+    Parameters
+    ----------
+    curve : SplinePass
+        The pass.
+    s : ndarray, shape (n,)
+        Places of its poses [m].
+    tolerance : float
+        Largest deviation [m].
+
+    Returns
+    -------
+    tip, axis : ndarray, shape (n, 3) or (2, 3)
+        Tool tips [m] and unit tool axes [-].
+
+    """
+    tip, axis = curve.poses(s)
+    top = tip + ARM * axis
+    ends = np.array([0, len(s) - 1])
+    whole = [np.broadcast_to(x[ends], (len(s), 2, 3)) for x in (tip, top)]
+    if float(chord_error(whole[0], whole[1], tip, top).max()) <= tolerance:
+        return tip[ends], axis[ends]
+    return tip, axis

@@ -1,0 +1,251 @@
+"""
+Faces of OpenCASCADE as surfaces.
+
+Planes, cylinders, spheres and tori become our own shapes. B-splines keep their knots, weights and
+control points. Cones, extrusions, surfaces of revolution and Bezier patches are converted exactly
+to rational B-splines.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.cam.placed import Placed
+from cnc_interp.cam.shapes import Cylinder, Plane, Torus
+from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
+from cnc_interp.cam.surface import Domain, Surface, SurfaceError
+from cnc_interp.cam.vectors import norm
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM
+
+#: OpenCASCADE's classes of surfaces and their names in lists and messages.
+SPLINE, BEZIER = 'Geom_BSplineSurface', 'Geom_BezierSurface'
+ANALYTIC = {
+    'Geom_Plane': 'plane',
+    'Geom_CylindricalSurface': 'cylinder',
+    'Geom_SphericalSurface': 'sphere',
+    'Geom_ToroidalSurface': 'torus',
+}
+CONVERTED = {
+    BEZIER: 'Bezier patch',
+    'Geom_ConicalSurface': 'cone',
+    'Geom_SurfaceOfLinearExtrusion': 'extrusion',
+    'Geom_SurfaceOfRevolution': 'surface of revolution',
+}
+NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'offset surface'}
+#: A boundary within this distance of the rectangle of parameters is the rectangle [m].
+ON_BORDER = 10e-6
+#: Points along an edge that are compared with the rectangle.
+EDGE_POINTS = 65
+#: Extents of shapes, replaced by those of the face.
+ANY = 1.0
+
+
+class StepFace:
+    """
+    One face of a file.
+
+    Parameters
+    ----------
+    shape : TopoDSStepFace
+        The face; lengths are in mm.
+
+    """
+
+    def __init__(self, shape: Any):
+        from OCP.BRep import BRep_Tool
+        from OCP.BRepTools import BRepTools
+        from OCP.Geom import Geom_RectangularTrimmedSurface
+        from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+        from OCP.TopoDS import TopoDS
+
+        self.shape = TopoDS.Face(shape)
+        self.flip = self.shape.Orientation() == TopAbs_Orientation.TopAbs_REVERSED
+        self.geometry = BRep_Tool.Surface_s(self.shape)
+        while isinstance(self.geometry, Geom_RectangularTrimmedSurface):
+            self.geometry = self.geometry.BasisSurface()
+        self.kind = type(self.geometry).__name__
+        self.loops = len(_parts(self.shape, TopAbs_ShapeEnum.TopAbs_WIRE))
+        #: Smallest and largest u, smallest and largest v of the boundary [mm, rad].
+        self.bounds: tuple[float, float, float, float] = BRepTools.UVBounds_s(self.shape)
+
+    def description(self) -> str:
+        """Return the name of the kind and the size, or why the face cannot be used."""
+        name = NAMES.get(self.kind, self.kind)
+        try:
+            return f'{name}, {extent(self.surface()[0])}'
+        except SurfaceError as error:
+            return f'{name}, cannot be used: {error}'
+
+    def surface(self) -> tuple[Surface, bool]:
+        """
+        Make the surface.
+
+        Returns
+        -------
+        surface : Surface
+            A whole B-spline patch, or the rectangle of parameters around the boundary.
+        whole : bool
+            True if the border of the surface is the boundary of the face.
+
+        Raises
+        ------
+        SurfaceError
+            If the kind of surface is not supported, or the boundary does not limit it.
+
+        """
+        surface: Surface
+        if self.kind == SPLINE:
+            surface = _patch(self.geometry, self.flip)
+        elif self.kind in ANALYTIC:
+            surface = self._analytic()
+        elif self.kind in CONVERTED:
+            surface = self._converted()
+        else:
+            *first, last = [NAMES[kind] for kind in (SPLINE, *ANALYTIC, *CONVERTED)]
+            raise SurfaceError(
+                f'a surface of the kind {NAMES.get(self.kind, self.kind)} is not supported; '
+                f'use one of {", ".join(first)} or {last}'
+            )
+        return surface, self.loops <= 1 and self._distance_inside(surface) < ON_BORDER
+
+    def _analytic(self) -> Surface:
+        """Make a plane, cylinder, sphere or torus over the rectangle of the boundary."""
+        u, v = self._limits()
+        position = self.geometry.Position()
+        x, y, z = (
+            _vector(direction)
+            for direction in (position.XDirection(), position.YDirection(), position.Direction())
+        )
+        shape: Surface
+        axes, top = np.stack([y, z, x]), 0.0
+        if self.kind == 'Geom_Plane':
+            shape, axes = Plane((ANY, ANY)), np.stack([x, y, z])
+            u = u[0] * MM, u[1] * MM
+        elif self.kind == 'Geom_CylindricalSurface':
+            top = self.geometry.Radius() * MM
+            shape = Cylinder(top, ANY, ANY)
+        elif self.kind == 'Geom_SphericalSurface':
+            top = self.geometry.Radius() * MM
+            shape = Torus(0.0, top, ANY, ANY)
+        else:
+            ring, radius = self.geometry.MajorRadius() * MM, self.geometry.MinorRadius() * MM
+            shape, top = Torus(ring, radius, ANY, ANY), ring + radius
+        if self.kind in ('Geom_Plane', 'Geom_CylindricalSurface'):
+            v = v[0] * MM, v[1] * MM
+        # Our round shapes turn about y, and their highest point u = v = 0 is the origin.
+        origin = _vector(position.Location()) * MM + top * x
+        return Placed(shape, axes.T, origin, (u, v), self.flip)
+
+    def _converted(self) -> Surface:
+        """Convert the rectangle of the boundary exactly to a rational B-spline surface."""
+        from OCP.Geom import Geom_RectangularTrimmedSurface
+        from OCP.GeomConvert import GeomConvert
+
+        u, v = self._limits()
+        trimmed = self.geometry
+        if self.kind != BEZIER:
+            trimmed = Geom_RectangularTrimmedSurface(self.geometry, *u, *v)
+        return _patch(GeomConvert.SurfaceToBSplineSurface_s(trimmed), self.flip)
+
+    def _limits(self) -> Domain:
+        """Return the ranges of u and v of the boundary [mm, rad]."""
+        u0, u1, v0, v1 = self.bounds
+        # Either kind of parameter: 1e-7 mm or 1e-7 rad.
+        if u1 - u0 < 1e-7 or v1 - v0 < 1e-7:
+            raise SurfaceError('the boundary spans no rectangle of parameters')
+        round_u, round_v = self.geometry.IsUPeriodic(), self.geometry.IsVPeriodic()
+        if (round_u and u1 - u0 > self.geometry.UPeriod() - 1e-6) or (
+            round_v and v1 - v0 > self.geometry.VPeriod() - 1e-6
+        ):
+            raise SurfaceError('the face goes all the way round; split it in the CAD system')
+        return (u0, u1), (v0, v1)
+
+    def _distance_inside(self, surface: Surface) -> float:
+        """Return how far the boundary lies inside the border of the surface at most [m]."""
+        from OCP.BRepAdaptor import BRepAdaptor_Curve2d
+        from OCP.TopAbs import TopAbs_ShapeEnum
+        from OCP.TopoDS import TopoDS
+
+        if self.kind == SPLINE:
+            low, high = (np.array(ends) for ends in zip(*surface.domain, strict=True))
+        else:
+            low, high = np.array(self.bounds).reshape(2, 2).T
+        scale = np.array([
+            b - a for a, b in surface.domain
+        ]) / (np.array(surface.growth(1.0)) * (high - low))  # fmt: skip
+        farthest = 0.0
+        for edge in _parts(self.shape, TopAbs_ShapeEnum.TopAbs_EDGE):
+            curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape)
+            places = np.linspace(curve.FirstParameter(), curve.LastParameter(), EDGE_POINTS)
+            uv = np.array([(p.X(), p.Y()) for p in (curve.Value(t) for t in places.tolist())])
+            inside = np.min(np.minimum(uv - low, high - uv) * scale, axis=1)
+            farthest = max(farthest, float(inside.max()))
+        return farthest
+
+
+def _parts(shape: Any, kind: Any) -> list[Any]:
+    """List the parts of a kind of a TopoDS shape."""
+    from OCP.TopExp import TopExp_Explorer
+
+    found, explorer = [], TopExp_Explorer(shape, kind)
+    while explorer.More():
+        found.append(explorer.Current())
+        explorer.Next()
+    return found
+
+
+def _vector(one: Any) -> FloatArray:
+    """Return a point or a direction of OpenCASCADE as an array, shape (3,) [mm or 1]."""
+    return np.array([one.X(), one.Y(), one.Z()])
+
+
+def _patch(geometry: Any, flip: bool) -> Surface:
+    """Make our surface of a Geom_BSplineSurface; a direction of degree 1 is raised to 2."""
+    spline = geometry.Copy()
+    if spline.IsUPeriodic():
+        spline.SetUNotPeriodic()
+    if spline.IsVPeriodic():
+        spline.SetVNotPeriodic()
+    rows, columns = range(1, spline.NbUPoles() + 1), range(1, spline.NbVPoles() + 1)
+    points = np.array([[_vector(spline.Pole(i, j)) for j in columns] for i in rows]) * MM
+    weights = np.array([[spline.Weight(i, j) for j in columns] for i in rows])
+    net = np.concatenate([points * weights[..., None], weights[..., None]], axis=2)
+    knots = [
+        np.repeat([value(k) for k in numbers], [count(k) for k in numbers])
+        for value, count, numbers in (
+            (spline.UKnot, spline.UMultiplicity, range(1, spline.NbUKnots() + 1)),
+            (spline.VKnot, spline.VMultiplicity, range(1, spline.NbVKnots() + 1)),
+        )
+    ]
+    degree = [spline.UDegree(), spline.VDegree()]
+    for axis in (0, 1):
+        if degree[axis] == 1 and net.shape[axis] == 2:  # a straight line is a parabola too
+            net = np.insert(net, 1, net.mean(axis=axis), axis=axis)
+            degree[axis], knots[axis] = 2, np.repeat(knots[axis][1:3], 3)
+    points, weights = net[..., :3] / net[..., 3:], net[..., 3]
+    both, degrees = (knots[0], knots[1]), (degree[0], degree[1])
+    if np.ptp(weights) == 0.0:
+        return BSplineSurface(both, points, degrees, flip)
+    return RationalSurface(both, points, weights, degrees, flip)
+
+
+def extent(surface: Surface) -> str:
+    """
+    Return the lengths of the middle lines of a surface as text.
+
+    Parameters
+    ----------
+    surface : Surface
+        The surface.
+
+    Returns
+    -------
+    str
+
+    """
+    s = surface.at(*surface.grid(101, 101)).position
+    along = norm(np.diff(s[:, 50], axis=0)).sum(), norm(np.diff(s[50], axis=0)).sum()
+    return f'{along[0] / MM:.4g} x {along[1] / MM:.4g} mm'

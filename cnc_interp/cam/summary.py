@@ -1,0 +1,151 @@
+"""Figures of passes and of simulated surfaces: for summary.json and as text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.cam.classical import ClassicalPaths
+from cnc_interp.cam.iso_scallop import IsoScallopPaths
+from cnc_interp.cam.nbuffer import Heights
+from cnc_interp.cam.simulation import Section
+from cnc_interp.core.units import DEG, MM, UM
+
+
+def facts_of(paths: IsoScallopPaths | ClassicalPaths, seconds: float) -> dict[str, Any]:
+    """
+    Return the figures of the passes for summary.json.
+
+    Parameters
+    ----------
+    paths : IsoScallopPaths or ClassicalPaths
+        The passes.
+    seconds : float
+        Computing time [s].
+
+    Returns
+    -------
+    dict
+        Figures in SI units.
+
+    """
+    found = {
+        'passes': len(paths.passes),
+        'postures': sum(len(p.s) for p in paths.passes),
+        'computing_time': seconds,
+        'length': sum(p.curve.length for p in paths.passes),
+    }
+    if isinstance(paths, ClassicalPaths):
+        return found
+    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
+    planes = np.abs(np.diff([p.plane for p in paths.passes]))
+    marched, refined, second = paths.iterations
+    return found | {
+        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
+        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
+        'tilt': [float(tilt.min()), float(tilt.max())],
+        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
+    }
+
+
+def results(heights: Heights, section: Section) -> dict[str, Any]:
+    """
+    Return the figures of a simulated surface for summary.json.
+
+    Parameters
+    ----------
+    heights : Heights
+        Heights on the needles.
+    section : Section
+        Sections with scallop ridges.
+
+    Returns
+    -------
+    dict
+        Statistics of heights and ridges in SI units.
+
+    """
+    found = heights.statistics()
+    if len(section.ridges):
+        low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()
+        found |= {
+            'ridges': len(section.ridges), 'ridge_5': low, 'ridge_50': middle, 'ridge_95': high,
+            'ridge_highest': float(section.ridges.max()),
+        }  # fmt: skip
+    return found
+
+
+def describe(summary: dict[str, Any]) -> str:
+    """
+    Return a summary as text in shop units.
+
+    Parameters
+    ----------
+    summary : dict
+        Contents of summary.json.
+
+    Returns
+    -------
+    str
+
+    """
+    lines = []
+    if 'passes' in summary:
+        lines += [
+            f'surface        {summary["surface"]}',
+            f'passes         {summary["passes"]}; {summary["postures"]} postures in '
+            f'{summary["computing_time"]:.2f} s',
+        ]
+        if 'tilt' in summary:
+            lines += _planes_in_words(summary)
+        lines.append(
+            f'program        {summary["program"]}, {summary["blocks"]} blocks; passes of '
+            f'{summary["length"] / MM:.0f} mm'
+        )
+    if 'cycle_time' in summary:
+        lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
+    for name in ('programmed', 'planned', 'executed'):
+        if name in summary:
+            lines.append(f'{name:<15}{heights_in_words(summary[name])}')
+    return '\n'.join(lines)
+
+
+def _planes_in_words(summary: dict[str, Any]) -> list[str]:
+    """Return the lines that only passes along parallel planes have."""
+    tilt, steps, counts = summary['tilt'], summary['plane_distance'], summary['iterations']
+    apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
+    return [
+        f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
+        f'planes         {apart}{summary["started_afresh"]} passes started afresh',
+        f'iterations     {counts["march"]:.1f} to bracket and {counts["scallop"]:.1f} to solve '
+        f'a scallop point, {counts["posture"]:.1f} a posture',
+    ]
+
+
+def heights_in_words(found: dict[str, Any]) -> str:
+    """
+    Return the figures of a simulated surface as text.
+
+    Parameters
+    ----------
+    found : dict
+        Figures of ``results``.
+
+    Returns
+    -------
+    str
+
+    """
+    um = {k: v / UM for k, v in found.items() if isinstance(v, float)}
+    text = (
+        f'{um["lowest"]:.2f} to {um["highest"]:.2f} um, Sa {um["Sa"]:.2f}, Sq {um["Sq"]:.2f}, '
+        f'Sz {um["Sz"]:.2f} um; deeper than 0.5 um {found["gouged"]:.2%}, uncut '
+        f'{found["uncut"]:.2%}'
+    )
+    if 'ridges' in found:
+        text += (
+            f'\n{"":15}ridges {um["ridge_5"]:.2f} / {um["ridge_50"]:.2f} / {um["ridge_95"]:.2f} '
+            f'um (5, 50, 95 % of {found["ridges"]}), highest {um["ridge_highest"]:.2f} um'
+        )
+    return text

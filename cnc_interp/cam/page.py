@@ -16,8 +16,8 @@ from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.report.figures import BLUE, INK, RED, base_layout, rounded, with_axes
-from cnc_interp.report.page import CONTROLS, STYLE
+from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.plot_style import BLUE, INK, RED, base_layout, rounded, with_axes
 
 #: Largest number of cells of a map in each direction.
 CELLS = 700
@@ -210,9 +210,6 @@ def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
         f'<script>{get_plotlyjs()}</script></head><body><main><h1>{escape(title)}</h1>'
         f'<section><pre>{escape(facts)}</pre></section>'
     ]
-    for k, (heading, text, figure) in enumerate(figures):
-        plot = figure.to_html(
-            include_plotlyjs=False, full_html=False, config=CONTROLS, div_id=f'figure-{k}'
-        )
-        parts.append(f'<section><h2>{escape(heading)}</h2><p>{escape(text)}</p>{plot}</section>')
+    for heading, text, figure in figures:
+        parts.append(section(escape(heading), escape(text), drawing(figure)))
     return ''.join([*parts, '</main></body></html>'])

@@ -1,9 +1,10 @@
 """
-Links and joints of a machine file, with simple shapes around them.
+Links and joints of a machine, with simple shapes.
 
-One tree from ``base_link``, which is the machine frame M: to one side X, Y, Z and what carries
-the tool, down to ``tool_tip``; to the other what carries the workpiece, down to ``workpiece``, the
-frame of programs and markers. Joints are named like the axes; at rest all frames lie like M.
+The links are one tree from ``base_link``, the machine frame M. One branch is X, Y, Z and the axes
+that carry the tool, down to ``tool_tip``. The other branch is the axes that carry the workpiece,
+down to ``workpiece``, the frame of programs and markers. Joints have the names of the axes. With
+all axes at zero, all frames are parallel to M.
 """
 
 from __future__ import annotations
@@ -15,84 +16,50 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.description.shapes import (
+    UP,
+    ZERO,
+    Shape,
+    Vector,
+    cradle_shapes,
+    disc_shapes,
+    frame_shapes,
+    head_shapes,
+    slide_shapes,
+    stock_shapes,
+    tool_shapes,
+    vector,
+)
 from cnc_interp.kinematics.machine import Machine
 
-Vector = tuple[float, float, float]
-Colour = tuple[float, float, float, float]
-
 BASE, TOOL_TIP, WORKPIECE = 'base_link', 'tool_tip', 'workpiece'
-ZERO: Vector = (0.0, 0.0, 0.0)
-UP: Vector = (0.0, 0.0, 1.0)
 
-IRON: Colour = (0.33, 0.38, 0.43, 1.0)
-SLIDE: Colour = (0.50, 0.56, 0.62, 1.0)
-TURNING: Colour = (0.24, 0.47, 0.66, 1.0)
-STEEL: Colour = (0.58, 0.63, 0.68, 1.0)
-CUTTER: Colour = (0.88, 0.55, 0.14, 1.0)
-STOCK: Colour = (0.70, 0.74, 0.78, 0.35)
 
-#: Travel drawn and told where a linear axis has none: URDF asks for numbers [m].
+#: Travel of a linear axis without limits, because URDF requires numbers [m].
 UNLIMITED = 10.0
-#: Height of the bridge over the tool tip and its half width: clear of travels of half a metre [m].
-BRIDGE, HALF_WIDTH = 0.78, 0.68
-
-
-@dataclass(frozen=True)
-class Shape:
-    """
-    A box or a cylinder.
-
-    Parameters
-    ----------
-    size : tuple of float
-        Edges of a box (3), or radius and length of a cylinder (2) [m].
-    centre : tuple of float
-        Middle, in the frame of the link [m].
-    colour : tuple of float
-        Red, green, blue and opacity, 0 to 1.
-    along : tuple of float
-        Unit direction of a cylinder's axis [-].
-
-    """
-
-    size: tuple[float, ...]
-    centre: Vector
-    colour: Colour
-    along: Vector = UP
-
-    @property
-    def is_box(self) -> bool:
-        """Tell boxes from cylinders."""
-        return len(self.size) == 3
-
-    @property
-    def rpy(self) -> Vector:
-        """Roll, pitch and yaw that take the z axis to the direction of the cylinder [rad]."""
-        x, y, z = self.along
-        return 0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))
 
 
 @dataclass(frozen=True)
 class Joint:
     """
-    What connects two links.
+    The connection of two links.
 
     Parameters
     ----------
     name : str
-        Name of the axis, or of what is fixed.
+        Name of the axis or of the fixed connection.
     kind : str
         ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
     parent, child : str
         Names of the links.
     origin : tuple of float
-        Frame of the child in the parent at rest [m].
+        Origin of the child in the frame of the parent, with the axis at zero [m].
     along : tuple of float
         Unit direction of the axis [-].
     travel : tuple of float
         Lowest and highest position [m or rad].
     max_velocity : float
-        Limit [m/s or rad/s].
+        Velocity limit [m/s or rad/s].
 
     """
 
@@ -109,14 +76,14 @@ class Joint:
 @dataclass(frozen=True)
 class Description:
     """
-    A machine as a tree.
+    A machine as a tree of links.
 
     Parameters
     ----------
     name : str
         Name of the machine.
-    links : dict
-        Name of each link with its shapes, the base first.
+    links : dict of str to tuple of Shape
+        Shapes of each link, the base first.
     joints : tuple of Joint
         Parents before children.
 
@@ -128,14 +95,21 @@ class Description:
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """
-        Return rotation matrix (3, 3) and place (3,) [m] of a link in the base.
+        Return the pose of a link in the base.
 
         Parameters
         ----------
         link : str
             Name of the link.
-        positions : mapping
-            Position of each axis by name [m, rad].
+        positions : mapping of str to float
+            Position of each axis by name; 0 if it is missing [m, rad].
+
+        Returns
+        -------
+        rotation : ndarray, shape (3, 3)
+            Rotation matrix of the link in the base [-].
+        place : ndarray, shape (3,)
+            Origin of the link in the base [m].
 
         """
         rotation, place = np.eye(3), np.zeros(3)
@@ -155,7 +129,19 @@ class Description:
 
 
 def describe_machine(machine: Machine) -> Description:
-    """Return links, joints and shapes of a machine; the formula stands in ``Machine``."""
+    """
+    Return links, joints and shapes of a machine; ``Machine`` documents the kinematic formula.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+
+    Returns
+    -------
+    Description
+
+    """
     links: dict[str, tuple[Shape, ...]] = {BASE: frame_shapes(machine)}
     joints: list[Joint] = []
 
@@ -171,7 +157,7 @@ def describe_machine(machine: Machine) -> Description:
         )
         carrier = add(joint, *shapes)
 
-    # The tip stands at X Y Z in M while the head is at rest: its pivots lie above it.
+    # The tip is at X Y Z in M while the head is at zero; its pivots lie above the tip.
     arms = machine.tool_offset[::-1] * any(machine.rotary_on_head)  # primary pivot first
     on_head, on_table, table = arms.sum(axis=0), np.zeros(3), BASE
     for k in range(3, len(machine.axis_names)):
@@ -197,103 +183,28 @@ def describe_machine(machine: Machine) -> Description:
 def axis_joint(
     machine: Machine, k: int, parent: str, child: str, origin: Vector, along: Vector
 ) -> Joint:
-    """Return the joint of an axis; an endless rotary axis has no travel."""
+    """
+    Return the joint of an axis; an endless rotary axis has no travel.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    k : int
+        Number of the axis, from 0.
+    parent, child : str
+        Names of the links.
+    origin : tuple of float
+        Origin of the child in the parent [m].
+    along : tuple of float
+        Unit direction of the axis [-].
+
+    Returns
+    -------
+    Joint
+
+    """
     axis = machine.axes[k]
     kind = 'prismatic' if axis.linear else 'continuous' if axis.endless else 'revolute'
     travel = (-UNLIMITED, UNLIMITED) if axis.endless else axis.travel
     return Joint(axis.name, kind, parent, child, origin, along, travel, axis.max_velocity)
-
-
-def vector(values: FloatArray) -> Vector:
-    """Return three numbers as plain floats; no negative zeros."""
-    x, y, z = (float(value) + 0.0 for value in values)
-    return x, y, z
-
-
-def table_radius(machine: Machine) -> float:
-    """Choose the radius of the table [m]: the workpiece zero stands well on it."""
-    return 0.09 + float(np.linalg.norm(machine.offsets[0, :2]))
-
-
-def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw what stands still: rails of the bridge on posts, and what carries the table."""
-    rail, reach = 0.06, 0.62
-    shapes = [Shape((1.6, 1.6, 0.04), (0.0, 0.0, -0.36), IRON)]
-    for side in (-HALF_WIDTH, HALF_WIDTH):
-        shapes.append(Shape((2 * reach + rail, rail, rail), (0.0, side, BRIDGE - 0.1), IRON))
-        for end in (-reach, reach):
-            height = BRIDGE - 0.1 + 0.34
-            post = (end, side, BRIDGE - 0.1 - height / 2)
-            shapes.append(Shape((rail, rail, height), post, IRON))
-    if not machine.has_rotary or all(machine.rotary_on_head):
-        shapes.append(Shape((0.5, 0.4, 0.34), (0.0, 0.0, -0.19 + machine.offsets[0, 2]), IRON))
-        return tuple(shapes)
-    primary = machine.offsets[2]
-    along = machine.rotary_direction[0]
-    if machine.rotary_on_head[0] or abs(along[2]) > 0.5:
-        shapes.append(Shape((0.2, 0.32), vector(primary - [0.0, 0.0, 0.19]), IRON))
-        return tuple(shapes)
-    half = table_radius(machine) + 0.06
-    for side in (-half, half):
-        place = primary + side * along
-        height = 0.34 + place[2] + 0.05
-        foot = (float(place[0]), float(place[1]), float(place[2]) + 0.05 - height / 2)
-        shapes.append(Shape((0.07, 0.07, height), foot, IRON))
-    return tuple(shapes)
-
-
-def slide_shapes() -> tuple[tuple[Shape, ...], ...]:
-    """Draw bridge, saddle and ram; the tool hangs below the ram."""
-    bridge = Shape((0.10, 2 * HALF_WIDTH, 0.12), (-0.13, 0.0, BRIDGE), SLIDE)
-    saddle = Shape((0.12, 0.20, 0.20), (-0.06, 0.0, BRIDGE), IRON)
-    ram = Shape((0.09, 0.09, 0.75), (0.02, 0.0, 0.63), SLIDE)
-    return (bridge,), (saddle,), (ram,)
-
-
-def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the primary table axis: a shaft with a block that carries the table."""
-    along = vector(machine.rotary_direction[0])
-    radius = table_radius(machine)
-    shaft = Shape((0.035, 2 * radius + 0.10), ZERO, TURNING, along)
-    top = machine.offsets[1]
-    height = max(0.02, float(top[2]) - 0.025)
-    block = Shape(
-        (1.1 * radius, 1.1 * radius, height), vector(top - [0, 0, 0.025 + height / 2]), TURNING
-    )
-    return shaft, block
-
-
-def disc_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the rotary table, its top in the origin, with a slot that shows its turning."""
-    radius = table_radius(machine)
-    disc = Shape((radius, 0.025), (0.0, 0.0, -0.0125), STEEL)
-    slot = Shape((0.85 * radius, 0.012, 0.003), (0.5 * radius, 0.0, 0.0), IRON)
-    return disc, slot
-
-
-def head_shapes(along: Vector, arm: Vector) -> tuple[Shape, ...]:
-    """Draw a rotary axis of the head: its hub, and the arm to what it carries."""
-    length = float(np.linalg.norm(arm))
-    hub = Shape((0.05, 0.12), ZERO, TURNING, along)
-    if length < 0.05:
-        return (hub,)
-    direction = vector(np.array(arm) / length)
-    middle = vector(np.array(arm) * 0.25)
-    return hub, Shape((0.03, 0.5 * length), middle, SLIDE, direction)
-
-
-def tool_shapes() -> tuple[Shape, ...]:
-    """Draw cutter, holder and spindle nose above the tip."""
-    return (
-        Shape((0.004, 0.05), (0.0, 0.0, 0.025), CUTTER),
-        Shape((0.018, 0.06), (0.0, 0.0, 0.08), STEEL),
-        Shape((0.038, 0.15), (0.0, 0.0, 0.185), IRON),
-    )
-
-
-def stock_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the stock from the table up to the workpiece zero."""
-    height = abs(float(machine.offsets[0, 2]))
-    if height < 1e-3:
-        return (Shape((0.2, 0.2, 0.02), (0.0, 0.0, -0.01), STOCK),)
-    return (Shape((0.1, 0.1, height), (0.0, 0.0, -height / 2), STOCK),)

@@ -5,16 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from cnc_interp.description.links import Description, Joint, Shape, describe_machine
+from cnc_interp.description.links import Description, Joint, describe_machine
+from cnc_interp.description.shapes import Shape
 from cnc_interp.kinematics.machine import Machine
 
 HEADER = '<?xml version="1.0"?>\n'
-#: URDF asks for the largest force of a joint, which machine files do not have [N, N m].
+#: Largest force of a joint, which URDF requires and machine files lack [N, N m].
 UNKNOWN_EFFORT = 0.0
 
 
 def urdf_of(machine: Machine) -> str:
-    """Return the URDF of a machine: joints named like ``joint_states``, limits from its file."""
+    """
+    Return the URDF of a machine, with its axis names as joints and its limits.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+
+    Returns
+    -------
+    str
+        XML.
+
+    """
     description = describe_machine(machine)
     robot = ElementTree.Element('robot', name=description.name)
     add_links(robot, description)
@@ -25,7 +39,17 @@ def urdf_of(machine: Machine) -> str:
 
 
 def add_links(robot: ElementTree.Element, description: Description) -> None:
-    """Add every link with its shapes."""
+    """
+    Add every link with its shapes.
+
+    Parameters
+    ----------
+    robot : Element
+        XML element of the robot, which is changed.
+    description : Description
+        The machine.
+
+    """
     for name, shapes in description.links.items():
         link = ElementTree.SubElement(robot, 'link', name=name)
         for shape in shapes:
@@ -33,7 +57,17 @@ def add_links(robot: ElementTree.Element, description: Description) -> None:
 
 
 def add_shape(part: ElementTree.Element, shape: Shape) -> None:
-    """Add one box or cylinder with its colour."""
+    """
+    Add one box or cylinder with its colour.
+
+    Parameters
+    ----------
+    part : Element
+        XML element of the visual, which is changed.
+    shape : Shape
+        The shape.
+
+    """
     ElementTree.SubElement(part, 'origin', xyz=words(shape.centre), rpy=words(shape.rpy))
     geometry = ElementTree.SubElement(part, 'geometry')
     if shape.is_box:
@@ -47,7 +81,17 @@ def add_shape(part: ElementTree.Element, shape: Shape) -> None:
 
 
 def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
-    """Add one joint; REP-103 units are those of URDF."""
+    """
+    Add one joint; URDF uses SI units (REP-103).
+
+    Parameters
+    ----------
+    robot : Element
+        XML element of the robot, which is changed.
+    joint : Joint
+        The joint.
+
+    """
     element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=joint.kind)
     ElementTree.SubElement(element, 'parent', link=joint.parent)
     ElementTree.SubElement(element, 'child', link=joint.child)
@@ -62,10 +106,34 @@ def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
 
 
 def words(values: Iterable[float]) -> str:
-    """Write numbers side by side."""
+    """
+    Write numbers separated by spaces.
+
+    Parameters
+    ----------
+    values : iterable of float
+        Numbers [any unit].
+
+    Returns
+    -------
+    str
+
+    """
     return ' '.join(word(value) for value in values)
 
 
 def word(value: float) -> str:
-    """Write a number with 15 digits, which is exact to a femtometre, without noise behind."""
+    """
+    Write a number with 15 digits, which is exact to a femtometre without rounding noise.
+
+    Parameters
+    ----------
+    value : float
+        The number [any unit].
+
+    Returns
+    -------
+    str
+
+    """
     return f'{float(value) + 0.0:.15g}'

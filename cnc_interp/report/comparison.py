@@ -1,4 +1,4 @@
-"""Two runs side by side: a table of figures, and both feeds over path length and time."""
+"""Two runs side by side: tables, and both feeds over path length and time."""
 
 from __future__ import annotations
 
@@ -14,21 +14,29 @@ from plotly.subplots import make_subplots
 from cnc_interp.core.units import UM
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verdict import DIFFERENCES, Proof
-from cnc_interp.report.figures import (
-    BLUE,
-    BUCKETS,
-    ORANGE,
-    base_layout,
-    feed_ceiling,
-    rounded,
-    with_axes,
-)
+from cnc_interp.report.figures import feed_ceiling
+from cnc_interp.report.html import drawing, section
+from cnc_interp.report.plot_style import BLUE, BUCKETS, ORANGE, base_layout, rounded, with_axes
 from cnc_interp.report.series import Series, extremes
 
 
 @dataclass(frozen=True)
 class Run:
-    """A plan with its proof and what is drawn of it, under a name."""
+    """
+    A plan with its name, its proof and the values to draw.
+
+    Parameters
+    ----------
+    name : str
+        Name shown on the page.
+    plan : PlanFiles
+        The plan.
+    proof : Proof
+        Its proof.
+    series : Series
+        Values to draw.
+
+    """
 
     name: str
     plan: PlanFiles
@@ -40,7 +48,20 @@ Figure = Callable[[Run], float]
 
 
 def comparison_table(first: Run, second: Run) -> str:
-    """Write cycle times, use of the limits and deviations of both runs as an HTML table."""
+    """
+    Write cycle times, path and deviations of both runs as a table.
+
+    Parameters
+    ----------
+    first, second : Run
+        The runs.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
     proven = ['yes' if run.proof.ok else 'no' for run in (first, second)]
     lines = [_row('proven', proven[0], proven[1], '')]
     for label, unit, pattern, figure in rows_of():
@@ -61,7 +82,7 @@ def comparison_table(first: Run, second: Run) -> str:
 
 
 def rows_of() -> list[tuple[str, str, str, Figure]]:
-    """List what is compared: label, unit, number format and how to get it from a run."""
+    """List the rows of the table: label, unit, number format and the function of a run."""
     rows: list[tuple[str, str, str, Figure]] = [
         ('cycle time', ' s', '.3f', lambda run: run.proof.cycle_time),
         ('planning time', ' s', '.3g', _planning_time),
@@ -76,7 +97,20 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
 
 
 def use_table(first: Run, second: Run) -> str:
-    """Write the largest use of every axis limit in both runs, one beside the other."""
+    """
+    Write the largest use of every axis limit in both runs as a table.
+
+    Parameters
+    ----------
+    first, second : Run
+        The runs.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
     kinds = [kind for kind, _ in DIFFERENCES]
     names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
     head = ''.join(f'<th colspan="2">{kind}</th>' for kind in kinds)
@@ -92,14 +126,43 @@ def use_table(first: Run, second: Run) -> str:
 
 
 def use_of(run: Run, kind: str, axis: str) -> float:
-    """Return the largest use of a limit, NaN where the machine has no such axis."""
+    """
+    Return the largest use of a limit.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    kind : str
+        'velocity', 'acceleration' or 'jerk'.
+    axis : str
+        Name of the axis.
+
+    Returns
+    -------
+    float
+        Share of the limit [-]; NaN if the machine has no such axis.
+
+    """
     if axis not in run.series.axis_names:
         return float(np.nan)
     return float(run.proof.largest(kind, axis).ratio)
 
 
 def comparison_figure(first: Run, second: Run) -> Any:
-    """Draw both feeds over path length and over time."""
+    """
+    Draw both feeds over path length and over time.
+
+    Parameters
+    ----------
+    first, second : Run
+        The runs.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
     runs = ((first, {'color': BLUE, 'width': 1.6}), (second, {'color': ORANGE, 'width': 1.6}))
     for run, line in runs:
@@ -148,3 +211,28 @@ def _error(what: str) -> Figure:
         return float(run.proof.largest(what).value) / UM
 
     return found
+
+
+def comparison_section(first: Run, second: Run) -> str:
+    """
+    Write the section that compares two runs.
+
+    Parameters
+    ----------
+    first, second : Run
+        The runs.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
+    text = (
+        f'{escape(first.name)} and {escape(second.name)}; the rest of the page is about the '
+        'first. The left number of each limit is that of the first run, the right one that of '
+        'the second.'
+    )
+    tables = comparison_table(first, second) + use_table(first, second)
+    content = f'<div class="pair">{tables}</div>' + drawing(comparison_figure(first, second))
+    return section('Two runs', text, content)

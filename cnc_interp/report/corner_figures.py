@@ -1,7 +1,9 @@
-"""The close-up of a corner: both curves in space, and what runs along it."""
+"""The close-up of a corner: both curves in space, and the profiles along them."""
 
 from __future__ import annotations
 
+import json
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,8 @@ from plotly.subplots import make_subplots
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.report.corners import CornerView
-from cnc_interp.report.figures import (
+from cnc_interp.report.html import CONTROLS, section
+from cnc_interp.report.plot_style import (
     BLUE,
     GRID,
     HEADROOM,
@@ -25,16 +28,44 @@ from cnc_interp.report.figures import (
 
 HEIGHT = 640
 TOP_COLOUR = '#2e7d4f'
-#: Tool axes drawn in one corner.
+#: Number of tool axes drawn in one corner.
 TOOLS = 13
-#: Distance between the drawn curves, in corner sizes.
+#: Distance between the drawn curves, as a multiple of the corner size.
 GAP = 1.1
-# Feed pictures of short corners hold few points; marks then show where they are.
+#: Curves with fewer points than this get marks.
 FEW = 60
+
+#: One scene serves all corners, because browsers limit the number of scenes of a page.
+CHOOSER = """
+(function () {
+  var corners = JSON.parse(document.getElementById('corner-data').textContent);
+  var choice = document.getElementById('corner-choice');
+  function show() {
+    var corner = corners.figures[Number(choice.value)];
+    ['space', 'profile'].forEach(function (part) {
+      Plotly.react('corner-' + part, corner[part].data, corner[part].layout, corners.config);
+    });
+  }
+  choice.addEventListener('change', show);
+  show();
+})();
+"""
 
 
 def space_figure(view: CornerView) -> Any:
-    """Draw bottom and top curve with their control polygons, the programmed corner, tool axes."""
+    """
+    Draw both curves with control polygons, the programmed corner and tool axes.
+
+    Parameters
+    ----------
+    view : CornerView
+        The corner.
+
+    Returns
+    -------
+    Figure
+
+    """
     lowering = shift(view)
     moved = f', moved down {np.linalg.norm(lowering):.3g} mm' if lowering.any() else ''
     size = _size(view)
@@ -57,7 +88,7 @@ def space_figure(view: CornerView) -> Any:
     ):  # fmt: skip
         hover = {} if name != 'tool axis' else {'hoverinfo': 'skip'}
         figure.add_trace(go.Scatter3d(**xyz(points - view.vertex), name=name, **style, **hover))
-    # Equal ranges on all axes: one scale, and nothing leaves the view.
+    # Equal ranges on all axes give one scale, and everything stays in view.
     shown = np.concatenate([corner, ends, view.bottom_polygon, view.top_polygon - lowering])
     shown = shown - view.vertex
     middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
@@ -86,10 +117,21 @@ def space_figure(view: CornerView) -> Any:
 
 def shift(view: CornerView) -> FloatArray:
     """
-    Return how far the top curve is moved towards the bottom curve for the picture, shape (3,).
+    Return the displacement of the top curve towards the bottom curve in the figure.
 
-    At its true height a small corner would show as two dots. Shifted along the tool axis, both
-    curves keep their shapes and one scale.
+    At true height a small corner would look like two dots. With a displacement along the tool axis
+    both curves keep their shapes and one scale.
+
+    Parameters
+    ----------
+    view : CornerView
+        The corner.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        Displacement; it is subtracted from the top curve [mm].
+
     """
     size = _size(view)
     middle = view.axis[len(view.axis) // 2]
@@ -98,7 +140,19 @@ def shift(view: CornerView) -> FloatArray:
 
 
 def profile_figure(view: CornerView) -> Any:
-    """Draw parametrization, third derivative of the tool axis and feed along the corner."""
+    """
+    Draw parametrization, third derivative of the tool axis and feed along the corner.
+
+    Parameters
+    ----------
+    view : CornerView
+        The corner.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = make_subplots(
         rows=3, cols=1, vertical_spacing=0.13, row_heights=[0.26, 0.3, 0.44],
         subplot_titles=(
@@ -129,7 +183,7 @@ def profile_figure(view: CornerView) -> Any:
     )
     figure.update_annotations(font={'size': 12.5}, x=0.0, xanchor='left')
     window = [float(view.feed_way[0]), float(view.feed_way[-1])]
-    # From the last kept way onwards: the grid may reach past the window by a long straight cell.
+    # A long straight cell of the grid may exceed the window.
     span = view.ends[1] - view.ends[0]
     window = [max(window[0], view.ends[0] - 1.5 * span), min(window[1], view.ends[1] + 1.5 * span)]
     figure.update_xaxes(title_text='u', range=[0.0, 1.0], row=1, col=1)
@@ -148,12 +202,37 @@ def profile_figure(view: CornerView) -> Any:
 
 
 def asked_of(view: CornerView) -> str:
-    """Say what feed the program asks for in a corner."""
+    """
+    Return the programmed feed of a corner as text.
+
+    Parameters
+    ----------
+    view : CornerView
+        The corner.
+
+    Returns
+    -------
+    str
+
+    """
     return f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
 
 
 def feed_ceiling(view: CornerView) -> float:
-    """Choose where the feed picture of a corner ends [mm/min]."""
+    """
+    Choose the upper end of the feed axis of a corner.
+
+    Parameters
+    ----------
+    view : CornerView
+        The corner.
+
+    Returns
+    -------
+    float
+        Feed [mm/min].
+
+    """
     asked = view.programmed_feed[np.isfinite(view.programmed_feed)]
     fastest = float(view.feed.max(initial=0.0))
     return HEADROOM * max(fastest, min(float(asked.max(initial=0.0)), 2.0 * fastest)) or 1.0
@@ -162,7 +241,7 @@ def feed_ceiling(view: CornerView) -> float:
 def _draw(
     figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = False
 ) -> None:
-    """Add one curve of the profiles; marks where its points are few."""
+    """Add one curve to the profiles, with marks if it has few points."""
     few = len(x) < FEW and shown
     figure.add_trace(
         go.Scatter(
@@ -191,3 +270,42 @@ def _size(view: CornerView) -> float:
 def _height(view: CornerView) -> float:
     """Return the distance of both curves at the corner's entry [mm]."""
     return float(np.linalg.norm(view.top_polygon[0] - view.bottom_polygon[0]))
+
+
+def corner_section(views: list[CornerView]) -> str:
+    """
+    Write the section of the corners; the page draws a corner when it is chosen.
+
+    Parameters
+    ----------
+    views : list of CornerView
+        The corners.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
+    shown = [{'space': space_figure(v), 'profile': profile_figure(v)} for v in views]
+    figures = [{part: json.loads(f.to_json()) for part, f in both.items()} for both in shown]
+    # No text inside may look like the end of the script element.
+    data = json.dumps({'config': CONTROLS, 'figures': figures}).replace('<', '\\u003c')
+    slowest = min(range(len(views)), key=lambda i: views[i].slowest)
+    options = ''.join(
+        f'<option value="{i}"{" selected" if i == slowest else ""}>{escape(view.title)}</option>'
+        for i, view in enumerate(views)
+    )
+    text = (
+        'The corners that use most of their tolerance, and the slowest ones. The programmed '
+        'corner is the origin. Both curves have one scale; the top curve of a small corner is '
+        'drawn closer. Deviations are those of the curve; setpoints may miss its peak. The '
+        'corner is shaded.'
+    )
+    return section(
+        'A corner, close up', text,
+        f'<label>Corner <select id="corner-choice">{options}</select></label>'
+        '<div class="pair"><div id="corner-space"></div><div id="corner-profile"></div></div>'
+        f'<script type="application/json" id="corner-data">{data}</script>'
+        f'<script>{CHOOSER}</script>',
+    )  # fmt: skip

@@ -1,11 +1,9 @@
-"""The corners worth a closer look: their curves, parametrization, derivatives and feed."""
+"""Selected corners: their curves, parametrization, derivatives and feed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -15,49 +13,44 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import vertex_tolerances
+from cnc_interp.report.segments_file import FILE, lengths
 from cnc_interp.smoothing.corners.corner_curves import (
     Curves,
-    bezier,
-    end_derivatives,
     poses,
     spline_points,
-    sum_of,
     top_parameters,
 )
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,
-    POINTS,
-    SPLINE,
     PathSegments,
     corner_breaks,
     corner_jets,
 )
 
-FILE = 'segments.npz'
 MOST = 8
-#: Samples of each half of a corner for its pictures.
+#: Samples of each half of a corner for its figures.
 SAMPLES = 60
-#: How far the feed picture looks to either side, in corner lengths.
+#: Range of the feed figure on either side, as a multiple of the corner length.
 MARGIN = 1.5
 
 
 @dataclass(frozen=True)
 class CornerView:
     """
-    One corner as it is drawn.
+    One corner with all values to draw.
 
     Parameters
     ----------
     line : int
         Line of the block that leaves the corner.
     deviation, tolerance : ndarray, shape (2,)
-        Contour and orientation, reached and allowed [um].
+        Contour and orientation deviation, and their tolerances [um].
     slowest, programmed : float
         Least planned and least programmed feed in the corner [mm/min].
     bottom, top : ndarray, shape (K, 3)
-        Points of both curves, the top one with its connection [mm].
+        Points of both curves, the top curve with its connection [mm].
     bottom_polygon, top_polygon : ndarray, shape (5, 3)
         Control points [mm].
     vertex : ndarray, shape (3,)
@@ -67,12 +60,12 @@ class CornerView:
     u, top_u : ndarray, shape (K,)
         Parameter of the bottom curve and of the top curve [-].
     connection : ndarray, shape (K,)
-        Length of what is added to the top curve [um].
+        Length of the connection that is added to the top curve [um].
     way, turn : ndarray, shape (M,)
-        Path length from the middle of the corner [mm] and norm of the third derivative of the
-        tool axis by it, lines at both sides included [1/mm3].
-    ends : tuple of float
-        Where the corner begins and ends on that scale [mm].
+        Path length from the middle of the corner [mm], and norm of the third derivative of the
+        tool axis by path length, with the lines on both sides [1/mm3].
+    ends : (float, float)
+        Path lengths at which the corner begins and ends [mm].
     feed_way, feed, feed_limit, programmed_feed : ndarray, shape (N,)
         Planner's grid near the corner [mm] and the speeds there [mm/min].
 
@@ -102,7 +95,7 @@ class CornerView:
 
     @property
     def in_step(self) -> bool:
-        """True where u_top = u_bottom all along."""
+        """True if u_top = u_bottom everywhere."""
         return bool(np.abs(self.top_u - self.u).max() < 1e-9)
 
     @property
@@ -116,47 +109,26 @@ class CornerView:
         )
 
 
-def read_segments(directory: Path) -> PathSegments | None:
-    """
-    Read the smooth path of a plan directory, None where it was not written.
-
-    Raises
-    ------
-    InterpError
-        If the file is there but cannot be read, or its columns do not belong together.
-
-    """
-    file = directory / FILE
-    if not file.is_file():
-        return None
-    try:
-        with np.load(file, allow_pickle=False) as archive:
-            segments = PathSegments(**{f.name: archive[f.name] for f in fields(PathSegments)})
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
-        raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
-    count = len(segments)
-    tails = {
-        'bottom': (POINTS, 3), 'top': (POINTS, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
-        'deviation': (2,), 'length': (), 'line_number': (),
-    }  # fmt: skip
-    for name, tail in tails.items():
-        if getattr(segments, name).shape != (count, *tail):
-            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
-    for name, dimensions, last in (('connection', 3, 3), ('parametrization', 3, 8)):
-        column = getattr(segments, name)
-        if column.ndim != dimensions or len(column) != count or column.shape[2] != last:
-            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
-    return segments
-
-
 def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
     """
-    Prepare the corners to be looked at, those that use most of their tolerance or slow down most.
+    Select the corners that use most of their tolerance or are slowest, and prepare them.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    segments : PathSegments
+        Its smooth path.
+
+    Returns
+    -------
+    list of CornerView
+        At most ``MOST`` corners in path order.
 
     Raises
     ------
     InterpError
-        If the segments are not those of the plan.
+        If the segments do not belong to the plan.
 
     """
     ends = np.cumsum(lengths(segments))
@@ -171,35 +143,31 @@ def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
     return [_view(plan, segments, int(i), starts[i], starts[0] + ends[i]) for i in chosen]
 
 
-def lengths(segments: PathSegments) -> FloatArray:
-    """Return path lengths of segments; curves by Gauss's rule [m], shape (n,)."""
-    length = np.array(segments.length, dtype=float)
-    corner = np.flatnonzero(segments.kind == CORNER)
-    points = segments.bottom[corner, :5]
-    node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
-    total = np.zeros(len(corner))
-    for half in (points, points[:, ::-1]):
-        first, second, third = end_derivatives(half)
-        for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
-            total += w * norm(first + x * (second + 0.5 * x * third))
-    length[corner] = total
-    spline = np.flatnonzero(segments.kind == SPLINE)
-    rates = 5.0 * np.diff(segments.bottom[spline], axis=1)
-    length[spline] = sum_of(
-        0.5 * w * norm(bezier(rates.swapaxes(1, 2), np.full((len(spline), 1), 0.5 * (x + 1.0))))
-        for x, w in zip(node, weight, strict=True)
-    )
-    return length
-
-
 def worst_corners(
     plan: PlanFiles, segments: PathSegments, starts: FloatArray, ends: FloatArray
 ) -> IntArray:
-    """Choose corners, by turns the largest use of the tolerance and the slowest; path order."""
+    """
+    Select corners, alternately by the use of the tolerance and by the feed.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    segments : PathSegments
+        Its n segments.
+    starts, ends : ndarray, shape (n,)
+        Path lengths at which the segments begin and end [m].
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        Rows of the segments in path order, k <= ``MOST``.
+
+    """
     corners = np.flatnonzero(segments.kind == CORNER)
     use = (segments.deviation[corners] / _tolerances(plan, segments, corners)).max(axis=1)
     slow = np.array([_speeds(plan, starts[i], ends[i])[0] for i in corners])
-    # Corners mostly exhaust their tolerance: among equals the slower one is of interest.
+    # Most corners use all of their tolerance; the slower one comes first among equals.
     by_use = corners[np.lexsort((slow, -np.round(use, 2)))]
     by_feed = corners[np.argsort(slow, kind='stable')]
     order = np.stack([by_feed, by_use], axis=1).ravel().tolist()
@@ -231,7 +199,7 @@ def _grid_rows(plan: PlanFiles, start: float, end: float) -> tuple[int, int]:
 def _view(
     plan: PlanFiles, segments: PathSegments, row: int, start: float, end: float
 ) -> CornerView:
-    """Work out the pictures of one corner that runs from start to end of the path [m]."""
+    """Compute the values to draw for the corner between two path lengths [m]."""
     one = segments[row : row + 1]
     bottom, polygon = one.bottom[:, :5], one.top[:, :5]
     curves = Curves(bottom, polygon, one.connection, one.parametrization)
@@ -272,7 +240,7 @@ def _view(
 
 
 def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return parameters of a corner, each break twice, and a parameter inside the same piece."""
+    """Return parameters of a corner, each break twice, and parameters inside their pieces."""
     breaks = corner_breaks(parametrization)
     u, inside = [], []
     for low, high in pairwise(breaks):
@@ -283,7 +251,7 @@ def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _connection(points: FloatArray, u: FloatArray) -> FloatArray:
-    """Return what a corner adds to its top curve, by de Casteljau's scheme, shape (K, 3) [m]."""
+    """Return the connection added to the top curve, by de Casteljau's scheme, shape (K, 3) [m]."""
     rows = np.broadcast_to(points, (len(u), *points.shape))
     while rows.shape[1] > 1:
         rows = rows[:, :-1] + u[:, None, None] * np.diff(rows, axis=1)
@@ -293,7 +261,7 @@ def _connection(points: FloatArray, u: FloatArray) -> FloatArray:
 def _third_derivatives(
     one: PathSegments, u: FloatArray, inside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return path length from the start [m] and |o_sss| of a corner [1/m3, B2013, Eq. 11]."""
+    """Return path length [m] and |o_sss| along a corner [1/m3, B2013, Eq. 11], shapes (K,)."""
     turn, speed = np.empty(len(u)), np.empty(len(u))
     for k, (v, piece) in enumerate(zip(u, inside, strict=True)):
         tip, axis = corner_jets(
@@ -308,7 +276,20 @@ def _third_derivatives(
 
 
 def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
-    """Return the jet of the path speed from the jets of the tip, shape (3, 4)."""
+    """
+    Return the path speed ds/du with its Taylor coefficients.
+
+    Parameters
+    ----------
+    tip : ndarray, shape (3, 4)
+        Taylor coefficients of the tip by u [m].
+
+    Returns
+    -------
+    tuple of float
+        Taylor coefficients of ds/du, four values of which the last is 0 [m].
+
+    """
     first, second, third = tip[:, 1], 2.0 * tip[:, 2], 3.0 * tip[:, 3]
     squared = (first @ first, 2.0 * first @ second, 2.0 * first @ third + second @ second)
     s0 = float(np.sqrt(squared[0]))
@@ -317,7 +298,22 @@ def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
 
 
 def by_path_length(a: FloatArray, speed: tuple[float, ...]) -> tuple[float, ...]:
-    """Turn the jet of a value in u into the value and its derivatives by path length."""
+    """
+    Convert Taylor coefficients by u to derivatives by path length.
+
+    Parameters
+    ----------
+    a : ndarray, shape (4,)
+        Taylor coefficients of a value by u [any unit].
+    speed : tuple of float
+        Taylor coefficients of ds/du, of ``ds_du`` [m].
+
+    Returns
+    -------
+    tuple of float
+        The value and its three derivatives by path length [unit per m, m2, m3].
+
+    """
     found: tuple[float, ...] = jet.by_arc_length.py_func(tuple(a), speed)
     return found
 
@@ -325,7 +321,7 @@ def by_path_length(a: FloatArray, speed: tuple[float, ...]) -> tuple[float, ...]
 def _with_lines(
     segments: PathSegments, row: int, corner: tuple[FloatArray, FloatArray], reach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Put the constant third derivatives of the lines beside a corner's; from its start [m]."""
+    """Add the constant third derivatives of the lines on both sides of a corner."""
     way, turn = corner
     for side, at in ((-1, row - 1), (1, row + 1)):
         if not 0 <= at < len(segments) or segments.kind[at] != LINE:

@@ -1,4 +1,4 @@
-"""What the report tells of runs of dense blocks that became curves."""
+"""Dense blocks that became curves: figures and text of the report."""
 
 from __future__ import annotations
 
@@ -11,37 +11,39 @@ import plotly.graph_objects as go
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.report.corners import lengths
-from cnc_interp.report.figures import BLUE, ORANGE, base_layout, with_axes
+from cnc_interp.report.html import drawing, section
+from cnc_interp.report.plot_style import BLUE, ORANGE, base_layout, with_axes
+from cnc_interp.report.segments_file import lengths
 from cnc_interp.smoothing.corners.corner_curves import bezier
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
-#: Points of a span in the picture, and how many spans it shows to either side of the worst.
+#: Points of a span in the close-up, and its spans on either side of the largest bound.
 POINTS, AROUND = 24, 5
-#: Bounds drawn at most along the path.
+#: Largest number of bounds drawn along the path.
 MOST = 4000
 
 
 @dataclass(frozen=True)
 class CurvesView:
     """
-    Curves through dense blocks, as they are drawn.
+    Curves through dense blocks with all values to draw.
 
     Parameters
     ----------
     blocks, spans, runs : int
-        Blocks that became curves, the spans they became, and the curves.
+        Number of blocks that became curves, of spans, and of curves.
     share : float
-        Share of the path that is curves [-].
+        Share of the path that consists of curves [-].
     way : ndarray, shape (n,)
-        Path length where a span ends [mm].
+        Path length at the ends of the spans [mm].
     bound : ndarray, shape (n, 2)
-        Bound of the contour and orientation deviation of the span [um].
+        Bounds of contour and orientation deviation of the spans [um].
     used : ndarray, shape (2,)
-        Largest bounds of all spans over the tolerances there [-].
-    curve, polyline : ndarray, shapes (K, 2) and (M, 2)
-        The curve around the largest bound and the programmed tips there, in the plane in which it
-        spreads most, from the middle [mm].
+        Largest bounds of all spans over their tolerances [-].
+    curve : ndarray, shape (K, 2)
+        The curve around the largest bound, in the plane of its largest extent [mm].
+    polyline : ndarray, shape (M, 2)
+        The programmed tips there, in the same plane [mm].
     line : int
         Line of the program there.
 
@@ -60,18 +62,33 @@ class CurvesView:
 
     @property
     def text(self) -> str:
-        """Say what was made of what."""
+        """Describe the conversion of blocks to curves."""
         return (
             f'{self.blocks:,} blocks became {self.runs:,} curves of {self.spans:,} spans: '
             f'{self.spans / max(self.blocks, 1):.2f} spans a block, {self.share:.1%} of the path. '
-            'Left: proven bounds of the deviation along the path, curve from blocks and blocks '
-            f'from curve; at most {self.used[0]:.1%} of the contour and {self.used[1]:.1%} of the '
+            'Left: proven bounds of the deviation along the path, in both directions: '
+            f'at most {self.used[0]:.1%} of the contour and {self.used[1]:.1%} of the '
             f'orientation tolerance. Right: around the largest one, line {self.line}.'
         )
 
 
 def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
-    """Prepare the curves of a plan; None where no linear blocks became curves."""
+    """
+    Prepare the curves of a plan.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    segments : PathSegments
+        Its smooth path.
+
+    Returns
+    -------
+    CurvesView or None
+        None if no linear blocks became curves.
+
+    """
     native = np.isfinite(plan.blocks['knot_interval'])
     spans = np.flatnonzero((segments.kind == SPLINE) & ~native[segments.block[:, 1]])
     if not len(spans):
@@ -112,7 +129,19 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
 
 
 def bounds_figure(view: CurvesView) -> Any:
-    """Draw the bounds along the path."""
+    """
+    Draw the bounds along the path.
+
+    Parameters
+    ----------
+    view : CurvesView
+        The curves.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = go.Figure()
     for k, (name, colour) in enumerate((('contour', BLUE), ('orientation', ORANGE))):
         figure.add_scatter(
@@ -128,7 +157,19 @@ def bounds_figure(view: CurvesView) -> Any:
 
 
 def close_figure(view: CurvesView) -> Any:
-    """Draw the curve and the blocks it stands for."""
+    """
+    Draw the curve and the blocks that it replaces.
+
+    Parameters
+    ----------
+    view : CurvesView
+        The curves.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = go.Figure()
     figure.add_scatter(
         x=view.polyline[:, 0], y=view.polyline[:, 1], name='programmed', mode='lines+markers',
@@ -144,3 +185,27 @@ def close_figure(view: CurvesView) -> Any:
         yaxis={'title': {'text': 'mm'}, 'scaleanchor': 'x'},
     )
     return with_axes(figure)
+
+
+def curves_section(plan: PlanFiles, segments: PathSegments) -> str:
+    """
+    Write the section about curves through dense blocks.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    segments : PathSegments
+        Its smooth path.
+
+    Returns
+    -------
+    str
+        HTML; empty if no blocks became curves.
+
+    """
+    view = curves_of(plan, segments)
+    if view is None:
+        return ''
+    pair = f'<div>{drawing(bounds_figure(view))}</div><div>{drawing(close_figure(view))}</div>'
+    return section('Dense blocks as curves', view.text, f'<div class="pair">{pair}</div>')

@@ -1,7 +1,9 @@
-"""The figures of the report, in plotly."""
+"""The figures of every report, in plotly, and the list of them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,20 +11,41 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.report.plot_style import (
+    BLUE,
+    BUCKETS,
+    GRID,
+    HEADROOM,
+    INK,
+    ORANGE,
+    RED,
+    base_layout,
+    rounded,
+    with_axes,
+    xyz,
+)
 from cnc_interp.report.series import KINDS, Series, extremes
 
-INK, GRID = '#22303c', '#e6eaee'
-BLUE, ORANGE, RED = '#1f6fb2', '#e08a1e', '#c0392b'
-FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-# Buckets of thinned curves: about two rows per pixel of a laptop screen.
-BUCKETS, SMALL_BUCKETS, SPACE_BUCKETS = 1400, 500, 6000
+#: Buckets of the small figures of the axes, and of the tool path in space.
+SMALL_BUCKETS, SPACE_BUCKETS = 500, 6000
+#: Number of tool axes in the figure of the tool path.
 TOOL_LINES = 160
-# Eq. 10 rises to infinity on straight lines; the picture ends a little above the feed.
-HEADROOM = 1.45
 
 
 def path_figure(series: Series) -> Any:
-    """Draw the tool path in space, coloured by feedrate, with some tool axes."""
+    """
+    Draw the tool path in space, coloured by feedrate, with some tool axes.
+
+    Parameters
+    ----------
+    series : Series
+        Values to draw.
+
+    Returns
+    -------
+    Figure
+
+    """
     kept = extremes(series.feed, SPACE_BUCKETS)
     tip, feed = series.tip[kept], series.feed[kept]
     figure = go.Figure()
@@ -46,7 +69,7 @@ def path_figure(series: Series) -> Any:
         '%{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
     ))  # fmt: skip
     plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
-    # The longest side is 1, so that flat and slender paths fill the view alike.
+    # The longest side is 1, so that flat and slender paths fill the view equally.
     shown = np.concatenate([tip, series.vertices, _tool_lines(series)])
     span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
     shape = np.maximum(span / (float(span.max()) or 1.0), 0.08)
@@ -71,7 +94,20 @@ def path_figure(series: Series) -> Any:
 
 
 def feed_span(series: Series) -> tuple[float, str]:
-    """Choose the end of the colour scale [mm/min] and its title; short rapids must not rule it."""
+    """
+    Choose the colour scale of the feedrate so that short rapids do not dominate it.
+
+    Parameters
+    ----------
+    series : Series
+        Values to draw.
+
+    Returns
+    -------
+    (float, str)
+        Upper end of the scale [mm/min] and its title.
+
+    """
     fastest = float(series.feed.max(initial=0.0))
     usual = float(np.percentile(series.feed, 95.0))
     if 0.0 < usual < 0.5 * fastest:
@@ -80,7 +116,19 @@ def feed_span(series: Series) -> tuple[float, str]:
 
 
 def feed_figure(series: Series) -> Any:
-    """Draw the feed against the programmed feed and Eq. 10, over path length and over time."""
+    """
+    Draw feed, programmed feed and Eq. 10, over path length and over time.
+
+    Parameters
+    ----------
+    series : Series
+        Values to draw.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
     ceiling = feed_ceiling(series)
     limit = np.minimum(series.feed_limit, ceiling)
@@ -111,7 +159,20 @@ def feed_figure(series: Series) -> Any:
 
 
 def feed_ceiling(series: Series) -> float:
-    """Choose where the feed picture ends [mm/min]."""
+    """
+    Choose the upper end of the feed axis.
+
+    Parameters
+    ----------
+    series : Series
+        Values to draw.
+
+    Returns
+    -------
+    float
+        Feed [mm/min].
+
+    """
     finite = series.programmed_feed[np.isfinite(series.programmed_feed)]
     asked = float(finite.max(initial=0.0))
     fastest = float(series.feed.max(initial=0.0))
@@ -119,7 +180,19 @@ def feed_ceiling(series: Series) -> float:
 
 
 def axes_figure(series: Series) -> Any:
-    """Draw velocity, acceleration and jerk of every axis in percent of their limits."""
+    """
+    Draw velocity, acceleration and jerk of every axis in percent of their limits.
+
+    Parameters
+    ----------
+    series : Series
+        Values to draw.
+
+    Returns
+    -------
+    Figure
+
+    """
     names = series.axis_names
     figure = make_subplots(
         rows=len(names), cols=3, shared_xaxes=True, shared_yaxes=True,
@@ -162,7 +235,19 @@ def axes_figure(series: Series) -> Any:
 
 
 def error_figure(series: Series) -> Any:
-    """Draw contour and orientation error along the path against their tolerances."""
+    """
+    Draw contour and orientation error along the path against their tolerances.
+
+    Parameters
+    ----------
+    series : Series
+        Values to draw.
+
+    Returns
+    -------
+    Figure
+
+    """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
     for row, name, error, tolerance in (
         (1, 'contour', series.contour_error, series.contour_tolerance),
@@ -190,46 +275,13 @@ def error_figure(series: Series) -> Any:
     return with_axes(figure)
 
 
-def base_layout(height: int) -> dict[str, Any]:
-    """Return the layout that all figures share."""
-    return {
-        'height': height,
-        'template': 'none',
-        'font': {'family': FONT, 'size': 12, 'color': INK},
-        'paper_bgcolor': 'white',
-        'plot_bgcolor': 'white',
-        'margin': {'l': 70, 'r': 16, 't': 34, 'b': 46},
-        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'},
-        'hovermode': 'x',
-        'hoverlabel': {'font': {'family': FONT, 'size': 12}},
-    }
-
-
-def with_axes(figure: Any) -> Any:
-    """Give a flat figure the axes that all figures share."""
-    quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
-    figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
-    figure.update_yaxes(**quiet, title_standoff=8)
-    return figure
-
-
-def xyz(points: FloatArray) -> dict[str, FloatArray]:
-    """Return points as the coordinates of a trace in space."""
-    return dict(zip('xyz', rounded(points).T, strict=True))
-
-
-def rounded(values: FloatArray) -> Any:
-    """Halve the page: seven digits are more than a screen shows."""
-    return np.asarray(values, dtype=np.float32)
-
-
 def _every(count: int, most: int) -> Any:
-    """Choose at most ``most`` rows evenly, first and last included."""
+    """Choose at most ``most`` of ``count`` rows evenly, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
 def _tool_lines(series: Series) -> FloatArray:
-    """Make short lines along the tool axis, evenly along the path, parted by NaN rows."""
+    """Return short lines along the tool axis, separated by NaN rows, shape (3 m, 3) [mm]."""
     way = np.linspace(series.way[0], series.way[-1], TOOL_LINES)
     rows = np.unique(np.searchsorted(series.way, way).clip(0, len(series.way) - 1))
     length = 0.09 * float(np.ptp(series.tip, axis=0).max(initial=0.0)) or 10.0
@@ -237,3 +289,60 @@ def _tool_lines(series: Series) -> FloatArray:
     ends = series.tip[rows] + length * series.axis[rows]
     lines: FloatArray = np.stack([series.tip[rows], ends, gap], axis=1).reshape(-1, 3)
     return lines
+
+
+@dataclass(frozen=True)
+class Plot:
+    """
+    A section of the report with one figure.
+
+    Parameters
+    ----------
+    heading : str
+        Heading of the section.
+    text : callable
+        Returns the text above the figure.
+    draw : callable
+        Returns the figure.
+
+    """
+
+    heading: str
+    text: Callable[[Series], str]
+    draw: Callable[[Series], Any]
+
+
+#: The figures of every report, in order. A new one is a function above and a row here.
+PLOTS = (
+    Plot(
+        'Tool path',
+        lambda series: (
+            'The colour is the feedrate; short lines are tool axes. Drag to turn, scroll to zoom.'
+        ),
+        path_figure,
+    ),
+    Plot(
+        'Feedrate',
+        lambda series: (
+            'The feed is the programmed one where the axes allow it. Eq. 10 of the paper neglects '
+            'tangential acceleration and jerk, so the planned feed may exceed it on a slope.'
+        ),
+        feed_figure,
+    ),
+    Plot(
+        'Use of the axis limits',
+        lambda series: (
+            'By differences of the emitted positions at the interpolation period, in percent of '
+            'each limit. The number in the corner is the largest value.'
+        ),
+        axes_figure,
+    ),
+    Plot(
+        'Deviation from the program',
+        lambda series: (
+            'Of the tool tip, and of the point on the tool axis at the flank height of '
+            f'{series.flank_height:g} mm.'
+        ),
+        error_figure,
+    ),
+)

@@ -1,4 +1,4 @@
-"""What a plan's pictures show, as plain arrays in shop units; thinned without losing extremes."""
+"""The values that a report draws, as arrays in shop units, thinned without loss of extremes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KINDS = ('velocity', 'acceleration', 'jerk')
 @dataclass(frozen=True)
 class Series:
     """
-    Everything that is drawn, one row per setpoint unless stated.
+    The values to draw, one row per setpoint unless stated otherwise.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Series:
     axis : ndarray, shape (K, 3)
         Tool axis [-].
     feed, programmed_feed, feed_limit : ndarray, shape (K,)
-        Speed along the path, what was asked, and the limit of Eq. 10 [mm/min].
+        Speed along the path, programmed feed, and the limit of Eq. 10 [mm/min].
     axis_use : ndarray, shape (3, K, n_axes)
         Velocity, acceleration and jerk over their limits, signed [-].
     axis_limits : ndarray, shape (3, n_axes)
@@ -44,11 +44,13 @@ class Series:
     contour_error, orientation_error : ndarray, shape (K,)
         Deviation of the tip and of the point at flank height [um].
     contour_tolerance, orientation_tolerance : ndarray, shape (K,)
-        What is allowed there [um].
+        Tolerances there [um].
     line : ndarray of int, shape (K,)
         Line of the part program.
     vertices : ndarray, shape (M, 3)
         Programmed tool tips [mm].
+    flank_height : float
+        Height above the tip at which the orientation error is measured [mm].
 
     """
 
@@ -69,10 +71,25 @@ class Series:
     orientation_tolerance: FloatArray
     line: IntArray
     vertices: FloatArray
+    flank_height: float
 
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
-    """Work out what is drawn from the files of a plan."""
+    """
+    Compute the values to draw from the files of a plan.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan.
+    machine : Machine
+        Its machine.
+
+    Returns
+    -------
+    Series
+
+    """
     plan = with_chords(plan, machine)
     tip, axis = Transform.of(machine).forward(plan.position)
     deviation = measure(plan, machine, tip, axis)
@@ -97,19 +114,35 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         orientation_tolerance=orientation / UM,
         line=np.asarray(plan.blocks['line'], dtype=np.int64)[plan.block],
         vertices=plan.blocks['tip'] / MM,
+        flank_height=plan.flank_height / MM,
     )
 
 
 def axis_use(plan: PlanFiles, limits: FloatArray) -> FloatArray:
-    """Differentiate the emitted positions and divide by the limits, shape (3, K, n_axes)."""
+    """
+    Differentiate the emitted positions and divide by the limits.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan, with K setpoints.
+    limits : ndarray, shape (3, n_axes)
+        Limits of velocity, acceleration and jerk [SI].
+
+    Returns
+    -------
+    ndarray, shape (3, K, n_axes)
+        Signed shares of the limits [-].
+
+    """
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
     shares = limit_shares(held, largest_differences(limits, plan.period))
-    # Velocity stands at its later sample, acceleration and jerk at the sample before that.
+    # Velocity belongs to its later sample, acceleration and jerk to the sample before that.
     return np.stack([shares[0, :-1], shares[1, 1:], shares[2, 1:]])
 
 
 def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray) -> FloatArray:
-    """Interpolate a column of the grid at s; infinite values stay so."""
+    """Interpolate a column of the grid at s, shape (K,); infinite values stay infinite."""
     part = np.clip((s - grid[cell]) / (grid[cell + 1] - grid[cell]), 0.0, 1.0)
     left, right = np.asarray(column[cell], float), np.asarray(column[cell + 1], float)
     finite = np.isfinite(left) & np.isfinite(right)
@@ -120,19 +153,19 @@ def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray
 
 def extremes(values: FloatArray, buckets: int) -> IntArray:
     """
-    Choose rows that keep the picture: of each bucket its first row, minima and maxima.
+    Choose rows that preserve a curve: of each bucket its first row, its minima and its maxima.
 
     Parameters
     ----------
     values : ndarray, shape (K,) or (K, m)
-        What must keep its extremes.
+        Curves whose extremes are preserved [any unit].
     buckets : int
-        Number of buckets; about ``1 + 2 m`` rows are kept of each.
+        Number of buckets; about ``1 + 2 m`` rows of each are kept.
 
     Returns
     -------
-    ndarray of int
-        Rows, increasing, first and last included.
+    ndarray of int, shape (k,)
+        Rows in increasing order, with the first and the last.
 
     """
     table = values.reshape(len(values), -1)

@@ -1,4 +1,4 @@
-"""The feed profile of a plan as a few lines of text, for a quick look in the terminal."""
+"""The feed profile of a plan as a few lines of text for the terminal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM_PER_MIN
 
-#: Eighths of a character cell, and what stands for them where the terminal knows only ASCII.
+#: Eighths of a character cell, and their substitutes on an ASCII terminal.
 EIGHTHS, PLAIN = ' ▁▂▃▄▅▆▇█', ' ...::::#'
 ROWS = 4
 MARGIN = 15
@@ -31,8 +31,8 @@ def feed_sketch(directory: Path, width: int, unicode: bool) -> str:
     Returns
     -------
     str
-        ``ROWS`` lines of picture and one with the ends of the time axis; every column shows the
-        mean speed of its share of the time.
+        ``ROWS`` lines of the profile and one line with the ends of the time axis. Every column
+        shows the mean speed of its interval.
 
     """
     with np.load(directory / 'setpoints.npz') as run:
@@ -55,7 +55,22 @@ def feed_sketch(directory: Path, width: int, unicode: bool) -> str:
 
 
 def bars(shares: FloatArray, steps: str) -> list[str]:
-    """Return the rows of a bar chart of shares between 0 and 1, the highest row first."""
+    """
+    Draw a bar chart with characters.
+
+    Parameters
+    ----------
+    shares : ndarray, shape (n,)
+        Heights of the bars between 0 and 1 [-].
+    steps : str
+        Characters from empty to full.
+
+    Returns
+    -------
+    list of str
+        ``ROWS`` lines of n characters, the highest first.
+
+    """
     levels = np.round(shares * ROWS * (len(steps) - 1)).astype(int)
     full = len(steps) - 1
     return [

@@ -14,11 +14,10 @@ from cnc_interp.description.links import (
     BASE,
     TOOL_TIP,
     WORKPIECE,
-    Colour,
     Description,
     Joint,
-    Shape,
 )
+from cnc_interp.description.shapes import Colour, Shape
 
 GROUND = '#12181d'
 RAY, RAY_COLOUR = 0.14, '#ffd166'

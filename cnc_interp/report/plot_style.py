@@ -1,0 +1,102 @@
+"""Colours, axes and layout that all figures share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+
+INK, GRID = '#22303c', '#e6eaee'
+BLUE, ORANGE, RED = '#1f6fb2', '#e08a1e', '#c0392b'
+FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+#: Buckets of thinned curves over the whole width: about two rows per pixel of a screen.
+BUCKETS = 1400
+#: Largest ratio of the upper end of a feed axis to the feed: Eq. 10 is infinite on lines.
+HEADROOM = 1.45
+
+
+def base_layout(height: int) -> dict[str, Any]:
+    """
+    Return the layout that all figures share.
+
+    Parameters
+    ----------
+    height : int
+        Height of the figure [px].
+
+    Returns
+    -------
+    dict
+        Arguments of ``update_layout``.
+
+    """
+    return {
+        'height': height,
+        'template': 'none',
+        'font': {'family': FONT, 'size': 12, 'color': INK},
+        'paper_bgcolor': 'white',
+        'plot_bgcolor': 'white',
+        'margin': {'l': 70, 'r': 16, 't': 34, 'b': 46},
+        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'},
+        'hovermode': 'x',
+        'hoverlabel': {'font': {'family': FONT, 'size': 12}},
+    }
+
+
+def with_axes(figure: Any) -> Any:
+    """
+    Give a flat figure the axes that all figures share.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure, which is changed.
+
+    Returns
+    -------
+    Figure
+        The same figure.
+
+    """
+    quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
+    figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
+    figure.update_yaxes(**quiet, title_standoff=8)
+    return figure
+
+
+def xyz(points: FloatArray) -> dict[str, FloatArray]:
+    """
+    Return points as the coordinates of a trace in space.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Points [mm].
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        Coordinates ``x``, ``y`` and ``z`` [mm].
+
+    """
+    return dict(zip('xyz', rounded(points).T, strict=True))
+
+
+def rounded(values: FloatArray) -> Any:
+    """
+    Round values to single precision, which halves the size of the page.
+
+    Parameters
+    ----------
+    values : ndarray, any shape
+        Values [any unit].
+
+    Returns
+    -------
+    ndarray of float32, same shape
+        Rounded values [same unit].
+
+    """
+    return np.asarray(values, dtype=np.float32)

@@ -1,0 +1,94 @@
+"""The smooth path of a plan directory: reading it, and the lengths of its segments."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.smoothing.corners.corner_curves import bezier, end_derivatives, sum_of
+from cnc_interp.smoothing.orientation import norm
+from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
+
+FILE = 'segments.npz'
+
+
+def read_segments(directory: Path) -> PathSegments | None:
+    """
+    Read the smooth path of a plan directory.
+
+    Parameters
+    ----------
+    directory : Path
+        The plan directory.
+
+    Returns
+    -------
+    PathSegments or None
+        None if the directory has no such file.
+
+    Raises
+    ------
+    InterpError
+        If the file cannot be read, or its columns do not belong together.
+
+    """
+    file = directory / FILE
+    if not file.is_file():
+        return None
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            segments = PathSegments(**{f.name: archive[f.name] for f in fields(PathSegments)})
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
+        raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
+    count = len(segments)
+    tails = {
+        'bottom': (POINTS, 3), 'top': (POINTS, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
+        'deviation': (2,), 'length': (), 'line_number': (),
+    }  # fmt: skip
+    for name, tail in tails.items():
+        if getattr(segments, name).shape != (count, *tail):
+            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
+    for name, dimensions, last in (('connection', 3, 3), ('parametrization', 3, 8)):
+        column = getattr(segments, name)
+        if column.ndim != dimensions or len(column) != count or column.shape[2] != last:
+            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
+    return segments
+
+
+def lengths(segments: PathSegments) -> FloatArray:
+    """
+    Return the path lengths of segments; those of curves by Gauss's rule.
+
+    Parameters
+    ----------
+    segments : PathSegments
+        n segments.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Lengths [m].
+
+    """
+    length = np.array(segments.length, dtype=float)
+    corner = np.flatnonzero(segments.kind == CORNER)
+    points = segments.bottom[corner, :5]
+    node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
+    total = np.zeros(len(corner))
+    for half in (points, points[:, ::-1]):
+        first, second, third = end_derivatives(half)
+        for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
+            total += w * norm(first + x * (second + 0.5 * x * third))
+    length[corner] = total
+    spline = np.flatnonzero(segments.kind == SPLINE)
+    rates = 5.0 * np.diff(segments.bottom[spline], axis=1)
+    length[spline] = sum_of(
+        0.5 * w * norm(bezier(rates.swapaxes(1, 2), np.full((len(spline), 1), 0.5 * (x + 1.0))))
+        for x, w in zip(node, weight, strict=True)
+    )
+    return length

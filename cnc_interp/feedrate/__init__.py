@@ -1,1 +1,1 @@
-"""AxisPath -> MotionLaw: as fast as the feed and all axis limits allow, jerk included."""
+"""AxisPath -> MotionLaw: the fastest motion within the feed and all axis limits."""

@@ -1,11 +1,24 @@
 """
-What the rows of the jerk stage do in an interior-point iteration: to the matrix, to the step.
+The inequality rows of the jerk stage inside one iteration of the interior point method.
 
-Each row g <= 1 has a slack w and a dual y, for |g| <= 1 one of each per side. A row of an axis is
-a fixed combination of three terms of its cell (``jerk_rows``), so sums over the axes are made in
-the terms and brought to the coefficients m_{i-1}, m_i, m_{i+1} once per cell. ``rows[i, q, f, k]``
-is the factor of term f at place q of cell i for axis k, in row q n_axes + k. The last two rows are
-the caps, of the cell and of its left node. A row without a free coefficient is none.
+Each row g <= 1 has a slack w and a dual y. A row |g| <= 1 has one of each per side. A row of an
+axis is a constant combination of the three terms of its cell (module ``jerk_rows``). Therefore
+sums over the axes are first made in the terms. They are multiplied by the derivatives by m_{i-1},
+m_i, m_{i+1} only once per cell. ``rows[i, q, f, k]`` is the factor of term f at place q of cell i
+for axis k; it belongs to row q n_axes + k. The last two rows are the speed caps of the cell and
+of its left node. A row without a free coefficient is skipped.
+
+Arrays of this module, for n cells and r = 3 n_axes + 2 rows per cell:
+
+    rows     (n, 3, 3, n_axes)  factors of the terms, scaled so that the limit is 1
+    caps     (n, 2)             largest s_dot^2 in the cell and at its left node [m2/s2]
+    m        (n,)               coefficients: the unknowns [m2/s2]
+    terms    (n, 3, 3)          terms of the rows;  slopes (n, 3, 3, 3): their derivatives
+    weight   (n,)               barrier weight of the cell: its share of the time [-]
+    slack, dual, inverse        (n, r, 2): w, y and 1/w of both sides of each row
+    change, next_dual           (n, r, 2): products dw dy or steps dw; steps dy
+    d0, d1, d2                  (n,): diagonals of the Newton matrix
+    rhs, residual, dm           (n,): right-hand side, dual residual, step of m
 """
 
 from __future__ import annotations
@@ -16,12 +29,12 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
-"""Least slack, and complementarity over the time, with which a warm start begins."""
+"""Smallest slack, and slack times dual over the time, at the beginning of a warm start."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def moves(slopes: FloatArray) -> bool:
-    """Tell whether terms depend on any free coefficient; rows that do not are no rows."""
+def has_free_terms(slopes: FloatArray) -> bool:
+    """Tell whether the terms depend on a free coefficient; other rows are skipped."""
     for f in range(3):
         for c in range(3):
             if slopes[f, c] != 0.0:
@@ -30,13 +43,13 @@ def moves(slopes: FloatArray) -> bool:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def fixed_cap(i: int, n: int, which: int) -> bool:
-    """Tell whether a cap's row, of the cell (0) or of its node (1), has no free coefficient."""
+def _is_fixed_cap(i: int, n: int, which: int) -> bool:
+    """Tell whether the cap of the cell (which = 0) or of its node (1) has no free coefficient."""
     return i == 0 or n < 3 or (which == 0 and i == n - 1)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def gather(
+def add_rows(
     rows: FloatArray,
     caps: FloatArray,
     m: FloatArray,
@@ -53,10 +66,23 @@ def gather(
     rhs: FloatArray,
 ) -> tuple[float, float, float, int]:
     """
-    Add the rows to the Newton matrix and to the predictor's right-hand side.
+    Add the rows to the Newton matrix and to the right-hand side of the predictor step.
 
-    Returns the gap (sum of dual times slack), the weighted one, the largest violation of a row,
-    and the number of one-sided rows.
+    Parameters
+    ----------
+    rows, caps, m, terms, slopes, weight, slack, dual : ndarray
+        Input, with the shapes of the module docstring.
+    inverse : ndarray, shape (n, 3 n_axes + 2, 2)
+        Output: reciprocals of the slacks.
+    d0, d1, d2, residual, rhs : ndarray, shape (n,)
+        Diagonals of the Newton matrix, dual residual and right-hand side; the rows are added.
+
+    Returns
+    -------
+    gap, weighted, violation, count : float, float, float, int
+        Sum of dual times slack, the same sum divided by the cell weights, largest violation of a
+        row, number of one-sided rows.
+
     """
     n, n_axes = rows.shape[0], rows.shape[3]
     gap, weighted, violation = 0.0, 0.0, 0.0
@@ -68,7 +94,7 @@ def gather(
         pull_by[:] = 0.0
         cell_gap = 0.0
         for q in range(3):
-            if not moves(slopes[i, q]):
+            if not has_free_terms(slopes[i, q]):
                 continue
             x0, x1, x2 = terms[i, q, 0], terms[i, q, 1], terms[i, q, 2]
             s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -111,7 +137,7 @@ def gather(
                         t0 * slopes[i, q, 0, d] + t1 * slopes[i, q, 1, d] + t2 * slopes[i, q, 2, d]
                     )
         for which in range(2):
-            if fixed_cap(i, n, which):
+            if _is_fixed_cap(i, n, which):
                 continue
             r, cap = 3 * n_axes + which, caps[i, which]
             g = m[i] / cap if which == 0 else terms[i, 2, 1] / cap
@@ -123,11 +149,11 @@ def gather(
             violation = max(violation, g - 1.0)
             count += 1
             for c in range(3):
-                e = cap_slope(slopes[i], cap, which, c)
+                e = _cap_slope(slopes[i], cap, which, c)
                 push_by[c] += push * e
                 pull_by[c] += y * e
                 for d in range(c, 3):
-                    square[c, d] += ratio * e * cap_slope(slopes[i], cap, which, d)
+                    square[c, d] += ratio * e * _cap_slope(slopes[i], cap, which, d)
         gap += cell_gap
         weighted += cell_gap / weight[i]
         for c in range(3):
@@ -145,18 +171,18 @@ def gather(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def cap_slope(slopes: FloatArray, cap: float, which: int, c: int) -> float:
-    """Differentiate a cap's row, of the cell (0) or of its node (1), by m_{i-1}, m_i, m_{i+1}."""
+def _cap_slope(slopes: FloatArray, cap: float, which: int, c: int) -> float:
+    """Return the derivative of a cap row by m_{i-1} (c = 0), m_i (1) or m_{i+1} (2)."""
     if which == 1:
         return float(slopes[2, 1, c] / cap)
     return 1.0 / cap if c == 1 else 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def shifted(
+def _linearised_terms(
     terms: FloatArray, slopes: FloatArray, before: float, here: float, after: float
 ) -> tuple[float, float, float]:
-    """Linearise three terms about the iterate."""
+    """Return the three terms, linearised, after the step (before, here, after) of m."""
     return (
         terms[0] + slopes[0, 0] * before + slopes[0, 1] * here + slopes[0, 2] * after,
         terms[1] + slopes[1, 0] * before + slopes[1, 1] * here + slopes[1, 2] * after,
@@ -179,10 +205,24 @@ def predict(
     change: FloatArray,
 ) -> tuple[float, float]:
     """
-    Step of slacks and duals along the predictor: how far it gets, and the sum of dw dy there.
+    Compute the predictor step of slacks and duals.
 
-    With t = dw/w the slack allows a step of -1/t, and the dual, dy = -y (1 + t), one of
-    1/(1 + t). ``change`` takes the products dw dy that the corrector needs.
+    With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is
+    dy = -y (1 + t), so the dual stays positive up to 1/(1 + t).
+
+    Parameters
+    ----------
+    rows, caps, m, terms, slopes, weight, slack, dual, inverse, dm : ndarray
+        Input, with the shapes of the module docstring.
+    change : ndarray, shape (n, 3 n_axes + 2, 2)
+        Output: products dw dy of each row, for the corrector.
+
+    Returns
+    -------
+    step, square : float
+        Longest step length with positive slacks and duals, at most 1, and the sum of dw dy
+        divided by the cell weights.
+
     """
     n, n_axes = rows.shape[0], rows.shape[3]
     worst, square = 1.0, 0.0
@@ -191,9 +231,9 @@ def predict(
         after = dm[i + 1] if i < n - 1 else 0.0
         cell_square = 0.0
         for q in range(3):
-            if not moves(slopes[i, q]):
+            if not has_free_terms(slopes[i, q]):
                 continue
-            x0, x1, x2 = shifted(terms[i, q], slopes[i, q], before, dm[i], after)
+            x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
             for k in range(n_axes):
                 c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
                 if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
@@ -207,10 +247,10 @@ def predict(
                 change[i, r, 1] = -dual[i, r, 1] * dw1 * (1.0 + t1)
                 cell_square += change[i, r, 0] + change[i, r, 1]
         for which in range(2):
-            if fixed_cap(i, n, which):
+            if _is_fixed_cap(i, n, which):
                 continue
             r, cap = 3 * n_axes + which, caps[i, which]
-            g = shifted_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
+            g = _linearised_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
             dw = 1.0 - slack[i, r, 0] - g
             t = dw * inverse[i, r, 0]
             worst = max(worst, max(-t, 1.0 + t))
@@ -221,7 +261,7 @@ def predict(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def shifted_cap(
+def _linearised_cap(
     m: FloatArray,
     terms: FloatArray,
     slopes: FloatArray,
@@ -232,7 +272,7 @@ def shifted_cap(
     here: float,
     after: float,
 ) -> float:
-    """Linearise a cap's row about the iterate."""
+    """Return the left side of a cap row, linearised, after the step (before, here, after) of m."""
     if which == 0:
         return float((m[i] + here) / cap)
     b = terms[2, 1] + slopes[2, 1, 0] * before + slopes[2, 1, 1] * here + slopes[2, 1, 2] * after
@@ -251,14 +291,28 @@ def correct(
     change: FloatArray,
     rhs: FloatArray,
 ) -> None:
-    """Turn the predictor's right-hand side into the corrector's, aiming at ``target`` * weight."""
+    """
+    Turn the right-hand side of the predictor into that of the corrector.
+
+    Parameters
+    ----------
+    target : float
+        Wanted product of slack and dual, per unit of cell weight.
+    second_order : float
+        Factor of the products dw dy.
+    rows, caps, slopes, weight, inverse, change : ndarray
+        Input, with the shapes of the module docstring.
+    rhs : ndarray, shape (n,)
+        Right-hand side, updated in place.
+
+    """
     n, n_axes = rows.shape[0], rows.shape[3]
     push_by = np.zeros(3)
     for i in range(n):
         aim = target * weight[i]
         push_by[:] = 0.0
         for q in range(3):
-            if not moves(slopes[i, q]):
+            if not has_free_terms(slopes[i, q]):
                 continue
             p0, p1, p2 = 0.0, 0.0, 0.0
             for k in range(n_axes):
@@ -276,12 +330,12 @@ def correct(
                     p0 * slopes[i, q, 0, c] + p1 * slopes[i, q, 1, c] + p2 * slopes[i, q, 2, c]
                 )
         for which in range(2):
-            if fixed_cap(i, n, which):
+            if _is_fixed_cap(i, n, which):
                 continue
             r = 3 * n_axes + which
             push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
             for c in range(3):
-                push_by[c] += push * cap_slope(slopes[i], caps[i, which], which, c)
+                push_by[c] += push * _cap_slope(slopes[i], caps[i, which], which, c)
         for c in range(3):
             if 0 <= i - 1 + c < n:
                 rhs[i - 1 + c] -= push_by[c]
@@ -305,7 +359,28 @@ def advance(
     dm: FloatArray,
     next_dual: FloatArray,
 ) -> tuple[float, float]:
-    """Take the corrected step, as far as slacks, duals and coefficients stay positive."""
+    """
+    Take the corrected step while slacks, duals and coefficients stay positive.
+
+    Parameters
+    ----------
+    target, second_order : float
+        The arguments that ``correct`` had.
+    keep : float
+        Part of the longest step length that is taken [-].
+    rows, caps, terms, slopes, weight, inverse, dm : ndarray
+        Input, with the shapes of the module docstring.
+    m, slack, dual : ndarray
+        Coefficients, slacks and duals, updated in place.
+    change, next_dual : ndarray, shape (n, 3 n_axes + 2, 2)
+        Products dw dy on entry; overwritten with the steps dw and dy.
+
+    Returns
+    -------
+    primal, adjoint : float
+        Step lengths of slacks and coefficients, and of duals [-].
+
+    """
     n, n_axes = rows.shape[0], rows.shape[3]
     primal_worst, dual_worst = keep, keep
     for i in range(n):
@@ -313,9 +388,9 @@ def advance(
         after = dm[i + 1] if i < n - 1 else 0.0
         aim = target * weight[i]
         for q in range(3):
-            if not moves(slopes[i, q]):
+            if not has_free_terms(slopes[i, q]):
                 continue
-            x0, x1, x2 = shifted(terms[i, q], slopes[i, q], before, dm[i], after)
+            x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
             for k in range(n_axes):
                 c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
                 if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
@@ -332,10 +407,10 @@ def advance(
                 change[i, r, 0], change[i, r, 1] = dw0, dw1
                 next_dual[i, r, 0], next_dual[i, r, 1] = dy0, dy1
         for which in range(2):
-            if fixed_cap(i, n, which):
+            if _is_fixed_cap(i, n, which):
                 continue
             r, cap = 3 * n_axes + which, caps[i, which]
-            g = shifted_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
+            g = _linearised_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
             y = dual[i, r, 0]
             dw = 1.0 - slack[i, r, 0] - g
             dy = (aim - second_order * change[i, r, 0] - y * dw) * inverse[i, r, 0] - y
@@ -369,7 +444,27 @@ def start_rows(
     dual: FloatArray,
     warm: bool,
 ) -> None:
-    """Weigh the cells by their time; start slacks and duals, cold or from the last solution."""
+    """
+    Set the cell weights by time, and start slacks and duals.
+
+    Parameters
+    ----------
+    total : float
+        Time of the starting point [s].
+    rows, caps, m, terms : ndarray
+        Input, with the shapes of the module docstring.
+    width : ndarray, shape (n,)
+        Effective widths [m].
+    v : ndarray, shape (n + 1,)
+        s_dot at the nodes [m/s].
+    weight, slack : ndarray
+        Output: cell weights and slacks.
+    dual : ndarray, shape (n, 3 n_axes + 2, 2)
+        Output: duals. A warm start keeps larger values of the last solution.
+    warm : bool
+        Whether ``dual`` holds the last solution of nearly the same problem.
+
+    """
     n, n_axes = rows.shape[0], rows.shape[3]
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
     for i in range(n):

@@ -1,10 +1,10 @@
 """
-The planner's grid: where to put nodes so that a few constant-jerk cells come close to the optimum.
+The grid of the feed planner: cells of constant jerk, few but close to the optimum.
 
-Cells of the path that take more time than wanted under the guessed speed, or along which the
-axes bend too much to be judged from their ends, are subdivided, evenly in time; in cruise they
-may grow. Cells of the path that take less time than wanted and lie well on a line of the axes'
-derivatives are grouped; so are those too short for a jerk of their own in double precision.
+A path cell is subdivided evenly in time if it takes longer than the wanted cell time. It is also
+subdivided if the axis derivatives inside it are far from linear. Cells may grow where the speed
+is constant. Consecutive path cells become one planner cell if they are short in time and their
+axis derivatives lie on a line. Cells too short for double precision are always grouped.
 """
 
 from __future__ import annotations
@@ -19,42 +19,42 @@ from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bound
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
 
 SAMPLES = 96
-"""Points at which a cell to be subdivided is looked at."""
+"""Number of intervals in which a cell is sampled before it is subdivided."""
 
 GROWTH, LONGEST = 0.3, 16.0
-"""Growth of cells in steady cruise, per cell, and the longest over those elsewhere."""
+"""Growth of the cell time per unit of time at constant speed, and its largest factor [-]."""
 
 RAMP_CELLS, SHORTEST = 8, 2e-5
-"""Cells in a ramp between rest and cruise, and the shortest of them [s]."""
+"""Cells in a ramp between rest and constant speed, and the shortest time of such a cell [s]."""
 
-ROUNDS = 3
-"""Most rounds of guessing and refining."""
+MOST_ROUNDS = 3
+"""Largest number of rounds of speed guess and refinement."""
 
 LARGEST_GROUP = 32
-"""Most cells of the path in one cell of the planner."""
+"""Largest number of path cells in one planner cell."""
 
 MOST_NODES = 30_000
-"""Most nodes of one window; what would need more is driven slower, not planned for minutes."""
+"""Largest number of nodes in a window. A coarser grid plans a slower motion, but in time."""
 
-TINY = 1e-5
-"""Cells that take less time are always grouped [s]."""
+ALWAYS_GROUPED = 1e-5
+"""Cells that take less time than this are always grouped [s]."""
 
 
 @dataclass(frozen=True)
 class PlanGrid:
     """
-    A path cut for the planner.
+    A path with the cells of the feed planner.
 
     Parameters
     ----------
     path : AxisPath
-        The path, refined.
+        The refined path.
     nodes : ndarray of int, shape (n + 1,)
-        Grid points of ``path`` that bound the planner's n cells.
+        Indices of the grid points of ``path`` at which the n planner cells begin and end.
     bounds : ndarray, shape (n, 4)
-        Bounds of the speed in these cells, as ``speed_bounds`` gives them.
+        Bounds of each planner cell, as ``speed_bounds`` returns them [m/s, m/s, m/s2, m/s3].
     guess : ndarray, shape (n + 1,)
-        Guessed speed at the nodes [m/s].
+        Guessed s_dot at the nodes [m/s].
 
     """
 
@@ -65,14 +65,14 @@ class PlanGrid:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def cell_times(
+def _cell_times(
     s: FloatArray, feed: FloatArray, bounds: FloatArray, v: FloatArray, tau: float
 ) -> FloatArray:
     """
-    Wanted time of a cell at every grid point: it grows where the feed alone limits.
+    Return the wanted cell time at every grid point [s].
 
-    The guess brakes earlier and accelerates later than the law, so the law cruises wherever the
-    guess does.
+    It grows from ``tau`` only where the programmed feed alone limits the speed. There the law
+    cruises, because the guess brakes earlier and accelerates later than the law.
     """
     n = len(bounds)
     wanted, growth = np.full(n + 1, tau), np.empty(n)
@@ -88,7 +88,7 @@ def cell_times(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def cell_nodes(
+def _cell_nodes(
     h: float,
     v0: float,
     v1: float,
@@ -98,7 +98,7 @@ def cell_nodes(
     least: float,
     out: FloatArray,
 ) -> int:
-    """Write the inner nodes of one cell, even in time, but ``least`` cells; returns how many."""
+    """Write the inner nodes of one cell, evenly spaced in time; return their number."""
     x, count = np.empty(SAMPLES + 1), np.zeros(SAMPLES + 1)
     time, cruise = np.zeros(SAMPLES + 1), np.zeros(SAMPLES + 1, dtype=np.bool_)
     speed = np.empty(SAMPLES + 1)
@@ -113,7 +113,7 @@ def cell_nodes(
     for p in range(SAMPLES + 1):
         if cruise[p]:
             first, last = min(first, p), max(last, p)
-    # a short ramp between rest and slow cruise is given cells of its own scale
+    # A short ramp between rest and a slow constant speed gets cells of its own time scale.
     if last > first and v0 == 0.0:
         start = min(start, max(time[first] / RAMP_CELLS, SHORTEST))
     if last > first and v1 == 0.0:
@@ -143,9 +143,27 @@ def cell_nodes(
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
     """
-    Measure how far one cell is from rows that are linear along it, relative to the limits.
+    Estimate by how much a limit may be exceeded inside a cell whose two ends keep it.
 
-    That much a limit may be passed between two nodes that keep it.
+    The constraint rows are linear in q_ss and q_sss. The measure is the largest deviation of q_ss
+    and q_sss from the straight line between both ends, at the speed v.
+
+    Parameters
+    ----------
+    left, right : ndarray, shape (4, n_axes)
+        q and its derivatives by s at both ends of the cell [m or rad, per m, per m2, per m3].
+    h : float
+        Width of the cell [m].
+    v : float
+        Speed in the cell [m/s].
+    table : ndarray, shape (3, n_axes)
+        Velocity, acceleration and jerk limits of the axes.
+
+    Returns
+    -------
+    float
+        Largest deviation, as a part of the limit [-].
+
     """
     worst = 0.0
     c, jet = np.empty(8), np.empty(4)
@@ -165,7 +183,7 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def grid_nodes(
+def _grid_nodes(
     s: FloatArray,
     left: FloatArray,
     right: FloatArray,
@@ -176,7 +194,7 @@ def grid_nodes(
     most_bend: float,
     whole: int,
 ) -> FloatArray:
-    """Write the new nodes of all cells from ``whole`` on; cells before it stay as they are."""
+    """Return the new grid points of all cells from cell ``whole`` on; earlier cells stay."""
     n = len(bounds)
     found = np.empty(4096)
     total = 0
@@ -185,16 +203,16 @@ def grid_nodes(
         h = s[i + 1] - s[i]
         start, end = wanted[i], wanted[i + 1]
         slowest = min(v[i], v[i + 1])
-        # the guess is slower than the law by up to 2^(2/3) on ramps
+        # The law may be faster than the guess on ramps, by a factor of up to 2^(2/3).
         fastest = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
         fastest = min(1.5 * max(fastest, max(v[i], v[i + 1])), bounds[i, 1])
         by_bend = np.sqrt(bend(left[:, i], right[:, i], h, fastest, table) / most_bend)
         new = 0
-        if h < TINY * fastest:
+        if h < ALWAYS_GROUPED * fastest:
             continue
         if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * min(start, end)):
             least = by_bend if by_bend > 1.0 else 0.0
-            new = cell_nodes(h, v[i], v[i + 1], bounds[i], start, end, least, inner)
+            new = _cell_nodes(h, v[i], v[i + 1], bounds[i], start, end, least, inner)
         if total + new > MOST_NODES:
             break
         if total + new > len(found):
@@ -208,7 +226,7 @@ def grid_nodes(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def lies_on_line(
+def _lies_on_line(
     first: int,
     last: int,
     s: FloatArray,
@@ -218,7 +236,7 @@ def lies_on_line(
     v: float,
     most: float,
 ) -> bool:
-    """Tell whether q_ss and q_sss of cells first ... last lie on the line between its two ends."""
+    """Tell whether q_ss and q_sss of cells first ... last are linear in s, within ``most``."""
     span = s[last + 1] - s[first]
     for k in range(left.shape[2]):
         by_jerk, by_acceleration = v**3 / table[2, k], v**2 / table[1, k]
@@ -233,7 +251,7 @@ def lies_on_line(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def group_cells(
+def _group_cells(
     first: int,
     s: FloatArray,
     left: FloatArray,
@@ -247,9 +265,10 @@ def group_cells(
     given: BoolArray,
 ) -> IntArray:
     """
-    Group the cells from ``first`` on; returns the grid points between the groups.
+    Group the path cells from ``first`` on; return the grid points between the groups.
 
-    Only points that were ``given`` may vanish inside a group, or what was refined would be undone.
+    Only grid points of the original path (``given``) may lie inside a group. Otherwise the
+    grouping would undo the refinement.
     """
     n = len(bounds)
     nodes = np.empty(n + 1, dtype=np.int64)
@@ -262,12 +281,12 @@ def group_cells(
             middle = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
             time = h / middle
             fastest = max(fastest, min(1.5 * max(middle, max(v[i], v[i + 1])), bounds[i, 1]))
-            if i > start and time > TINY and spent > TINY:
+            if i > start and time > ALWAYS_GROUPED and spent > ALWAYS_GROUPED:
                 if feed[i] != feed[start] or not given[i]:
                     break
                 if spent + time > min(wanted[start], wanted[i + 1]):
                     break
-                if not lies_on_line(start, i, s, left, right, table, fastest, most_bend):
+                if not _lies_on_line(start, i, s, left, right, table, fastest, most_bend):
                     break
             spent += time
             i += 1
@@ -286,50 +305,50 @@ def planning_grid(
     kept: FloatArray,
 ) -> PlanGrid:
     """
-    Cut a path that ends at rest for the planner.
+    Choose the planner cells of a path that ends at rest.
 
     Parameters
     ----------
     path : AxisPath
-        Path without inner stops.
+        Path without stops inside.
     table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits.
+        Velocity, acceleration and jerk limits of the axes.
     start : tuple of float
-        s_dot and s_ddot at its start [m/s, m/s2].
+        s_dot and s_ddot at the start of the path [m/s, m/s2].
     cell_time : tuple of float
-        Shortest and longest time wanted for a cell [s].
+        Shortest and longest wanted cell time [s].
     share : float
-        Time wanted for a cell as a share of the whole motion's.
+        Wanted cell time as a part of the duration of the whole motion [-].
     most_bend : float
-        Cells are subdivided until no limit is passed by more than about this part inside them.
+        Cells are subdivided until ``bend`` is below this value, about [-].
     kept : ndarray, shape (k,)
-        Ends of the planner's first cells, which stay as an older plan had them [m].
+        Path positions at the ends of the first cells, which an older plan has fixed [m].
 
     Returns
     -------
     PlanGrid
-        The same curve on the planner's grid.
+        The same curve on the grid of the planner.
 
     """
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
     coarse = path.s
-    for attempt in range(ROUNDS + 1):
+    for attempt in range(MOST_ROUNDS + 1):
         bounds = speed_bounds(
             np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, table
         )
         v = guess_speed(np.diff(path.s), bounds, *start)
         tau = share * guess_time(np.diff(path.s), v, bounds)
         tau = min(max(tau, cell_time[0]), cell_time[1])
-        # later rounds see what the first guess was too coarse for, not its own rounding up
+        # Later rounds refine only where the first guess was too coarse, so they are less strict.
         ease = 1.0 if attempt == 0 else 1.6
         curve = path.s, path.cell_left, path.cell_right
-        wanted = cell_times(path.s, path.cell_feed, bounds, v, tau)
-        new = grid_nodes(*curve, table, bounds, v, ease * wanted, ease**2 * most_bend, whole)
-        if len(new) == 0 or attempt == ROUNDS or len(path.s) + len(new) > MOST_NODES:
+        wanted = _cell_times(path.s, path.cell_feed, bounds, v, tau)
+        new = _grid_nodes(*curve, table, bounds, v, ease * wanted, ease**2 * most_bend, whole)
+        if len(new) == 0 or attempt == MOST_ROUNDS or len(path.s) + len(new) > MOST_NODES:
             break
         path = refine(path, new)
     given = np.isin(path.s, coarse)
-    groups = group_cells(
+    groups = _group_cells(
         whole, *curve, path.cell_feed, table, bounds, v, wanted, most_bend / 3, given
     )
     older = np.searchsorted(path.s, kept).astype(np.int64)

@@ -1,9 +1,9 @@
 """
-Where a planning window ends and how much of its plan may be committed.
+The end of a planning window, and how much of its plan may be committed.
 
-Both follow from stopping distances: a state is committed only where several of them lie between it
-and the stop that ends the plan, so that more path could not have made it faster by anything that
-matters; and a window holds a few such horizons.
+Both follow from stopping distances. A state is committed only if several stopping distances lie
+between it and the stop at the end of the plan. Then more path would hardly have made it faster.
+One window holds a few such horizons.
 """
 
 from __future__ import annotations
@@ -16,38 +16,38 @@ from cnc_interp.feedrate.speed_guess import reach, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath
 
 HORIZON = 3.0
-"""Stopping distances that must lie between a committed state and the end of its plan."""
+"""Stopping distances that must lie between a committed state and the end of its plan [-]."""
 
 SHORT, LEAST = 2e-4, 1 / 8
-"""Cells that take less time [s] count only in part, for they are grouped; and the least part."""
+"""Cells shorter than this time [s] are grouped, so they count in part; the smallest part [-]."""
 
 SETTLE = 0.1
-"""Time added to every stop when horizons are measured, else slow windows are all ramps [s]."""
+"""Time added to every stop in a horizon [s]. Without it, slow windows would be ramps only."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def stopping_distance(v: float, acceleration: float, jerk: float) -> float:
-    """Bound the distance of a stop along the path [m]: v sqrt(v/J), more where A binds."""
+def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
+    """Return an upper bound of the stopping distance from speed v along a straight path [m]."""
     return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def window_end(
+def _window_end(
     s: FloatArray, bounds: FloatArray, ratio: float, most_cells: int, state: FloatArray
 ) -> int:
     """
-    Go on along a window; returns the grid point of ``s`` at which it is full, or -1.
+    Continue the search for the window end; return its grid point in ``s``, or -1.
 
-    It is full at ``ratio`` horizons for the fastest speed that an optimistic guess reaches, or
-    after so many cells. ``state`` holds where it begins, the guessed speed, the farthest stop and
-    the cells counted.
+    A window is full after ``ratio`` horizons at the fastest speed of an optimistic guess. It is
+    also full after ``most_cells`` cells. ``state`` holds the start of the window [m], the guessed
+    speed [m/s], the longest stopping distance [m] and the number of cells counted.
     """
     for i in range(len(bounds)):
-        # twice the guess's jerk and more acceleration: rather a window too long
+        # The guess uses twice the jerk and more acceleration: a window may be too long, not short.
         v = reach(state[1], s[i + 1] - s[i], 2 * bounds[i, 2], 4 * bounds[i, 3])
         v = min(bounds[i, 1], v)
         state[1] = v
-        state[2] = max(state[2], stopping_distance(v, bounds[i, 2], bounds[i, 3]))
+        state[2] = max(state[2], _stopping_distance(v, bounds[i, 2], bounds[i, 3]))
         state[3] += min(1.0, max(LEAST, (s[i + 1] - s[i]) / (v * SHORT)))
         if s[i + 1] - state[0] >= ratio * HORIZON * state[2] or state[3] >= most_cells:
             return i + 1
@@ -56,12 +56,29 @@ def window_end(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
-    """Find the last grid point from which a whole horizon is left at the speeds planned."""
+    """
+    Find the last grid point with a whole horizon between it and the end of the plan.
+
+    Parameters
+    ----------
+    s : ndarray, shape (n + 1,)
+        Path positions of the grid points [m].
+    v : ndarray, shape (n + 1,)
+        Planned s_dot at the grid points [m/s].
+    bounds : ndarray, shape (n, 4)
+        Output of ``speed_bounds``.
+
+    Returns
+    -------
+    int
+        Index of the grid point, 0 if there is none.
+
+    """
     n = len(bounds)
     farthest = 0.0
     for i in range(n - 1, 0, -1):
         speed = max(v[i], v[i + 1])
-        farthest = max(farthest, stopping_distance(speed, bounds[i, 2], bounds[i, 3]))
+        farthest = max(farthest, _stopping_distance(speed, bounds[i, 2], bounds[i, 3]))
         if s[n] - s[i] >= HORIZON * farthest:
             return i
     return 0
@@ -69,18 +86,18 @@ def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
 
 class WindowScan:
     """
-    Look for the end of a window while its path arrives; every cell is looked at once.
+    Find the end of a planning window while its path arrives; each cell is examined once.
 
     Parameters
     ----------
     table : ndarray, shape (3, n_axes)
         Velocity, acceleration and jerk limits of the axes.
     v_start : float
-        Speed at the window's start [m/s].
+        s_dot at the start of the window [m/s].
     ratio : float
-        Length of the window in horizons.
+        Length of the window in horizons [-].
     most_cells : int
-        Most cells of the path in it.
+        Largest number of path cells in the window.
 
     """
 
@@ -93,11 +110,11 @@ class WindowScan:
 
     @property
     def crowded(self) -> bool:
-        """Tell whether the window holds all the cells that it may."""
+        """Whether the window contains its largest number of cells."""
         return bool(self.state[3] >= self.most_cells)
 
     def extend(self, part: AxisPath) -> None:
-        """Take the next part of the path."""
+        """Examine the next part of the path."""
         if self.cells == 0:
             self.state[0] = part.s[0]
         elif part.stop[0] and self.stop is None:
@@ -121,15 +138,16 @@ class WindowScan:
             part.cell_feed[cells],
             self.table,
         )
-        found = window_end(s, bounds, self.ratio, self.most_cells, self.state)
+        found = _window_end(s, bounds, self.ratio, self.most_cells, self.state)
         if found > 0:
             self.full = before + found
 
     def end(self, finished: bool) -> tuple[int, bool] | None:
         """
-        Tell the last grid point of the window, and whether the motion must rest there.
+        Return the last grid point of the window and whether the motion must rest there.
 
-        A window that is full at the last point known waits: that point may turn out a stop.
+        If the window is full exactly at the last known point, the answer is None for now. The
+        next part of the path may declare that point a stop.
         """
         full, stop = self.full, self.stop
         if full is not None and full < (self.cells if stop is None else stop):

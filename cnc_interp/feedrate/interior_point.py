@@ -1,9 +1,9 @@
 """
-Interior point for the jerk stage: primal-dual, predictor and corrector, pentadiagonal.
+A primal-dual interior point method with predictor and corrector, for the jerk stage.
 
-Starts anywhere; the Hessian is that of the time plus Gauss-Newton on the rows, for the jerk rows
-their tangent convexification. The barrier of a cell is weighted with its share of the time,
-so that short cells are not kept away from their limits.
+It needs no feasible starting point. The Hessian is that of the time plus the Gauss-Newton terms of
+the rows; for jerk rows this is the convexification by tangents. The barrier of a cell is weighted
+with its share of the time. Without the weight, short cells would stay away from their limits.
 """
 
 from __future__ import annotations
@@ -12,18 +12,19 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.feedrate.barrier_rows import advance, correct, gather, predict, start_rows
+from cnc_interp.feedrate.barrier_rows import add_rows, advance, correct, predict, start_rows
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states, terms_and_time
 
 SOLVED, STALLED, BROKEN = 0, 1, 2
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
+def _factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
     """
-    Factor the symmetric pentadiagonal matrix in place into L D L^T; False if it is not finite.
+    Factor a symmetric pentadiagonal matrix into L D L^T in place; False if it is not finite.
 
-    A pivot that rounding has eaten is made large: that unknown then rests for one iteration.
+    If rounding makes a pivot too small, a very large one replaces it. Its unknown then does not
+    change in this iteration.
     """
     n = len(d0)
     given = d0.copy()
@@ -45,8 +46,8 @@ def factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def substitute(d0: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArray) -> None:
-    """Solve with the factors of ``factorize``, in place."""
+def _substitute(d0: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArray) -> None:
+    """Solve for the right-hand side ``x`` in place, with the factors from ``_factorize``."""
     n = len(x)
     for i in range(n):
         if i + 1 < n:
@@ -78,38 +79,38 @@ def solve(
     trace: FloatArray,
 ) -> tuple[int, int, float]:
     """
-    Minimise the time over one stretch of path.
+    Minimise the time over one part of the path.
 
     Parameters
     ----------
     h : ndarray, shape (n,)
         Cell widths [m].
     rows : ndarray, shape (n, 3, 3, n_axes)
-        q_s, 3 q_ss, q_sss over the jerk limit at the left and right end of each cell, and q_s,
-        q_ss, 0 over the acceleration limit at its left node.
+        Per cell: q_s, 3 q_ss, q_sss over the jerk limit at its left end, the same at its right
+        end, and q_s, q_ss, 0 over the acceleration limit at its left node.
     cap : ndarray, shape (n,)
         Largest s_dot^2 in each cell [m2/s2].
     ends : ndarray, shape (4,)
-        s_dot^2 and s_ddot at the start and at the end.
+        s_dot^2 and s_ddot at the start, then at the end [m2/s2, m/s2].
     m : ndarray, shape (n,)
-        Starting point, positive; the solution afterwards.
+        Coefficients: a positive starting point on entry, the solution on return [m2/s2].
     width : ndarray, shape (n,)
-        Effective widths; those of the solution afterwards.
+        Effective widths; those of the solution on return [m].
     slack, dual : ndarray, shape (n, 3 n_axes + 2, 2)
-        Work arrays; those of the last solution when ``warm``.
+        Slacks and duals of the rows. With ``warm`` they start from the last solution.
     warm : bool
-        The limits have changed a little since the last solution, from which to go on.
+        Whether ``m``, ``slack`` and ``dual`` solve the same problem with slightly other limits.
     tolerance : float
-        Gap to the optimum, relative to the time.
+        Accepted gap to the optimum, relative to the time [-].
     most_iterations : int
-        Where to give up.
+        Largest number of iterations.
     trace : ndarray, shape (k, 6)
-        Takes time, gap, violation, residual and the two step lengths of the first k iterations.
+        Output: time, gap, violation, residual and two step lengths of the first k iterations.
 
     Returns
     -------
-    status, iterations, time
-        SOLVED, STALLED or BROKEN, what it took and the time reached [s].
+    status, iterations, time : int, int, float
+        SOLVED, STALLED or BROKEN, the number of iterations and the time reached [s].
 
     """
     n, n_axes = len(h), rows.shape[3]
@@ -136,7 +137,7 @@ def solve(
         for i in range(n):
             rhs[i] = -slope[i]
             residual[i] = slope[i]
-        gap, weighted, violation, count = gather(
+        gap, weighted, violation, count = add_rows(
             rows, caps, m, terms, slopes, weight, slack, dual, inverse, d0, d1, d2, residual, rhs
         )
         centre = weighted / max(count, 1)
@@ -151,10 +152,10 @@ def solve(
         for i in range(n):
             if i == 0 or i == n - 1:
                 d0[i], rhs[i] = 1.0, 0.0
-        if not factorize(d0, d1, d2):
+        if not _factorize(d0, d1, d2):
             return BROKEN, iteration, total
         dm[:] = rhs
-        substitute(d0, d1, d2, dm)
+        _substitute(d0, d1, d2, dm)
         step, square = predict(
             rows, caps, m, terms, slopes, weight, slack, dual, inverse, dm, change
         )
@@ -162,12 +163,12 @@ def solve(
         reached = centre * (1.0 - step) + step * step * square / max(count, 1)
         sigma = (reached / centre) ** 3
         sigma = min(max(sigma, 1e-3), 0.9)
-        # the gap need not fall further than asked; the jerk rows converge linearly meanwhile
+        # The gap may stay at the tolerance: the jerk rows converge linearly in the meantime.
         target = max(sigma * centre, min(centre, 0.2 * tolerance * total / (n * n_rows)))
         second = step * step
         correct(target, second, rows, caps, slopes, weight, inverse, change, rhs)
         dm[:] = rhs
-        substitute(d0, d1, d2, dm)
+        _substitute(d0, d1, d2, dm)
         primal, adjoint = advance(
             target,
             second,

@@ -1,29 +1,28 @@
 """
-The rows of the jerk stage: time, limits and their gradients in banded unknowns.
+The rows of the jerk stage: time, limits and their gradients as functions of the unknowns.
 
-The path is cut into n cells of width ``h``; on each of them s_dddot is constant. The unknowns are
-one number per cell, ``m_i``, the middle Bezier coefficient of b = s_dot^2 there, and with
-p_i = 1/(H_{i-1} + H_i)
+The path is cut into n cells of width ``h``. s_dddot is constant in each cell. There is one unknown
+per cell: ``m_i``, the middle Bezier coefficient of b = s_dot^2. With p_i = 1/(H_{i-1} + H_i):
 
     s_ddot at node i   a_i = (m_i - m_{i-1}) p_i
     b at node i        b_i = m_i - a_i H_i = m_{i-1} + a_i H_{i-1}
 
-which is the C1 quadratic spline on widths H. Were H the true width, b would be quadratic on the
-cell and s_dddot proportional to s_dot. Constant s_dddot over the time t of the cell asks for
-``H = h + (a_{i+1} - a_i) t^2/12`` instead, t = 2 H/(v_i + v_{i+1}): exact, H = 1.5 h for the cell
-that leaves rest (b ~ s^(4/3), no singularity), and H = h to second order elsewhere, so H simply
-follows the iterates.
+This is a C1 quadratic spline on the effective widths H. With H = h, b would be quadratic in s and
+s_dddot proportional to s_dot. Constant s_dddot over the cell time t requires
+``H = h + (a_{i+1} - a_i) t^2/12`` with t = 2 H/(v_i + v_{i+1}). This is exact. In the cell that
+leaves rest H = 1.5 h, so b ~ s^(4/3) has no singularity. Elsewhere H = h to second order.
+Therefore H is simply updated after each iteration.
 
-Minimised is the time, sum of 2 H/(v_i + v_{i+1}); rows are scaled so that each reads |g| <= 1:
+The objective is the time, the sum of 2 H/(v_i + v_{i+1}). Rows are scaled to |g| <= 1:
 
     jerk at both ends   alpha j + beta v a + gamma v b,  j = (a_{i+1} - a_i)(v_i + v_{i+1})/(2 H)
     acceleration        q_s a + q_ss b
-    caps                m_i <= cap_i,  b_i <= min(cap_{i-1}, cap_i)
+    speed               m_i <= cap_i,  b_i <= min(cap_{i-1}, cap_i)
 
-So a row is a fixed combination of at most three terms of its cell: (j, v a, v b) at the left end,
-the same at the right end, (a, b) at the left node. Only these terms and their derivatives depend
-on the iterate, and each touches m_{i-1}, m_i, m_{i+1}: the Newton matrix is pentadiagonal, and
-an axis costs three multiplications.
+A row is a constant combination of at most three terms of its cell: (j, v a, v b) at the left end,
+the same at the right end, and (a, b) at the left node. Only the terms depend on the unknowns, and
+each one on m_{i-1}, m_i, m_{i+1} only. Thus the Newton matrix is pentadiagonal, and one axis costs
+three multiplications per row.
 """
 
 from __future__ import annotations
@@ -43,7 +42,21 @@ def node_states(
     a: FloatArray,
     v: FloatArray,
 ) -> None:
-    """Write b, s_ddot and s_dot at the nodes; ``ends`` = (b, a) at the start and at the end."""
+    """
+    Compute b = s_dot^2, s_ddot and s_dot at the nodes from the coefficients.
+
+    Parameters
+    ----------
+    m : ndarray, shape (n,)
+        Coefficients [m2/s2]. The first and the last are set here from ``ends``.
+    width : ndarray, shape (n,)
+        Effective widths H [m].
+    ends : ndarray, shape (4,)
+        s_dot^2 and s_ddot at the start, then at the end [m2/s2, m/s2].
+    b, a, v : ndarray, shape (n + 1,)
+        Output: s_dot^2, s_ddot and s_dot at the nodes [m2/s2, m/s2, m/s].
+
+    """
     n = len(m)
     m[0] = ends[0] + ends[1] * width[0]
     m[n - 1] = ends[2] - ends[3] * width[n - 1]
@@ -58,7 +71,24 @@ def node_states(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
-    """Update the effective widths from the node states; returns the largest relative change."""
+    """
+    Update the effective widths from the states at the nodes.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n,)
+        Cell widths [m].
+    a, v : ndarray, shape (n + 1,)
+        s_ddot and s_dot at the nodes [m/s2, m/s].
+    width : ndarray, shape (n,)
+        Effective widths H, updated in place [m].
+
+    Returns
+    -------
+    float
+        Largest change of a width, relative to its cell [-].
+
+    """
     change = 0.0
     for i in range(len(h)):
         t = 2 * width[i] / (v[i] + v[i + 1])
@@ -83,11 +113,30 @@ def terms_and_time(
     d2: FloatArray,
 ) -> float:
     """
-    Evaluate the terms of the rows with their derivatives, and the time with gradient and Hessian.
+    Compute the terms of the rows and the time, both with their derivatives.
 
-    ``terms[i, q]`` are those of cell i: q = 0 (j, v a, v b) at its left end, 1 the same at its
-    right end, 2 (a, b, 0) at its left node; ``slopes[i, q, f]`` the derivatives of term f by
-    m_{i-1}, m_i, m_{i+1}. Those by the fixed first and last coefficient are zero.
+    Parameters
+    ----------
+    width : ndarray, shape (n,)
+        Effective widths H [m].
+    b, a, v : ndarray, shape (n + 1,)
+        s_dot^2, s_ddot and s_dot at the nodes [m2/s2, m/s2, m/s].
+    terms : ndarray, shape (n, 3, 3)
+        Output: ``terms[i, 0]`` is (j, v a, v b) at the left end of cell i, ``terms[i, 1]`` the
+        same at its right end, ``terms[i, 2]`` is (a, b, 0) at its left node.
+    slopes : ndarray, shape (n, 3, 3, 3)
+        Output: ``slopes[i, q, f]`` has the derivatives of term f by m_{i-1}, m_i, m_{i+1}.
+        Derivatives by the fixed first and last coefficient are zero.
+    slope : ndarray, shape (n,)
+        Output: gradient of the time.
+    d0, d1, d2 : ndarray, shape (n,)
+        Output: the three upper diagonals of the Hessian of the time.
+
+    Returns
+    -------
+    float
+        Time [s].
+
     """
     n = len(width)
     total = 0.0
@@ -139,7 +188,7 @@ def terms_and_time(
             slopes[i, 2, 2, c] = 0.0
         time = 2 * w / sum_v
         total += time
-        # d2(time) = 2 time/sum^2 ds ds^T - time/sum * (second derivative of sum_v, negative)
+        # d2(time) = 2 time/sum_v^2 ds ds^T - time/sum_v d2(sum_v), and d2(sum_v) is negative.
         k1, k2 = -time / sum_v, 2 * time / (sum_v * sum_v)
         e0 = 2 * r0 * r0 * r0 * time / sum_v
         e1 = 2 * r1 * r1 * r1 * time / sum_v

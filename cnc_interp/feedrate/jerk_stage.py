@@ -1,10 +1,10 @@
 """
-The jerk stage: one stretch of path planned to the limits, corrected between the nodes, checked.
+The jerk stage: plans one part of the path within all limits and checks it between the nodes.
 
-The interior point knows the limits at the ends of each cell only. Its law is evaluated on the true
-curve at several instants of every cell; where a limit is passed in between, that cell's limit is
-lowered by the excess and the stretch is solved again. What comes out has been seen to keep every
-limit at all these instants, or it is not accepted.
+The interior point method applies the limits only at the two ends of each cell. Its law is then
+evaluated on the true curve at several instants of every cell. Where a limit is exceeded inside a
+cell, the limit of this cell is lowered by the excess, and the part is solved again. A law
+is accepted only if it keeps every limit at all these instants.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.speed_guess import speed_inside
-from cnc_interp.feedrate.stretch import Stretch, settle, spread
+from cnc_interp.feedrate.stretch import Stretch, settle_widths, spread_law
 from cnc_interp.kinematics.axis_path import AxisPath
 
 
@@ -31,23 +31,23 @@ class PlanOptions:
     Parameters
     ----------
     passes : int
-        Most corrections of one stretch.
+        Largest number of corrections of one stretch.
     cell_time : tuple of float
-        Shortest and longest time aimed at for a cell [s].
+        Shortest and longest wanted cell time [s].
     share : float
-        Time aimed at for a cell as a share of the stretch's.
+        Wanted cell time as a part of the duration of the stretch [-].
     bend : float
-        Part of a limit by which a cell may bend away from what its two ends know.
+        Largest nonlinearity of a limit inside a cell, as a part of the limit [-].
     gap : float
-        Distance to the optimum at which the interior point stops, relative to the time.
+        Accepted gap to the optimum, relative to the time [-].
     points : int
-        Instants per cell at which the limits are checked.
+        Number of instants per cell at which the limits are checked.
     window_ratio : float
-        Length of a planning window in stopping horizons; one horizon of it is planned again.
+        Length of a planning window in horizons; about one horizon is committed later [-].
     window_cells : int
-        Most cells of the path in one window.
+        Largest number of path cells in one window.
     toppra : bool
-        Start the jerk stage below the ceiling of the toppra stage.
+        Whether the jerk stage starts below the law of the toppra stage.
 
     """
 
@@ -62,7 +62,7 @@ class PlanOptions:
     toppra: bool = False
 
     def finer(self) -> PlanOptions:
-        """Ask for half the cell times, and for a start below toppra's ceiling."""
+        """Return options with half the cell times and with the toppra stage."""
         return replace(
             self,
             cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
@@ -73,16 +73,16 @@ class PlanOptions:
 
 
 @dataclass(frozen=True)
-class Kept:
+class KeptCells:
     """
-    The first cells of a stretch as an older plan had them, so that it stays possible.
+    The first cells of a stretch, as an older plan had them; the older law then stays feasible.
 
     Parameters
     ----------
     ends : ndarray, shape (k,)
-        Where they end [m].
+        Path positions at the ends of the cells [m].
     scale : ndarray, shape (k, 4, n_axes)
-        Parts of the limits that they were given.
+        Parts of the limits that these cells were allowed to use [-].
 
     """
 
@@ -91,35 +91,35 @@ class Kept:
 
 
 SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
-"""Part of each limit (velocity, acceleration, jerk, feed) kept free at the nodes."""
+"""Part of each limit (velocity, acceleration, jerk, feed) that stays unused at the nodes."""
 
 AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
-"""Use that a correction aims at; largest use, at the instants checked, that counts as kept."""
+"""Use of a limit after a correction, and the largest accepted use at the checked instants."""
 
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
-"""The same, and the relaxation of the limits, in cells where an older plan must stay possible."""
+"""The same two for cells of an older plan, and the part by which their limits are relaxed."""
 
-OVERDONE = 1.3
-"""Factor on the excess that a correction takes away: its neighbours take over a part of it."""
+EXCESS_FACTOR = 1.3
+"""Factor on the excess in a correction, because neighbouring cells take over a part of it."""
 
-NEAR = 0.7
-"""Part that must be left of every limit after a correction, else the next start is a cold one."""
+WARM_START_PART = 0.7
+"""Smallest part of every limit after a correction that still allows a warm start."""
 
 MOST_ITERATIONS = 80
 
-AROUND = 1
-"""Cells on either side over which the first guess is smoothed."""
+SMOOTHING_CELLS = 1
+"""Number of cells on either side over which the first guess is smoothed."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def build_rows(
+def _build_rows(
     left: FloatArray,
     right: FloatArray,
     table: FloatArray,
     scale: FloatArray,
     rows: FloatArray,
 ) -> None:
-    """Write the rows of the interior point: derivatives over the scaled limits."""
+    """Write the rows of the interior point method: derivatives divided by the allowed limits."""
     n, n_axes = left.shape[1], left.shape[2]
     for i in range(n):
         for k in range(n_axes):
@@ -137,11 +137,12 @@ def build_rows(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
+def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
     """
-    Start the interior point from the guessed speeds: their least, then their mean around a cell.
+    Return starting coefficients from the guessed speeds: moving minimum, then moving mean.
 
-    No law follows the corners of the guess; a start that does takes a third more iterations.
+    No law can follow the corners of the guess. Without smoothing, the interior point method needs
+    a third more iterations.
     """
     n = len(h)
     squared, least, m = np.empty(n), np.empty(n), np.empty(n)
@@ -149,14 +150,14 @@ def first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> Floa
         middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
         squared[i] = middle * middle
     for i in range(n):
-        least[i] = squared[max(i - AROUND, 0) : i + AROUND + 1].min()
+        least[i] = squared[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].min()
     for i in range(n):
-        m[i] = least[max(i - AROUND, 0) : i + AROUND + 1].mean()
+        m[i] = least[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].mean()
     return m
 
 
-class Problem:
-    """One stretch on its grid, with the limits that the corrections lower."""
+class StretchProblem:
+    """One stretch on its grid, with the limits that the corrections lower; see ``plan``."""
 
     def __init__(
         self,
@@ -164,7 +165,7 @@ class Problem:
         table: FloatArray,
         start: tuple[float, float],
         options: PlanOptions,
-        kept: Kept,
+        kept: KeptCells,
     ):
         self.grid, self.table, self.options = grid, table, options
         path, nodes = grid.path, grid.nodes
@@ -177,20 +178,20 @@ class Problem:
         self.scale[:] = (1 - SLACK)[:, None]
         self.scale[:k] = np.minimum(kept.scale + RELAXED[:, None], 1.0)
         if k == 0 and start[0] > 0.0:
-            # the state may come from a law that used all that this one may
+            # The start state may come from a law with the full limits, so these are relaxed.
             k = n
             self.scale += RELAXED[:, None]
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         guess = grid.guess
         if options.toppra:
-            # toppra brings half a second of imports with it, and is seldom needed
+            # Importing toppra takes half a second, and it is seldom needed.
             from cnc_interp.feedrate.toppra_stage import ceiling
 
             squared = ceiling(path, table, start[0])
             if squared is not None:
                 guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
-        self.m = first_coefficients(self.h, grid.bounds, guess)
+        self.m = _first_coefficients(self.h, grid.bounds, guess)
         self.rows = np.empty((n, 3, 3, n_axes))
         self.use = np.empty((2, n, 4, n_axes))
         self.slack = np.ones((n, 3 * n_axes + 2, 2))
@@ -199,7 +200,7 @@ class Problem:
         self.points = 2 + np.ceil((options.points - 2) * share).astype(np.int64)
 
     def reset_widths(self) -> FloatArray:
-        """Start the effective widths: 1.5 h beside rest, else h."""
+        """Return the initial effective widths [m]: 1.5 h in a cell at rest, else h."""
         width = self.h.copy()
         if self.ends[0] == 0.0:
             width[0] *= 1.5
@@ -207,8 +208,23 @@ class Problem:
         return width
 
     def solve(self, m: FloatArray, warm: bool) -> tuple[Stretch | None, bool]:
-        """Solve with the present limits; m takes the solution. Tells whether it converged."""
-        build_rows(self.left, self.right, self.table, self.scale, self.rows)
+        """
+        Solve with the present limits.
+
+        Parameters
+        ----------
+        m : ndarray, shape (n,)
+            Starting coefficients on entry, the solution on return [m2/s2].
+        warm : bool
+            Whether to start from the slacks and duals of the last solution.
+
+        Returns
+        -------
+        stretch, converged : Stretch or None, bool
+            The law with its use of the limits, None if the solver broke down.
+
+        """
+        _build_rows(self.left, self.right, self.table, self.scale, self.rows)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
         cap = (self.grid.bounds[:, 0] * part) ** 2
         width = self.reset_widths()
@@ -229,20 +245,48 @@ class Problem:
         return (None if status == BROKEN else self.check(m, width)), status == SOLVED
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
-        """Turn coefficients into an exact law and see how far it uses the limits."""
+        """
+        Turn coefficients into an exact law and evaluate its use of the limits.
+
+        Parameters
+        ----------
+        m, width : ndarray, shape (n,)
+            Coefficients [m2/s2] and effective widths [m]; the widths are updated.
+
+        Returns
+        -------
+        Stretch or None
+            The law, None if the coefficients give none.
+
+        """
         n = len(self.h)
         v, a, duration = np.empty(n + 1), np.empty(n + 1), np.empty(n)
-        left = settle(self.h, m, width, self.ends, v, a, duration)
+        left = settle_widths(self.h, m, width, self.ends, v, a, duration)
         if not (left < 1e-13 and np.all(np.isfinite(duration)) and duration.min() > 0):
             return None
-        return self.measured(v, a, duration)
+        return self.with_limit_use(v, a, duration)
 
-    def measured(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
-        """Spread a law over the cells of the path and evaluate its use of the limits."""
+    def with_limit_use(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
+        """
+        Spread a law over the path cells and evaluate its use of the limits.
+
+        Parameters
+        ----------
+        v, a : ndarray, shape (n + 1,)
+            s_dot and s_ddot at the nodes of the planner [m/s, m/s2].
+        duration : ndarray, shape (n,)
+            Time spent in each planner cell [s].
+
+        Returns
+        -------
+        Stretch
+            The law, with its use of the limits in ``Stretch.use``.
+
+        """
         path, nodes = self.grid.path, self.grid.nodes
         cells, n_axes = len(path.s) - 1, path.cell_left.shape[2]
         fine = np.empty(cells + 1), np.empty(cells + 1), np.empty(cells), np.empty(cells)
-        spread(path.s, nodes, v, a, duration, *fine)
+        spread_law(path.s, nodes, v, a, duration, *fine)
         use = np.empty((2, cells, 4, n_axes))
         limit_use(
             np.diff(path.s),
@@ -260,31 +304,31 @@ class Problem:
         worst = float((self.use[0].max(axis=2) / self.accepted).max())
         return Stretch(path, *fine, nodes, self.scale.copy(), worst)
 
-    def lower(self) -> bool:
+    def lower_limits(self) -> bool:
         """
-        Lower the limits of the cells where the last law passed them in between.
+        Lower the limits of the cells in which the last law exceeded them.
 
-        Where the ends were not at their limit yet, the limit is brought down to their use first:
-        else nothing would change. Tells whether the last solution is still a good start.
+        If the ends of such a cell did not use their full limit, the limit is first lowered to the
+        use there. Returns whether the last solution is still a good start.
         """
         inside, ends = self.use
         over = inside > self.accepted[:, :, None]
         reached = np.clip(ends, 0.5 * self.scale, self.scale)
-        less = self.aim[:, :, None] / np.where(over, 1 + OVERDONE * (inside - 1), 1.0)
+        less = self.aim[:, :, None] / np.where(over, 1 + EXCESS_FACTOR * (inside - 1), 1.0)
         lowered = np.where(over, reached * less, self.scale)
-        near = bool((lowered > NEAR * self.scale).all())
+        near = bool((lowered > WARM_START_PART * self.scale).all())
         self.scale = lowered
         return near
 
     def slowed(self, stretch: Stretch) -> Stretch:
-        """Stretch the time of a law that starts at rest until it keeps all limits."""
+        """Scale the time of a law that starts at rest until it keeps all limits."""
         nodes = self.grid.nodes
         v, a = stretch.v[nodes], stretch.a[nodes]
         duration = np.add.reduceat(stretch.duration, nodes[:-1])
-        self.measured(v, a, duration)
+        self.with_limit_use(v, a, duration)
         worst = self.use[0].max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
         factor = max(1.0, worst[0], worst[1] ** 0.5, worst[2] ** (1 / 3), worst[3])
-        return self.measured(v / factor, a / factor**2, duration * factor)
+        return self.with_limit_use(v / factor, a / factor**2, duration * factor)
 
 
 def plan(
@@ -292,7 +336,7 @@ def plan(
     table: FloatArray,
     start: tuple[float, float] = (0.0, 0.0),
     options: PlanOptions | None = None,
-    kept: Kept | None = None,
+    kept: KeptCells | None = None,
 ) -> Stretch | None:
     """
     Plan from a state of motion to rest at the end of the path.
@@ -300,32 +344,32 @@ def plan(
     Parameters
     ----------
     path : AxisPath
-        Path without inner stops.
+        Path without stops inside.
     table : ndarray, shape (3, n_axes)
         Velocity, acceleration and jerk limits of the axes.
     start : tuple of float
-        s_dot and s_ddot at its start [m/s, m/s2].
+        s_dot and s_ddot at the start of the path [m/s, m/s2].
     options : PlanOptions, optional
-        Settings.
-    kept : Kept, optional
-        First cells of an older plan. They are given its parts of the limits and a little more, so
-        that going on as planned remains possible.
+        Settings of the planner.
+    kept : KeptCells, optional
+        First cells of an older plan. Their limits are relaxed a little, so that the older
+        law stays feasible.
 
     Returns
     -------
     Stretch or None
-        A law that keeps every limit; None where none was found, which cannot happen from rest
-        unless the path is not finite.
+        A law that keeps every limit, or None if none was found. From rest on a finite path there
+        is always one.
 
     """
     options = options or PlanOptions()
-    kept = kept or Kept(np.empty(0), np.empty((0, 4, table.shape[1])))
+    kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])))
     inside = int(np.searchsorted(kept.ends, path.s[-1]))
-    kept = Kept(kept.ends[:inside], kept.scale[:inside])
+    kept = KeptCells(kept.ends[:inside], kept.scale[:inside])
     grid = planning_grid(
         path, table, start, options.cell_time, options.share, options.bend, kept.ends
     )
-    problem = Problem(grid, table, start, options, kept)
+    problem = StretchProblem(grid, table, start, options, kept)
     best: Stretch | None = None
     kept_all: Stretch | None = None
     m, warm = problem.m.copy(), False
@@ -335,13 +379,13 @@ def plan(
         if stretch is not None and stretch.use <= 1.0:
             if converged:
                 return stretch
-            # within the limits, but who knows how far from the optimum
+            # This law keeps the limits, but its distance to the optimum is unknown.
             if kept_all is None or stretch.duration.sum() < kept_all.duration.sum():
                 kept_all = stretch
         elif stretch is not None:
             if best is None or stretch.use < best.use:
                 best = stretch
-            warm = problem.lower() and converged
+            warm = problem.lower_limits() and converged
         if not warm:
             m = problem.m * (1.0 if converged else 2.0 if attempt % 2 == 0 else 0.3)
     if kept_all is not None or start[0] > 0.0:

@@ -1,4 +1,4 @@
-"""What limits the feed: Eq. 10 of [B2013], and the use of every limit along a motion law."""
+"""The upper limit of the feed [B2013, Eq. 10], and how much of each limit a motion law uses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROOMY = 1.0 * MS
 
 
 class AxisLimits(Protocol):
-    """Limits of the axes: a Machine, or anything else that carries these three arrays."""
+    """Velocity, acceleration and jerk limits of the axes; a ``Machine`` has these three arrays."""
 
     @property
     def max_velocity(self) -> FloatArray:
@@ -39,7 +39,21 @@ class AxisLimits(Protocol):
 
 
 def limit_table(limits: AxisLimits) -> FloatArray:
-    """Stack the velocity, acceleration and jerk limits, shape (3, n_axes)."""
+    """
+    Stack the axis limits into one table.
+
+    Parameters
+    ----------
+    limits : AxisLimits
+        Limits of n_axes axes.
+
+    Returns
+    -------
+    ndarray, shape (3, n_axes)
+        Velocity limits [m/s or rad/s], acceleration limits [m/s2 or rad/s2] and jerk limits
+        [m/s3 or rad/s3], one row each.
+
+    """
     rows = (limits.max_velocity, limits.max_acceleration, limits.max_jerk)
     return np.array(rows, dtype=np.float64)
 
@@ -86,23 +100,22 @@ def limits_at(machine: Machine, period: float) -> AxisLimits:
 
 def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     """
-    Upper limit of the feed at the grid points [B2013, Eq. 10].
+    Compute the upper limit of the feed at the grid points [B2013, Eq. 10].
 
-    ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over the axes, with the derivatives and
-    the programmed feed of both neighbouring cells.
+    The limit is ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over all axes. At a grid
+    point the smaller value of its two neighbouring cells counts.
 
     Parameters
     ----------
     path : AxisPath
-        The path, N grid points.
+        The path, with N grid points.
     limits : AxisLimits
-        Limits of its axes.
+        Limits of the axes of this path.
 
     Returns
     -------
     ndarray, shape (N,)
-        Largest admissible s_dot where s_ddot and s_dddot vanish [m/s]; exact there, an upper
-        limit elsewhere.
+        Upper limit of s_dot [m/s]. It is attained where s_ddot and s_dddot are zero.
 
     """
     table = limit_table(limits)
@@ -130,32 +143,37 @@ def limit_use(
     use: FloatArray,
 ) -> FloatArray:
     """
-    Use of every limit on every cell of a motion law, from the true curve.
+    Compute how much of each limit a motion law uses in every cell of the true path.
+
+    ``velocity = q_s s_dot``, ``acceleration = q_ss s_dot^2 + q_s s_ddot`` and
+    ``jerk = q_sss s_dot^3 + 3 q_ss s_dot s_ddot + q_s s_dddot`` are divided by their limits.
+    The feed use is s_dot / F. A negative s_dot gives a feed use above 1.
 
     Parameters
     ----------
     h : ndarray, shape (n,)
         Cell widths [m].
     left, right : ndarray, shape (4, n, n_axes)
-        Jets of the path at both ends of the cells.
+        q and its derivatives by s at both ends of each cell [m or rad, per m, per m2, per m3].
     feed : ndarray, shape (n,)
         Programmed feedrate in the cells [m/s].
     v, a : ndarray, shape (n + 1,)
-        s_dot and s_ddot at the nodes.
+        s_dot and s_ddot at the grid points [m/s, m/s2].
     jerk, duration : ndarray, shape (n,)
-        Constant s_dddot in each cell and the time spent in it [m/s3, s].
+        Constant s_dddot in each cell [m/s3], and the time spent in the cell [s].
     table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits.
+        Velocity, acceleration and jerk limits of the axes.
     points : ndarray of int, shape (n,)
-        Instants in each cell, both ends included.
+        Number of instants to check in each cell, both ends included.
     use : ndarray, shape (2, n, 4, n_axes)
-        Takes the largest |velocity|, |acceleration|, |jerk| over its limit, [0] over all instants
-        and [1] at the cell's two ends; row 3 holds the programmed feed's in column 0.
+        Output: the largest use [-] of velocity, acceleration, jerk and feed in each cell.
+        ``use[0]`` covers all instants, ``use[1]`` only the two ends of the cell. The feed use
+        stands in column 0 of its row.
 
     Returns
     -------
     ndarray, shape (4,)
-        The largest of each over all cells.
+        Largest use of velocity, acceleration, jerk and feed over all cells [-].
 
     """
     n, n_axes = len(h), left.shape[2]
@@ -172,7 +190,7 @@ def limit_use(
         t = duration[i]
         j, last = jerk[i], points[i] - 1
         for step in range(points[i]):
-            # both ends first: their use is wanted by itself
+            # The two ends come first, because use[1] needs them alone.
             p = 0 if step == 0 else last if step == 1 else step - 1
             dt = t * p / last
             s = dt * (v[i] + dt * (a[i] / 2 + dt * j / 6))

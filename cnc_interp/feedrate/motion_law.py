@@ -1,4 +1,4 @@
-"""MotionLaw: s(t), in closed form piece by piece (the arrow from feedrate to interpolator)."""
+"""MotionLaw: the path position s as a closed-form function of time, piece by piece."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ class MotionLaw:
     The motion along the path as K consecutive pieces of constant jerk.
 
     On a piece that starts at ``time``,
-    ``s(t) = s + s_dot dt + s_ddot dt^2 / 2 + jerk dt^3 / 6`` with ``0 <= dt <= duration``;
-    s, s_dot and s_ddot are continuous from piece to piece, only the jerk jumps.
+    ``s(t) = s + s_dot dt + s_ddot dt^2 / 2 + jerk dt^3 / 6`` with ``0 <= dt <= duration``.
+    s, s_dot and s_ddot are continuous between pieces. The jerk is not.
 
     Parameters
     ----------
     time : ndarray, shape (K,)
-        Start of each piece since the start of the motion [s].
+        Start time of each piece [s].
     duration : ndarray, shape (K,)
-        Length of each piece [s].
+        Duration of each piece [s].
     s, s_dot, s_ddot : ndarray, shape (K,)
         State at the start of each piece [m, m/s, m/s2].
     jerk : ndarray, shape (K,)
         Constant ``s_dddot`` of each piece [m/s3].
     cell : ndarray of int, shape (K,)
-        Cell of the AxisPath in which the piece lies.
+        Index of the AxisPath cell that contains the piece.
 
     """
 
@@ -46,16 +46,29 @@ class MotionLaw:
             getattr(self, field.name).flags.writeable = False
 
     def __len__(self) -> int:
-        """Count the pieces."""
+        """Return the number of pieces."""
         return len(self.time)
 
     @property
     def end_time(self) -> float:
-        """Time at the end of the last piece [s]."""
+        """Return the time at the end of the last piece [s]."""
         return float(self.time[-1] + self.duration[-1])
 
     def piece_at(self, time: FloatArray) -> IntArray:
-        """Find the piece in which each time lies; the first or last one outside the law."""
+        """
+        Find the piece that contains each time.
+
+        Parameters
+        ----------
+        time : ndarray, shape (M,)
+            Times on the clock of the law [s].
+
+        Returns
+        -------
+        ndarray of int, shape (M,)
+            Piece indices. A time before the law gives the first piece, a time after it the last.
+
+        """
         found = np.searchsorted(self.time, time, side='right') - 1
         return np.clip(found, 0, len(self.time) - 1).astype(np.int64)
 
@@ -63,14 +76,14 @@ class MotionLaw:
         self, time: FloatArray, piece: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """
-        Evaluate the motion at many times, in closed form.
+        Evaluate the motion at many times.
 
         Parameters
         ----------
         time : ndarray, shape (M,)
-            Times on the law's clock [s]; held at the law's two ends outside of it.
+            Times on the clock of the law [s]. Outside the law, the nearest end state is returned.
         piece : ndarray of int, shape (M,), optional
-            Piece of each time where the caller knows it (``piece_at``).
+            Piece indices from ``piece_at``, if the caller already knows them.
 
         Returns
         -------
@@ -87,6 +100,19 @@ class MotionLaw:
 
     @staticmethod
     def join(parts: list[MotionLaw]) -> MotionLaw:
-        """Join laws that follow each other in time and path, their cells counted alike."""
+        """
+        Join consecutive laws into one.
+
+        Parameters
+        ----------
+        parts : list of MotionLaw
+            Laws in order. Their cell indices must already count from the same first cell.
+
+        Returns
+        -------
+        MotionLaw
+            All pieces in one law.
+
+        """
         names = [field.name for field in fields(MotionLaw)]
         return MotionLaw(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))

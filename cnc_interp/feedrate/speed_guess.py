@@ -1,9 +1,9 @@
 """
-A first guess of the speed, by one pass each way.
+A first guess of the speed, from one forward and one backward pass.
 
-Under a jerk limit v^(3/2) grows at most linearly along the path (from rest, s = J t^3/6 and
-v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s). The guess grows at half that slope: it needs no more
-than to tell where time is spent, and to start the interior point.
+Under a jerk limit J, v^(3/2) grows at most linearly along the path: from rest s = J t^3/6 and
+v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s. The guess grows at half that slope. It serves two
+purposes: it shows where time is spent, and it is the starting point of the interior point method.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
 FASTEST = 100.0
-"""Speed cap where nothing else limits [m/s]."""
+"""Speed limit where no other limit applies [m/s]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -23,13 +23,24 @@ def speed_bounds(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
     """
-    Bounds of each cell from both ends and the middle.
+    Compute bounds of the motion in each cell, from its two ends and its middle.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n,)
+        Cell widths [m].
+    left, right : ndarray, shape (4, n, n_axes)
+        q and its derivatives by s at both ends of each cell [m or rad, per m, per m2, per m3].
+    feed : ndarray, shape (n,)
+        Programmed feedrate in the cells [m/s].
+    table : ndarray, shape (3, n_axes)
+        Velocity, acceleration and jerk limits of the axes.
 
     Returns
     -------
     ndarray, shape (n, 4)
-        Speed limit by feed and velocity [m/s], the same with Eq. 10 [m/s], largest tangential
-        acceleration [m/s2] and jerk [m/s3].
+        Speed limit from feed and axis velocities [m/s], speed limit of Eq. 10 [m/s], largest
+        tangential acceleration [m/s2], largest tangential jerk [m/s3].
 
     """
     n, n_axes = len(h), left.shape[2]
@@ -58,14 +69,37 @@ def speed_bounds(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
-    """Speed after a distance at half the jerk's and most of the acceleration's growth."""
+    """
+    Guess the speed after a distance [m/s]; v^(3/2) grows at half the slope of full jerk.
+
+    The largest acceleration limits the growth of v^2 in the same way.
+    """
     by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
     return float(min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance)))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: float) -> FloatArray:
-    """Guess the speed at the nodes down to rest: 0.9 of Eq. 10, and reachable from both sides."""
+    """
+    Guess the speed at the nodes of a path that ends at rest.
+
+    The guess stays below 0.9 of Eq. 10 and is reachable from both ends of the path.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n,)
+        Cell widths [m].
+    bounds : ndarray, shape (n, 4)
+        Output of ``speed_bounds``.
+    v_start, a_start : float
+        s_dot and s_ddot at the start [m/s, m/s2].
+
+    Returns
+    -------
+    ndarray, shape (n + 1,)
+        Guessed s_dot at the nodes [m/s].
+
+    """
     n = len(h)
     v = np.empty(n + 1)
     v[0] = v_start
@@ -76,7 +110,7 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
     v[n] = 0.0
     for i in range(n - 1, 0, -1):
         v[i] = min(v[i], reach(v[i + 1], h[i], bounds[i, 2], bounds[i, 3]))
-    # no slower than full jerk against the motion can make it: a state may be faster than all this
+    # The start state may be too fast for this guess: never guess less than full braking reaches.
     speed, a = v_start, a_start
     for i in range(n - 1):
         t = h[i] / speed if speed > 0.0 else np.inf
@@ -92,7 +126,24 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
-    """Guess the speed within a cell, and tell whether it cruises at its cap there."""
+    """
+    Guess the speed at a position inside a cell.
+
+    Parameters
+    ----------
+    x, h : float
+        Distance from the left end of the cell, and its width [m].
+    v0, v1 : float
+        Guessed speed at the two ends [m/s].
+    bound : ndarray, shape (4,)
+        Row of ``speed_bounds`` for this cell.
+
+    Returns
+    -------
+    speed, cruise : float, bool
+        Guessed speed [m/s], and whether it is limited by 0.9 of Eq. 10.
+
+    """
     ramp = min(reach(v0, x, bound[2], bound[3]), reach(v1, h - x, bound[2], bound[3]))
     cap = 0.9 * bound[1]
     return min(ramp, cap), ramp > cap
@@ -100,7 +151,24 @@ def speed_inside(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
-    """Guess the duration of the motion [s]."""
+    """
+    Guess the duration of the motion.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n,)
+        Cell widths [m].
+    v : ndarray, shape (n + 1,)
+        Guessed speed at the nodes [m/s].
+    bounds : ndarray, shape (n, 4)
+        Output of ``speed_bounds``.
+
+    Returns
+    -------
+    float
+        Duration [s].
+
+    """
     total = 0.0
     for i in range(len(h)):
         middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]

@@ -1,4 +1,4 @@
-"""From the jerk stage's coefficients to an exact law: states, durations, cells of the path."""
+"""Stretch: the exact law of one planned part of the path, made from the jerk stage's solution."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 @dataclass(frozen=True)
 class Stretch:
     """
-    A planned stretch down to rest: N cells of the path, in n cells of the planner.
+    A planned part of the path that ends at rest: N path cells in n planner cells.
 
     Parameters
     ----------
     path : AxisPath
-        The path on the planner's grid.
+        The path on the grid of the planner.
     v, a : ndarray, shape (N + 1,)
         s_dot and s_ddot at the grid points [m/s, m/s2].
     jerk, duration : ndarray, shape (N,)
-        Constant s_dddot in each cell and the time spent in it [m/s3, s].
+        Constant s_dddot in each path cell [m/s3], and the time spent in it [s].
     nodes : ndarray of int, shape (n + 1,)
-        Grid points that bound the planner's cells.
+        Indices of the grid points at which the planner cells begin and end.
     scale : ndarray, shape (n, 4, n_axes)
-        Parts of the limits that were allowed to the planner's cells, corrections included.
+        Parts of velocity, acceleration, jerk and feed limits that each planner cell may use [-].
     use : float
-        Largest use of any limit over all instants checked, over what is accepted.
+        Largest use of a limit at the checked instants, divided by the accepted use [-].
 
     """
 
@@ -45,7 +45,7 @@ class Stretch:
     use: float
 
     def after(self, cell: int) -> Stretch:
-        """Take what follows from a cell of the planner on."""
+        """Return the part of the stretch that begins at a planner cell."""
         first = int(self.nodes[cell])
         return Stretch(
             path=cut(self.path, first, len(self.duration)),
@@ -59,7 +59,7 @@ class Stretch:
         )
 
     def law(self, start_time: float, last: int) -> MotionLaw:
-        """Build the law up to a grid point of the path."""
+        """Build the motion law, from ``start_time`` [s] on and up to the grid point ``last``."""
         time = start_time + np.concatenate([[0.0], np.cumsum(self.duration[:last])])
         return MotionLaw(
             time=time[:-1],
@@ -73,7 +73,7 @@ class Stretch:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def settle(
+def settle_widths(
     h: FloatArray,
     m: FloatArray,
     width: FloatArray,
@@ -83,10 +83,31 @@ def settle(
     duration: FloatArray,
 ) -> float:
     """
-    Bring the effective widths to rounding for fixed coefficients; returns what is left.
+    Iterate the effective widths to rounding accuracy while the coefficients stay fixed.
 
-    Then position, speed and acceleration fit from cell to cell to the last digits, which third
-    differences of the emitted positions ask for: 1e-12 m is 1e-3 m/s3 at 1 ms.
+    Position, speed and acceleration must be continuous to the last digits. A check by third
+    differences needs this: at a period of 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
+
+    Parameters
+    ----------
+    h : ndarray, shape (n,)
+        Cell widths [m].
+    m : ndarray, shape (n,)
+        Coefficients of the jerk stage [m2/s2].
+    width : ndarray, shape (n,)
+        Effective widths, updated in place [m].
+    ends : ndarray, shape (4,)
+        s_dot^2 and s_ddot at the start, then at the end [m2/s2, m/s2].
+    v, a : ndarray, shape (n + 1,)
+        Output: s_dot and s_ddot at the nodes [m/s, m/s2].
+    duration : ndarray, shape (n,)
+        Output: time spent in each cell [s].
+
+    Returns
+    -------
+    float
+        Relative change of the widths in the last iteration [-].
+
     """
     b = np.empty(len(v))
     left = 1.0
@@ -102,8 +123,8 @@ def settle(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
-    """Find when v t + a t^2/2 + j t^3/6 reaches x between two times (Newton, safeguarded)."""
+def _time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
+    """Solve v t + a t^2/2 + j t^3/6 = x for t between two times (Newton with bisection)."""
     t = 0.5 * (low + high)
     for _ in range(80):
         off = t * (v + t * (a / 2 + t * j / 6)) - x
@@ -122,7 +143,7 @@ def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> 
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def spread(
+def spread_law(
     s: FloatArray,
     nodes: IntArray,
     v_node: FloatArray,
@@ -133,7 +154,25 @@ def spread(
     jerk: FloatArray,
     duration: FloatArray,
 ) -> None:
-    """Spread the law of the planner's cells over the cells of the path inside them."""
+    """
+    Spread the law of the planner cells over the path cells inside them.
+
+    Parameters
+    ----------
+    s : ndarray, shape (N + 1,)
+        Path positions of the grid points [m].
+    nodes : ndarray of int, shape (n + 1,)
+        Indices of the grid points at which the planner cells begin and end.
+    v_node, a_node : ndarray, shape (n + 1,)
+        s_dot and s_ddot at the nodes [m/s, m/s2].
+    duration_node : ndarray, shape (n,)
+        Time spent in each planner cell [s].
+    v, a : ndarray, shape (N + 1,)
+        Output: s_dot and s_ddot at the grid points [m/s, m/s2].
+    jerk, duration : ndarray, shape (N,)
+        Output: constant s_dddot in each path cell [m/s3], and the time spent in it [s].
+
+    """
     for i in range(len(nodes) - 1):
         first, last = nodes[i], nodes[i + 1]
         total = duration_node[i]
@@ -145,7 +184,7 @@ def spread(
             if c + 1 == last:
                 duration[c] = total - before
                 continue
-            t = time_at(s[c + 1] - s[first], v_node[i], a_node[i], j, before, total)
+            t = _time_at(s[c + 1] - s[first], v_node[i], a_node[i], j, before, total)
             v[c + 1] = v_node[i] + t * (a_node[i] + t * j / 2)
             a[c + 1] = a_node[i] + t * j
             duration[c] = t - before

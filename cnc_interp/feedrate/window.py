@@ -1,14 +1,14 @@
 """
-Windows: the feed planner for a path that arrives in parts.
+Planning windows: the feed planner for a path that arrives in parts.
 
-Every plan ends at rest at the end of what is known. Of a plan that fills its window the first part
-is committed and never revised; the rest is planned again when the next window is full. Windows
-follow from the path alone, never from how it was cut into pushes or when it came: the same path
-gives the same bits.
+Every plan ends at rest at the end of the known path. When a window is full, it is planned, and
+the first part of its plan is committed. Committed motion is never changed. The rest is
+planned again in the next window. Windows depend only on the path, and neither on how it was
+divided into parts nor on when these arrived. So the same path always gives the same bits.
 
-A window fails when no law within the limits was found from the committed state. Then the plan
-before it, which is complete down to its own stop, is driven on, half of what is left at a time.
-What cannot be driven at all is refused with its block, after a stop before it.
+A window fails if no law within the limits was found from the committed state. Then half of the
+older plan is committed instead, and after a second failure all of it. The older plan ends at
+rest. If even this is impossible, the path is refused with its block after a stop before it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.horizon import WindowScan, commit_node
-from cnc_interp.feedrate.jerk_stage import Kept, PlanOptions, plan
+from cnc_interp.feedrate.jerk_stage import KeptCells, PlanOptions, plan
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.speed_guess import speed_bounds
@@ -30,23 +30,23 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 AT_REST = (0.0, 0.0)
 
 PART = 512
-"""Most cells of the path in a part that is handled as one."""
+"""Largest number of path cells in a part that is handled as one."""
 
 KEPT_PART = 0.5
-"""Part of the horizon in which the next window keeps the cells of the older plan."""
+"""Part of the horizon in which the next window keeps the cells of the older plan [-]."""
 
 
 @dataclass(frozen=True)
 class PlannedPiece:
     """
-    A committed part of the motion.
+    One committed part of the motion.
 
     Parameters
     ----------
     path : AxisPath
-        The path on the planner's grid.
+        The path on the grid of the planner.
     law : MotionLaw
-        The motion along it, one piece per cell; time goes on from piece to piece.
+        The motion law along it, one piece per path cell; its clock continues between parts.
 
     """
 
@@ -55,7 +55,7 @@ class PlannedPiece:
 
     @staticmethod
     def join(parts: list[PlannedPiece]) -> PlannedPiece:
-        """Join pieces that follow each other."""
+        """Join consecutive parts into one."""
         laws, first_cell = [], 0
         for part in parts:
             law = part.law
@@ -67,8 +67,8 @@ class PlannedPiece:
         return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws))
 
 
-def unsound_cell(path: AxisPath) -> int | None:
-    """Find the first cell that is not finite, does not advance, or has no feed."""
+def _unsound_cell(path: AxisPath) -> int | None:
+    """Return the first cell that is not finite, does not advance or has no feed; None if sound."""
     sound = np.isfinite(path.cell_left).all(axis=(0, 2)) & (path.cell_feed > 0.0)
     sound &= np.isfinite(path.cell_right).all(axis=(0, 2)) & (np.diff(path.s) > 0.0)
     return None if sound.all() else int(np.argmin(sound))
@@ -81,14 +81,14 @@ class FeedPlanner:
     Parameters
     ----------
     limits : AxisLimits
-        Limits of the axes, for instance a Machine.
+        Limits of the axes, for example a Machine.
     options : PlanOptions, optional
-        Settings.
+        Settings of the planner.
     start : tuple of float, optional
-        s_dot and s_ddot at the start of the path [m/s, m/s2]; rest by default. From a state of an
-        older law within the same limits and feeds, there is a law.
+        s_dot and s_ddot at the start of the path [m/s, m/s2]; default is rest. The state must
+        belong to a law within the same limits and feeds, otherwise no law may exist.
     time : float
-        Time there [s].
+        Time at the start of the path [s].
 
     """
 
@@ -103,7 +103,7 @@ class FeedPlanner:
         self._table = limit_table(limits)
         self._parts: list[AxisPath] = []
         self._start = start
-        self._kept: Kept | None = None
+        self._kept: KeptCells | None = None
         self._time = time
         self._older: Stretch | None = None
         self._failed = False
@@ -112,28 +112,28 @@ class FeedPlanner:
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
         """
-        Take the next part of the path, and plan the windows that it fills.
+        Add the next part of the path, and plan the windows that are now full.
 
         Parameters
         ----------
         path : AxisPath
-            Begins at the grid point where the part before ended.
+            It must begin at the grid point where the previous part ended.
 
         Returns
         -------
         list of PlannedPiece
-            What is committed now, in order; often nothing. Where the path cannot be driven on,
-            it ends at rest before that block, and the next call raises.
+            The motion committed by this call, in order; often empty. If the path cannot be
+            continued, the motion ends at rest before the faulty block. The next call raises.
 
         Raises
         ------
         PlanningError
-            If the path is not finite, or there is no law within the limits at all, and nothing
-            was left to be planned before it.
+            If the path is not finite or no law within its limits exists, and no committed motion
+            is left to return.
 
         """
         self._refuse()
-        bad = unsound_cell(path)
+        bad = _unsound_cell(path)
         last = len(path.s) - 1 if bad is None else bad
         self._parts += [cut(path, i, min(i + PART, last)) for i in range(0, last, PART)]
         if bad is None:
@@ -148,7 +148,20 @@ class FeedPlanner:
         return pieces
 
     def finish(self) -> list[PlannedPiece]:
-        """Plan all that is left, down to rest at the end of the path; ready for another path."""
+        """
+        Plan the rest of the path, down to rest at its end.
+
+        Returns
+        -------
+        list of PlannedPiece
+            The committed motion in order. The planner is then ready for another path.
+
+        Raises
+        ------
+        PlanningError
+            If no law within the limits exists and no committed motion is left to return.
+
+        """
         self._refuse()
         pieces = self._plan_windows(finished=True)
         self._parts, self._start, self._kept, self._older = [], AT_REST, None, None
@@ -157,21 +170,21 @@ class FeedPlanner:
 
     @property
     def stuck(self) -> bool:
-        """Tell whether the next call will raise: the path cannot be driven on."""
+        """Whether the next call raises because the path cannot be continued."""
         return self._problem is not None
 
     def _refuse(self) -> None:
-        """Raise what an earlier call found, when all before it was handed out."""
+        """Raise the error of an earlier call, after the motion before it was returned."""
         if self._problem is not None:
             raise self._problem
 
     def _scan_again(self, ratio: float) -> None:
-        """Begin a window; the scan sees the known parts one by one, no further than it must."""
+        """Begin a window of so many horizons; nothing of it has been examined yet."""
         self._scan = WindowScan(self._table, self._start[0], ratio, self.options.window_cells)
         self._scanned = 0
 
     def _front(self, cells: int) -> AxisPath:
-        """Join the first parts that hold so many cells."""
+        """Join the first parts until they hold this number of cells."""
         count, held = 0, 0
         while held < cells:
             held += len(self._parts[count].s) - 1
@@ -180,6 +193,7 @@ class FeedPlanner:
         return self._parts[0]
 
     def _plan_windows(self, finished: bool) -> list[PlannedPiece]:
+        """Plan every full window; with ``finished``, also the last one."""
         pieces: list[PlannedPiece] = []
         while self._parts:
             end = self._scan.end(False)
@@ -199,7 +213,7 @@ class FeedPlanner:
         return pieces
 
     def _solve(self, known: AxisPath) -> Stretch | None:
-        """Plan from the committed state to rest; once more on a finer grid where that fails."""
+        """Plan from the committed state to rest; after a failure, once more on a finer grid."""
         stretch = plan(known, self._table, self._start, self.options, self._kept)
         if stretch is None:
             finer = self.options.finer()
@@ -207,13 +221,13 @@ class FeedPlanner:
         return stretch
 
     def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
-        """Plan the window up to a grid point, commit what is due."""
+        """Plan the window up to a grid point, and commit its first part."""
         known = cut(self._front(last), 0, last)
         stretch = self._solve(known)
         if stretch is None and self._older is not None:
             return [self._drive_on(self._older)]
         while stretch is None:
-            # no law at all: rest as near to the trouble as there is one
+            # No law reaches this point: stop at half the distance instead.
             last, at_stop = last // 2, True
             if last == 0:
                 raise self._impossible(int(known.cell_block[0]))
@@ -228,7 +242,7 @@ class FeedPlanner:
             due = int(np.searchsorted(stretch.nodes, node, side='right')) - 1
             least = int(np.searchsorted(s[stretch.nodes], 0.75 * s[0] + 0.25 * s[-1]))
             if due < least and not self._scan.crowded:
-                # faster than the window was made for: wait for a longer one
+                # The motion is faster than this window expected: wait for a longer window.
                 self._scan_again(1.5 * self._scan.ratio)
                 return []
             cells = max(due, least, 1)
@@ -236,6 +250,7 @@ class FeedPlanner:
         return [self._commit(stretch, cells)]
 
     def _impossible(self, block: int) -> PlanningError:
+        """Return the error for a path along which no motion is possible."""
         v, a = self._start
         state = 'rest' if self._start == AT_REST else f's_dot {v:.4g} m/s, s_ddot {a:.4g} m/s2'
         return PlanningError(
@@ -244,14 +259,14 @@ class FeedPlanner:
         )
 
     def _drive_on(self, older: Stretch) -> PlannedPiece:
-        """Commit a part of the older plan instead of a window that failed; next time all of it."""
+        """Commit half of the older plan after a failed window, or all of it the second time."""
         cells = len(older.nodes) - 1
         part = cells if self._failed else (cells + 1) // 2
         self._failed = part < cells
         return self._commit(older, part)
 
     def _commit(self, stretch: Stretch, cells: int) -> PlannedPiece:
-        """Hand out the first cells of a plan and keep the rest for the next window."""
+        """Commit the first planner cells, and keep the rest of the plan for the next window."""
         last = int(stretch.nodes[cells])
         piece = PlannedPiece(cut(stretch.path, 0, last), stretch.law(self._time, last))
         self._time = piece.law.end_time
@@ -264,14 +279,14 @@ class FeedPlanner:
             half = (1 - KEPT_PART) * s[last] + KEPT_PART * s[-1]
             ends = s[stretch.nodes[cells + 1 :]]
             ends = ends[ends <= half]
-            self._kept = Kept(ends, self._older.scale[: len(ends)])
+            self._kept = KeptCells(ends, self._older.scale[: len(ends)])
             position = np.concatenate([position, ends])
         self._begin_at(position)
         self._scan_again(self.options.window_ratio)
         return piece
 
     def _begin_at(self, position: FloatArray) -> None:
-        """Forget the path before the first position, and make grid points of all of them."""
+        """Drop the path before the first position, and make all positions grid points."""
         while self._parts[0].s[-1] < position[-1]:
             self._front(len(self._parts[0].s))
         front = refine(self._parts[0], position)
@@ -286,28 +301,28 @@ def plan_path(
     start: tuple[float, float] = AT_REST,
 ) -> PlannedPiece:
     """
-    Plan a whole path at once: push, finish, join.
+    Plan a complete path with a ``FeedPlanner``.
 
     Parameters
     ----------
     path : AxisPath
-        The path, stops included.
+        The path, which may contain stops.
     limits : AxisLimits
-        Limits of the axes, for instance a Machine.
+        Limits of the axes, for example a Machine.
     options : PlanOptions, optional
-        Settings.
+        Settings of the planner.
     start : tuple of float, optional
-        s_dot and s_ddot at the start of the path [m/s, m/s2]; rest by default.
+        s_dot and s_ddot at the start of the path [m/s, m/s2]; default is rest.
 
     Returns
     -------
     PlannedPiece
-        The path on the planner's grid and the motion law along it.
+        The path on the grid of the planner, and the motion law along it.
 
     Raises
     ------
     PlanningError
-        If there is no law within the limits at all.
+        If no law within the limits exists.
 
     """
     planner = FeedPlanner(limits, options, start)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.feedrate.stop_law import between
+from cnc_interp.feedrate.stop_law import cut_between
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 from cnc_interp.run.chunk import Wait
@@ -132,7 +132,7 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
     nearest = int(np.argmin(np.abs(path.s - s)))
     if abs(path.s[nearest] - s) <= SAME:
         return cut(path, nearest, len(path.s) - 1)
-    return between(path, s, float(path.s[-1]), np.array([s]))
+    return cut_between(path, s, float(path.s[-1]), np.array([s]))
 
 
 def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> AxisPath:

@@ -147,7 +147,7 @@ def test_a_start_that_cannot_stop_in_time_is_refused_with_its_state():
 
 def test_a_law_from_rest_is_slowed_where_corrections_do_not_end(monkeypatch):
     """From rest, driving all of it slower always helps."""
-    monkeypatch.setattr(jerk_stage.Problem, 'lower', lambda self: None)
+    monkeypatch.setattr(jerk_stage.StretchProblem, 'lower_limits', lambda self: None)
     path = polyline_path(CORNER)
     tight = scaled(XYZAC, 1, 1, 0.3)
     coarse = PlanOptions(cell_time=(5e-2, 0.2), bend=0.8)

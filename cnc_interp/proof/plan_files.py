@@ -1,4 +1,4 @@
-"""Reading plan files: the arrays that `cnc-interp plan` leaves for anyone to check."""
+"""Reading plan files: the arrays that `cnc-interp plan` writes for a check by anyone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cnc_interp.core.errors import InterpError
 
 Columns = Mapping[str, NDArray[Any]]
 
-# Columns and their shape after the number of rows; 'n' stands for the number of axes.
+# Columns, and their shape after the number of rows; 'n' is the number of axes.
 SETPOINT_COLUMNS = {
     'time': '', 'position': 'n', 'velocity': 'n', 'acceleration': 'n', 'block': '', 's': '',
 }  # fmt: skip
@@ -31,7 +31,7 @@ BLOCK_COLUMNS = {
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
 PATH_CELLS = ('cell_left', 'cell_right')
-# Programs without rotary words, inverse-time feeds, exact stops or splines need not carry these.
+# Columns that a program needs only for rotary words, durations (G93), exact stops or splines.
 OPTIONAL_BLOCK_COLUMNS = {
     'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
 }  # fmt: skip
@@ -43,16 +43,17 @@ MAY_BE_UNBOUNDED = frozenset(
 @dataclass(frozen=True)
 class PlanFiles:
     """
-    A plan: what was asked (blocks), the path, and every setpoint; all SI.
+    A plan: the program (blocks), the path and every setpoint, all in SI units.
 
     Parameters
     ----------
     setpoints : mapping
-        ``time``, ``block``, ``s`` (K,), ``position``, ``velocity`` and ``acceleration`` (K, n).
+        ``time`` [s], ``block`` [-], ``s`` [m], shape (K,), and ``position``, ``velocity``,
+        ``acceleration``, shape (K, n) [m or rad, per s, per s2].
     path : mapping
-        Grid of the planner, see the design of the plan files; empty when there is none (a bag).
+        Grid of the planner, with the columns of ``path.npz``; empty for a bag.
     blocks : mapping
-        Program rows, start pose first; optional columns filled in.
+        Program rows, the start pose first, with all optional columns present.
     summary : mapping
         Contents of ``summary.json``.
 
@@ -65,24 +66,24 @@ class PlanFiles:
 
     @property
     def position(self) -> FloatArray:
-        """Axis positions, shape (K, n) [m, rad]."""
+        """Return the axis positions, shape (K, n) [m, rad]."""
         position: FloatArray = self.setpoints['position']
         return position
 
     @property
     def block(self) -> IntArray:
-        """Row of the program that each sample executes, shape (K,)."""
+        """Return the program row that each sample executes, shape (K,)."""
         block: IntArray = self.setpoints['block']
         return block
 
     @property
     def period(self) -> float:
-        """Interpolation period [s]."""
+        """Return the interpolation period [s]."""
         return float(self.summary['interpolation_period'])
 
     @property
     def flank_height(self) -> float:
-        """Height above the tip where the orientation tolerance counts [m]."""
+        """Return the flank height: the height above the tip of the orientation tolerance [m]."""
         return float(self.summary['flank_height'])
 
 
@@ -90,10 +91,20 @@ def read_plan(directory: Path) -> PlanFiles:
     """
     Read and check the files of a plan directory.
 
+    Parameters
+    ----------
+    directory : Path
+        Directory written by ``cnc-interp plan``.
+
+    Returns
+    -------
+    PlanFiles
+        The plan, with all optional columns present.
+
     Raises
     ------
     InterpError
-        If a file or column is missing, cannot be read, has a wrong shape or holds NaN.
+        If a file or column is missing, cannot be read, has a wrong shape or contains NaN.
 
     """
     if not directory.is_dir():
@@ -103,9 +114,11 @@ def read_plan(directory: Path) -> PlanFiles:
     path = _read_columns(directory / 'path.npz', PATH_COLUMNS)
     blocks = _read_columns(directory / 'blocks.npz', BLOCK_COLUMNS, OPTIONAL_BLOCK_COLUMNS)
     if setpoints['position'].shape[1] != path['q'].shape[1]:
-        raise InterpError(f'{directory}: setpoints.npz and path.npz differ in the number of axes')
+        raise InterpError(
+            f'{directory}: setpoints.npz and path.npz have different numbers of axes; plan again'
+        )
     if len(setpoints['position']) < 2 or len(path['s']) < 2 or len(blocks['tip']) < 2:
-        raise InterpError(f'{directory}: the plan holds no motion; nothing to check')
+        raise InterpError(f'{directory}: the plan contains no motion; plan another program')
     cells = (4, len(path['s']) - 1, path['q'].shape[1])
     for name in PATH_CELLS:
         if name in path and path[name].shape != cells:
@@ -120,11 +133,11 @@ def read_plan(directory: Path) -> PlanFiles:
                 f'{directory / name}: block runs from {rows.min()} to {rows.max()}, but '
                 f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
             )
-    return PlanFiles(setpoints, path, complete_blocks(blocks), summary)
+    return PlanFiles(setpoints, path, _complete_blocks(blocks), summary)
 
 
 def with_override(plan: PlanFiles) -> PlanFiles:
-    """Return a plan with the feeds that the largest feed override of its run allowed."""
+    """Return the plan with feeds and durations at the largest feed override of its run."""
     share = float(plan.summary.get('largest_override', 1.0))
     if share == 1.0:
         return plan
@@ -136,8 +149,8 @@ def with_override(plan: PlanFiles) -> PlanFiles:
     return replace(plan, blocks=blocks, path=path)
 
 
-def complete_blocks(columns: Columns) -> Columns:
-    """Fill in the optional columns of the program rows."""
+def _complete_blocks(columns: Columns) -> Columns:
+    """Add the optional columns that the program rows do not have, with neutral values."""
     rows = len(columns['tip'])
     defaults: dict[str, NDArray[Any]] = {
         'rotary': np.full((rows, 2), np.nan),
@@ -150,6 +163,7 @@ def complete_blocks(columns: Columns) -> Columns:
 
 
 def _read_summary(file: Path) -> Mapping[str, Any]:
+    """Read ``summary.json`` and check the values that the proof needs."""
     try:
         summary = json.loads(file.read_text(encoding='utf-8'))
     except (OSError, ValueError) as fault:
@@ -198,7 +212,7 @@ def _read_columns(
 
 
 def _reason(fault: Exception) -> str:
-    """Say in a few words why reading failed."""
+    """Return in a few words why reading failed."""
     if isinstance(fault, FileNotFoundError):
         return 'missing'
     return ' '.join(str(fault).split())[:80] or type(fault).__name__

@@ -1,28 +1,29 @@
 """
-How far a pose is from what was programmed: the proof's own geometry.
+The programmed path of the proof, and the distance of a pose from it.
 
-A program row moves the tool tip along a straight line while the tool axis turns, in step with it,
-on the great circle between both orientations [B2013, Eq. 4]. The point at flank height h therefore
-runs along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)``, 0 <= x <= 1. Tip errors are distances to the
-lines, orientation errors distances of ``tip + h axis`` to T. Nothing here is shared with planning.
+In a program row the tool tip moves along a straight line. The tool axis turns on the great circle
+between both orientations, in proportion to the distance [B2013, Eq. 4]. The point at flank height
+h therefore moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)`` with 0 <= x <= 1. The contour
+error is the distance of the tip from the lines. The orientation error is the distance of
+``tip + h axis`` from T. This module shares no code with the planner.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
-# Rows searched on either side of the row that a sample says it executes.
+# Number of rows searched on either side of the row that a sample executes.
 WINDOW = 2
-# Rows searched at most where blocks are shorter than the tolerance.
+# Largest number of rows searched on either side where blocks are shorter than the tolerance.
 WIDE_WINDOW = 500
-# Widest turn between two starting points of the search for the nearest point of T [rad].
+# Largest turn between two starting points of the search for the nearest point of T [rad].
 TURN_PER_START = 0.1
+# Two distances that differ by less than this are equal [m].
 TIE = 1e-9
 
 
@@ -34,16 +35,16 @@ class Deviation:
     Parameters
     ----------
     contour : ndarray, shape (K,)
-        Distance of the tip from the programmed lines [m].
+        Distance of the tip from the nearest programmed line [m].
     row : ndarray of int, shape (K,)
-        Program row on which the nearest point lies.
+        Program row of the nearest point.
     part : ndarray, shape (K,)
-        Where on that row, 0 at its beginning, 1 at its end.
+        Position of the nearest point on its row, from 0 at the start to 1 at the end [-].
     orientation : ndarray, shape (K,)
-        Distance of the point at flank height from its programmed locus [m].
+        Distance of the point at flank height from its programmed curve T [m].
     twist : ndarray, shape (K,)
-        Flank height times the angle between the tool axis and the one programmed at the tip's
-        nearest point [m]: stricter than ``orientation``, for information.
+        Flank height times the angle between the tool axis and the programmed axis at the nearest
+        point of the tip [m]. It is stricter than ``orientation`` and only for information.
 
     """
 
@@ -62,13 +63,13 @@ class ProgrammedPath:
     Parameters
     ----------
     start, chord : ndarray, shape (M, 3)
-        Tip where the row begins and its way to the end [m].
+        Tip at the start of the row, and the vector from there to its end [m].
     axis, sideways : ndarray, shape (M, 3)
-        Tool axis where the row begins, and the unit vector towards which it turns [-].
+        Tool axis at the start of the row, and the unit vector towards which it turns [-].
     turn : ndarray, shape (M,)
         Angle of the turn [rad].
     by_axes : ndarray of bool, shape (M,)
-        Pure rotations that rotary words rule: their great circle is not programmed.
+        Pure rotations given by rotary words. The axes move linearly, not on a great circle.
     flank_height : float
         Height of the second point above the tip [m].
 
@@ -84,7 +85,24 @@ class ProgrammedPath:
 
     @staticmethod
     def of(tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float) -> ProgrammedPath:
-        """Build the path from the vertices of the program."""
+        """
+        Build the path from the vertices of the program.
+
+        Parameters
+        ----------
+        tip, axis : ndarray, shape (M, 3)
+            Tool tip [m] and unit tool axis [-] at the end of each row; row 0 is the start pose.
+        rotary : ndarray, shape (M, 2)
+            Programmed rotary positions [rad], NaN where a row has no rotary words.
+        height : float
+            Flank height [m].
+
+        Returns
+        -------
+        ProgrammedPath
+            One line and one great circle per row.
+
+        """
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]
         chord = tip - start
@@ -106,16 +124,21 @@ class ProgrammedPath:
         self, tip: FloatArray, axis: FloatArray, block: IntArray, reach: FloatArray | None = None
     ) -> Deviation:
         """
-        Measure poses against the rows around the ones they execute.
+        Measure poses against the rows near the executed ones.
 
         Parameters
         ----------
         tip, axis : ndarray, shape (K, 3)
-            Poses [m, -].
+            Tool tips [m] and unit tool axes [-].
         block : ndarray of int, shape (K,)
-            Row that each pose executes.
+            Program row that each pose executes.
         reach : ndarray, shape (K,), optional
-            Widen the search to rows within this way of the point at flank height [m].
+            Search all rows within this distance of the executed row, measured at flank height [m].
+
+        Returns
+        -------
+        Deviation
+            Distances of the K poses.
 
         """
         low = np.maximum(block - WINDOW, 0)
@@ -134,19 +157,19 @@ class ProgrammedPath:
         ))  # fmt: skip
 
 
-def approach(
+def distances_to_vertices(
     points: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray
 ) -> tuple[FloatArray, IntArray]:
     """
-    Find how near a sampled motion comes to each vertex.
+    Find the distance between each vertex and a sampled motion.
 
-    Between two samples the motion bulges from its chord by an eighth of the second difference;
-    the distance is reduced by that much, for the vertex of a corner lies outside of its rounding.
+    Between two samples the motion deviates from its chord by up to an eighth of the second
+    difference. The distance is reduced by this value, because a vertex lies outside its rounding.
 
     Parameters
     ----------
     points : ndarray, shape (K, 3)
-        The motion, sampled [m].
+        Samples of the motion [m].
     vertices : ndarray, shape (M, 3)
         Programmed points [m].
     low, high : ndarray of int, shape (M,)
@@ -154,13 +177,15 @@ def approach(
 
     Returns
     -------
-    tuple of ndarray, shape (M,)
-        Distance [m] and the sample before the nearest point.
+    distance : ndarray, shape (M,)
+        Distance between vertex and motion, zero if within the deviation from the chord [m].
+    sample : ndarray of int, shape (M,)
+        Index of the sample before the nearest point.
 
     """
     bulge = np.zeros(len(points))
     bulge[1:-1] = np.linalg.norm(np.diff(points, 2, axis=0), axis=1) / 8.0
-    nearest: tuple[FloatArray, IntArray] = _approach(
+    nearest: tuple[FloatArray, IntArray] = _distances_to_vertices(
         np.ascontiguousarray(points), np.maximum(bulge[:-1], bulge[1:]),
         np.ascontiguousarray(vertices), low.astype(np.int64), high.astype(np.int64),
     )  # fmt: skip
@@ -168,26 +193,30 @@ def approach(
 
 
 @njit(cache=True, nogil=True)
-def _foot(x: Any, a: Any, d: Any) -> Any:
-    """Find where on the line from a along d the point x has its foot, within 0 to 1."""
+def _foot(x: FloatArray, a: FloatArray, d: FloatArray) -> float:
+    """Return the position of the foot of x on the line a + part d, limited to 0 ... 1."""
     length_sq = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     if length_sq == 0.0:
         return 0.0
     along = (x[0] - a[0]) * d[0] + (x[1] - a[1]) * d[1] + (x[2] - a[2]) * d[2]
-    return min(1.0, max(0.0, along / length_sq))
+    return float(min(1.0, max(0.0, along / length_sq)))
 
 
 @njit(cache=True, nogil=True)
-def _line_distance(x: Any, a: Any, d: Any, part: float) -> Any:
+def _line_distance(x: FloatArray, a: FloatArray, d: FloatArray, part: float) -> float:
+    """Return the distance between x and the point a + part d."""
     total = 0.0
     for i in range(3):
         total += (x[i] - a[i] - part * d[i]) ** 2
-    return np.sqrt(total)
+    return float(np.sqrt(total))
 
 
 @njit(cache=True, nogil=True)
-def _slope(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: float, part: float) -> Any:
-    """Return ``|T - x|^2`` and half its first two derivatives by the part of the row."""
+def _distance_slopes(
+    x: FloatArray, a: FloatArray, d: FloatArray, o: FloatArray, n: FloatArray, turn: float,
+    h: float, part: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return ``|T - x|^2`` and half its first two derivatives with respect to ``part``."""
     c, s = np.cos(turn * part), np.sin(turn * part)
     value, first, second = 0.0, 0.0, 0.0
     for i in range(3):
@@ -201,21 +230,24 @@ def _slope(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: float, part: 
 
 
 @njit(cache=True, nogil=True)
-def _locus_distance(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: float) -> Any:
-    """Find the distance of x from T of one row: starts on a grid, then Newton in a bracket."""
+def _locus_distance(
+    x: FloatArray, a: FloatArray, d: FloatArray, o: FloatArray, n: FloatArray, turn: float,
+    h: float,
+) -> float:  # fmt: skip
+    """Return the distance between x and T of one row: Newton in brackets from several starts."""
     starts = 1 if turn < 1e-6 else max(4, int(np.ceil(turn / TURN_PER_START)))
     step = 1.0 / starts
-    left, here = np.inf, _slope(x, a, d, o, n, turn, h, 0.0)[0]
+    left, here = np.inf, _distance_slopes(x, a, d, o, n, turn, h, 0.0)[0]
     best = here
     for j in range(starts + 1):
         right = np.inf
         if j < starts:
-            right = _slope(x, a, d, o, n, turn, h, (j + 1) * step)[0]
+            right = _distance_slopes(x, a, d, o, n, turn, h, (j + 1) * step)[0]
         if here <= left and here <= right:
             low, high = max(0.0, (j - 1) * step), min(1.0, (j + 1) * step)
             part = j * step
             for _ in range(60):
-                value, first, second = _slope(x, a, d, o, n, turn, h, part)
+                value, first, second = _distance_slopes(x, a, d, o, n, turn, h, part)
                 best = min(best, value)
                 if first > 0.0:
                     high = part
@@ -228,28 +260,33 @@ def _locus_distance(x: Any, a: Any, d: Any, o: Any, n: Any, turn: float, h: floa
                     break
                 part = following
         left, here = here, right
-    return np.sqrt(best)
+    return float(np.sqrt(best))
 
 
 @njit(cache=True, nogil=True)
-def _twist(tip: Any, axis: Any, k: int, start: Any, chord: Any, first: Any, sideways: Any,
-           turn: Any, h: float) -> Any:  # fmt: skip
-    """Compare the tool axis with the programmed one at the tip's foot on row k, as length."""
+def _twist(
+    tip: FloatArray, axis: FloatArray, k: int, start: FloatArray, chord: FloatArray,
+    first: FloatArray, sideways: FloatArray, turn: FloatArray, h: float,
+) -> float:  # fmt: skip
+    """Return h times the angle between the tool axis and the programmed one at the tip's foot."""
     d = chord[k]
     if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] == 0.0:
         zero = np.zeros(3)
-        return _locus_distance(h * axis, zero, zero, first[k], sideways[k], turn[k], h)
+        return float(_locus_distance(h * axis, zero, zero, first[k], sideways[k], turn[k], h))
     angle = turn[k] * _foot(tip, start[k], d)
     gap = 0.0
     for i in range(3):
         gap += (first[k, i] * np.cos(angle) + sideways[k, i] * np.sin(angle) - axis[i]) ** 2
-    return 2.0 * h * np.arcsin(min(1.0, 0.5 * np.sqrt(gap)))
+    return float(2.0 * h * np.arcsin(min(1.0, 0.5 * np.sqrt(gap))))
 
 
 @njit(cache=True, nogil=True)
-def _deviation(tip: Any, axis: Any, low: Any, high: Any, start: Any, chord: Any, first: Any,
-               sideways: Any, turn: Any, by_axes: Any, h: float) -> Any:  # fmt: skip
-    """Measure each pose against rows low to high; see `Deviation`."""
+def _deviation(
+    tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray, start: FloatArray,
+    chord: FloatArray, first: FloatArray, sideways: FloatArray, turn: FloatArray,
+    by_axes: BoolArray, h: float,
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Measure each pose against the rows low to high; the results are those of `Deviation`."""
     count = len(tip)
     contour, part = np.empty(count), np.empty(count)
     row = np.empty(count, dtype=np.int64)
@@ -277,7 +314,10 @@ def _deviation(tip: Any, axis: Any, low: Any, high: Any, start: Any, chord: Any,
 
 
 @njit(cache=True, nogil=True)
-def _approach(points: Any, bulge: Any, vertices: Any, low: Any, high: Any) -> Any:
+def _distances_to_vertices(
+    points: FloatArray, bulge: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """Return the distance of each vertex from the motion, and the sample before that place."""
     count = len(vertices)
     nearest = np.full(count, np.inf)
     where = np.zeros(count, dtype=np.int64)

@@ -1,10 +1,10 @@
 """
-Native splines as many short blocks: so the proof judges them by the same rules as linear ones.
+Native splines as many short linear rows, so that the proof has one rule for all programs.
 
-The control points of a curve are evaluated by SciPy and replaced by rows on the curve, so close
-that tip and point at flank height stay within ``CHORD`` of chord and great circle. Samples and
-grid points that execute the curve are given the row that they have come to. Nothing here is
-shared with planning.
+SciPy evaluates the curve of the control points. Rows on the curve replace the control points. They
+are so close that tip and point at flank height stay within ``CHORD`` of chord and great circle.
+Samples and grid points on the curve get the number of the row that they have reached. This module
+shares no code with the planner.
 """
 
 from __future__ import annotations
@@ -25,27 +25,32 @@ from cnc_interp.proof.plan_files import Columns, PlanFiles
 
 #: Largest distance between curve and chord [m].
 CHORD = 1e-8
-#: Points of a knot interval at which its curvature is measured.
+#: Number of points of a knot interval at which its curvature is measured.
 PROBES = 65
-#: A pose is looked for this much further along the curve than it has moved [m].
+#: A pose is searched up to twice its own movement plus this distance along the curve [m].
 REACH = 2e-4
 
 
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     """
-    Return a plan whose program has rows on its native splines instead of control points.
+    Replace the native splines of a plan by short linear rows.
 
     Parameters
     ----------
     plan : PlanFiles
-        Any plan; one without splines is returned as it is.
+        Any plan. A plan without splines is returned as it is.
     machine : Machine
-        Whose forward kinematics count.
+        Machine with the forward kinematics to use.
+
+    Returns
+    -------
+    PlanFiles
+        The plan with new program rows. Samples and grid points name the new rows.
 
     Raises
     ------
     InterpError
-        If control points make no curve.
+        If control points do not form a clamped curve.
 
     """
     on_spline = np.isfinite(plan.blocks['knot_interval'])
@@ -84,13 +89,26 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
 
 
 def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last row (exclusive) of linear stretches and of curves, in order."""
+    """
+    Divide the program rows into linear parts and native splines.
+
+    Parameters
+    ----------
+    on_spline, exact_stop : ndarray of bool, shape (M,)
+        Whether a row is a control point, and whether the motion stops after it.
+
+    Returns
+    -------
+    list of tuple of int
+        First row and last row (exclusive) of each part, in order.
+
+    """
     changes = (on_spline[1:] != on_spline[:-1]) | (on_spline & exact_stop)[:-1]
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(on_spline)]))
 
 
 def _renumbered(rows: IntArray, block: NDArray[Any], place: IntArray, new: IntArray) -> IntArray:
-    """Give samples of linear rows their new row numbers."""
+    """Replace the row numbers of samples in one linear part by the new ones."""
     inside = (block >= place[0]) & (block <= place[-1])
     rows[inside] = block[inside] + (new[0] - place[0])
     return rows
@@ -100,34 +118,38 @@ def chords(
     blocks: Columns, first: int, last: int, height: float, chord: float = CHORD
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
     """
-    Cut one native spline into linear rows.
+    Replace one native spline by linear rows.
 
     Parameters
     ----------
     blocks : mapping
-        Columns of a program, as in ``blocks.npz``.
+        Columns of the program rows, as in ``blocks.npz``.
     first, last : int
-        Rows of the control points, the last one exclusive.
+        First row of the control points, and last row (exclusive).
     height : float
         Flank height [m].
     chord : float
-        Largest distance of tip and of point at flank height from the curve [m].
+        Largest distance of tip and point at flank height from the curve [m].
 
     Returns
     -------
-    tuple of dict and ndarray, shape (n, 6)
-        The columns of the rows, and their tips and points at flank height [m].
+    rows : dict of ndarray
+        Columns of the n new rows.
+    poses : ndarray, shape (n, 6)
+        Tips and points at flank height of these rows [m].
 
     Raises
     ------
     InterpError
-        If the control points make no curve.
+        If the control points do not form a clamped curve.
 
     """
     line = int(blocks['line'][first])
     interval = np.asarray(blocks['knot_interval'][first:last], dtype=float)
     if len(interval) < 4 or interval[0] or interval[-2:].any():
-        raise InterpError(f'blocks.npz: line {line}: the control points make no clamped spline')
+        raise InterpError(
+            f'blocks.npz: line {line}: the control points do not form a clamped spline; plan again'
+        )
     knots = np.concatenate([np.zeros(3), np.cumsum(interval)])
     knots = np.append(knots, knots[-1])
     points = np.hstack([blocks['tip'][first:last], blocks['top'][first:last]])
@@ -153,7 +175,7 @@ def chords(
 
 
 def _poses(curve: BSpline, u: FloatArray, height: float) -> FloatArray:
-    """Return tip and point at flank height on a curve, shape (n, 6) [m]."""
+    """Return tip and point at flank height at parameters u, shape (n, 6) [m]."""
     both = curve(u)
     tool = both[:, 3:] - both[:, :3]
     tool *= height / np.linalg.norm(tool, axis=1)[:, None]
@@ -164,10 +186,10 @@ def _rows_reached(
     curve: FloatArray, poses: tuple[FloatArray, FloatArray], inside: BoolArray, height: float
 ) -> IntArray:
     """
-    Follow poses along a curve: the row that each of them has come to, shape (k,).
+    Return the row that each pose on a curve has reached, shape (k,).
 
-    A pose lies no further along the curve than it has moved, from the nearest row to the one
-    before it on; rows may lie further apart than poses, so one row more is always looked at.
+    A pose advances along the curve at most by its own movement. The search begins at the row of
+    the pose before it. It always includes one more row, because rows may be far apart.
     """
     tip, axis = poses
     both = np.hstack([tip, tip + height * axis])

@@ -1,4 +1,4 @@
-"""What a proof says: largest uses, failures in one line each, as text and as JSON."""
+"""The result of a proof: largest uses and failures, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 
-# The orders of difference that have limits, and the power of the second in their units.
+# Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
 
 
 @dataclass(frozen=True)
 class Finding:
     """
-    The place where one quantity comes nearest to what it must not exceed, or exceeds it most.
+    The place where one quantity uses most of its limit, or exceeds it most.
 
     Parameters
     ----------
     what, axis : str
-        The quantity, and the axis it belongs to or ''.
+        Name of the quantity, and name of its axis or ''.
     value, limit, ratio : float
-        In SI, and their quotient.
+        Value and limit in SI units, and value / limit [-].
     sample : int
-        Sample number, -1 where the finding belongs to a block or the path instead.
+        Sample number, or -1 if the finding belongs to a block or to the path.
     time : float
-        Time of the sample [s], or NaN.
+        Time of the sample [s], NaN if ``sample`` is -1.
     line : int
         Line of the part program.
     exceeded : int
-        How many places exceed the limit.
+        Number of places at which the limit is exceeded.
     linear : bool
-        False where the axis is a rotary one, so that value and limit count in rad.
+        Whether value and limit are lengths. Otherwise they belong to a rotary axis.
 
     """
 
@@ -55,24 +55,24 @@ class Finding:
 @dataclass(frozen=True)
 class Proof:
     """
-    What was proven about a plan, and what was not.
+    What is proven about a plan, and what is not.
 
     Parameters
     ----------
     machine : str
-        Name of the machine whose limits count.
+        Name of the machine whose limits were used.
     axis_names : tuple of str
-        Axes of that machine.
+        Names of the axes of that machine.
     samples, blocks : int
         Number of setpoints and of program rows after the start pose.
     period, cycle_time : float
         Interpolation period and duration of the motion [s].
     findings : tuple of Finding
-        Largest use of every limit and tolerance.
+        Largest use of each limit and tolerance.
     failures : tuple of str
-        One line for each thing that is not proven.
+        One sentence for each fact that is not proven.
     remarks : dict
-        Figures for information; nothing depends on them.
+        Figures for information only.
 
     """
 
@@ -88,21 +88,21 @@ class Proof:
 
     @property
     def ok(self) -> bool:
-        """True if everything is proven."""
+        """Return whether everything is proven."""
         return not self.failures
 
     def largest(self, what: str, axis: str = '') -> Finding:
-        """Look up a finding."""
+        """Return the finding of a quantity and an axis."""
         return next(f for f in self.findings if f.what == what and f.axis == axis)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the proof as plain values for JSON; what is not finite becomes None."""
+        """Return the proof as plain values for JSON; values that are not finite become None."""
         text = json.dumps({'ok': self.ok, **asdict(self)})
         plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
         return plain
 
     def text(self) -> str:
-        """Write the proof for a terminal."""
+        """Return the proof as text for a terminal."""
         lines = [
             f'{self.samples} samples of {self.period * 1e3:g} ms, {self.cycle_time:.3f} s, '
             f'{self.blocks} blocks, machine {self.machine}'
@@ -114,14 +114,14 @@ class Proof:
                 lines.append(f'{kind:<13}' + ''.join(f'{use:>9.2%}' for use in uses))
         for finding in self.findings:
             if not finding.axis:
-                value, limit = _spoken(finding)
+                value, limit = _with_units(finding)
                 lines.append(f'{finding.what:<22}{value:>17} of {limit:<17}{_place(finding)}')
         verdict = f'NOT proven, faults: {len(self.failures)}' if self.failures else 'proven'
         return '\n'.join([*lines, *self.failures, verdict])
 
 
 class Ledger:
-    """Collects findings and failures while a plan is being proven."""
+    """Collects findings and failures during a proof."""
 
     def __init__(self, plan: PlanFiles, machine: Machine):
         self.plan, self.machine = plan, machine
@@ -140,16 +140,30 @@ class Ledger:
         rows: IntArray | None = None,
     ) -> None:
         """
-        Enter the largest ``value / limit``; more than ``allowed`` times the limit is a failure.
+        Record the largest ``value / limit``; above ``allowed`` it is a failure.
 
-        ``rows`` names the program row of each value; without it values belong to the samples.
+        Parameters
+        ----------
+        what : str
+            Name of the quantity.
+        value : ndarray, shape (k,)
+            Values in SI units, all >= 0.
+        limit : ndarray, shape (k,), or float
+            Limit of each value, in the same unit.
+        axis : str
+            Name of the axis, or ''.
+        allowed, slack : float
+            A value is accepted up to ``limit * allowed + slack``.
+        rows : ndarray of int, shape (k,), optional
+            Program row of each value. Without it, the values belong to the samples.
+
         """
         if not len(value):
             return
         limit = np.broadcast_to(np.asarray(limit, dtype=float), value.shape)
         ratio = np.divide(value, limit, out=np.full(value.shape, np.inf), where=limit > 0.0)
         ratio[(limit <= 0.0) & (value <= slack)] = 0.0
-        # Written so that a NaN counts as exceeded.
+        # In this form a NaN counts as exceeded.
         exceeded = ~(value <= limit * allowed + slack)
         judged = np.where(exceeded, np.where(np.isnan(ratio), np.inf, ratio) + 1e6, ratio)
         worst = int(np.argmax(judged))
@@ -163,7 +177,7 @@ class Ledger:
         )  # fmt: skip
         self.findings.append(finding)
         if finding.exceeded:
-            value_text, limit_text = _spoken(finding)
+            value_text, limit_text = _with_units(finding)
             others = f'; {finding.exceeded} places in all' if finding.exceeded > 1 else ''
             of = f' of {axis}' if axis else ''
             self.failures.append(
@@ -180,18 +194,18 @@ class Ledger:
         allowed: float = 1.0,
         rows: IntArray | None = None,
     ) -> None:
-        """Judge a consistency: only its failure is worth telling."""
+        """Judge a consistency check like ``judge``, but record it only if it fails."""
         before = len(self.findings)
         self.judge(what, value, limit, axis, allowed, rows=rows)
         self.findings = [f for i, f in enumerate(self.findings) if i < before or f.exceeded]
 
-    def demand(self, holds: bool | np.bool_, fault: str) -> None:
-        """Enter a failure unless a condition holds."""
+    def require(self, holds: bool | np.bool_, fault: str) -> None:
+        """Record a failure unless the condition holds."""
         if not holds:
             self.failures.append(fault)
 
     def close(self) -> Proof:
-        """Sum up."""
+        """Return the proof with everything recorded so far."""
         plan, machine = self.plan, self.machine
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
@@ -201,13 +215,14 @@ class Ledger:
 
 
 def _place(finding: Finding) -> str:
+    """Return the place of a finding: sample, time and program line."""
     if finding.sample < 0:
         return f'line {finding.line}'
     return f'at sample {finding.sample} ({finding.time:.3f} s, line {finding.line})'
 
 
-def _spoken(finding: Finding) -> tuple[str, str]:
-    """Write value and limit in the units of the shop floor."""
+def _with_units(finding: Finding) -> tuple[str, str]:
+    """Return value and limit as text in shop-floor units."""
     scale, unit = (1e3, 'mm') if finding.linear else (180.0 / np.pi, 'deg')
     order = dict(DIFFERENCES).get(finding.what.removeprefix('planned ').removesuffix(' column'))
     if finding.what == 'tip feed':
@@ -222,5 +237,5 @@ def _spoken(finding: Finding) -> tuple[str, str]:
 
 
 def _figure(value: float) -> str:
-    """Write a number; a hundredth of a nanometre is zero."""
+    """Return a number as text; values below 1e-8 become 0."""
     return f'{value:.6g}' if abs(value) >= 1e-8 else '0'

@@ -1,12 +1,16 @@
 """
-The proof: every emitted setpoint against limits, tolerances, feed and program.
+The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
 
-It starts from the plan files alone and shares no code with planning beyond the machine's forward
-kinematics. What is proven, and how: limits by first, second and third differences of the positions
-at the interpolation period, the axes held before the first and after the last sample; tip and top
-point by their distance from the programmed lines and great circles, where a corner's tolerance is
-the smaller one of the two blocks that meet there; completeness by the approach to every vertex.
-Native splines are cut into chords first (``programmed_splines.py``).
+It starts from the plan files alone. The only code shared with the planner is the forward
+kinematics of the machine.
+
+- Limits: first, second and third differences of the positions at the interpolation period. The
+  axes are at rest before the first and after the last sample.
+- Tolerances: distance of the tip and of the point at flank height from the programmed lines and
+  great circles. At a corner, the smaller tolerance of its two blocks counts.
+- Completeness: the motion passes every programmed vertex within the tolerance.
+
+Native splines are first replaced by chords (``programmed_splines.py``).
 """
 
 from __future__ import annotations
@@ -20,33 +24,38 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
-from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath, approach
+from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath, distances_to_vertices
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
 
-# A tenth of a percent of a limit is rounding; more is a fault.
+# An excess of up to 0.1 % of a limit is rounding.
 ROUNDING = 1.001
 # Distances below this are zero [m].
 SLACK = 1e-9
-# Kinematics solved both ways agree within this [m].
+# Largest accepted difference between forward kinematics and the path file [m].
 ROUND_TRIP = 1e-8
-# An exact stop passes its vertex within this [m].
+# Largest accepted distance between an exact stop and its vertex [m].
 STOP_DISTANCE = 1e-6
-# Way along the program, in tolerances, that a search is widened by where blocks are tiny: a path
-# segment, which names the row in the middle of each of its halves, may run over many of them.
+# A search is widened by this number of tolerances where blocks are tiny. There one path segment
+# covers many rows, but names only the middle row of each of its halves.
 REACH = 50.0
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:
     """
-    Prove the plan files of a directory.
+    Check the plan files of a directory.
 
     Parameters
     ----------
     directory : Path
-        Written by ``cnc-interp plan``.
+        Directory written by ``cnc-interp plan``.
     machine : Machine
-        Whose limits and forward kinematics count.
+        Machine with the limits and the forward kinematics to use.
+
+    Returns
+    -------
+    Proof
+        Largest use of every limit, and all failures.
 
     Raises
     ------
@@ -58,13 +67,31 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
-    """Prove a plan that is in memory; without ``path`` the planner's grid is not looked at."""
+    """
+    Check a plan in memory.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        Setpoints and program. With an empty ``path``, the grid of the planner is not checked.
+    machine : Machine
+        Machine with the limits and the forward kinematics to use.
+
+    Returns
+    -------
+    Proof
+        Largest use of every limit, and all failures.
+
+    """
     plan = with_override(plan)
     ledger, programmed = Ledger(plan, machine), len(plan.blocks['tip']) - 1
     axes = machine.axis_names
     if plan.position.shape[1] != len(axes):
         count = plan.position.shape[1]
-        ledger.failures.append(f'{count} axes in the plan, {len(axes)} on machine {machine.name}')
+        ledger.failures.append(
+            f'the plan has {count} axes, machine {machine.name} has {len(axes)}; '
+            'check it with the machine that it was planned for'
+        )
         return ledger.close()
     tip, axis = Transform.of(machine).forward(plan.position)
     _prove_limits(ledger, plan, machine)
@@ -81,12 +108,12 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Judge travel, and the differences of the positions including both ends at rest."""
+    """Judge the travel of the axes, and their differences with both ends at rest."""
     held = np.pad(plan.position, ((3, 3), (0, 0)), mode='edge')
     orders = zip(DIFFERENCES, machine.limits, strict=True)
     for order, ((kind, _), limit) in enumerate(orders, start=1):
         difference = np.abs(np.diff(held, order, axis=0)) / plan.period**order
-        # Entry i of these belongs to the middle of its stencil, counted in samples.
+        # The value of a difference belongs to the middle sample of its stencil.
         middle = difference[3 - (order + 1) // 2 :]
         for j, name in enumerate(machine.axis_names):
             ledger.judge(kind, middle[:, j], float(limit[j]), name, ROUNDING)
@@ -96,31 +123,33 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             continue
         outside = np.maximum(lowest - plan.position[:, j], plan.position[:, j] - highest)
         beyond, reached = float(outside.max()), int(np.argmax(outside))
-        ledger.demand(
+        axis = machine.axes[j]
+        scale, unit = 1.0 / axis.shown_size, axis.shown_unit
+        ledger.require(
             beyond <= SLACK,
-            f'travel of {name} from {lowest:.6g} to {highest:.6g} (m, rad) is left at sample '
-            f'{reached} ({reached * plan.period:.3f} s, line '
-            f'{plan.blocks["line"][plan.block[reached]]}) by {beyond:.3g}',
+            f'{name} exceeds its travel of {lowest * scale:.6g} to {highest * scale:.6g} {unit} '
+            f'by {beyond * scale:.3g} {unit} in line {plan.blocks["line"][plan.block[reached]]} '
+            f'(sample {reached}, {reached * plan.period:.3f} s)',
         )
 
 
 def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
-    """Demand that time runs evenly and blocks in their order."""
+    """Check that time is uniform, that blocks are in order and that the first ones are there."""
     time, block = plan.setpoints['time'], plan.block
     uneven = np.abs(time - time[0] - plan.period * np.arange(len(time)))
     at = int(np.argmax(uneven))
-    ledger.demand(
+    ledger.require(
         uneven[at] <= 1e-6 * plan.period + 1e-12 * abs(time[-1]),
         f'time is not uniform: sample {at} at {time[at]:.9g} s, period {plan.period:g} s',
     )
     back = np.flatnonzero(np.diff(block) < 0)
-    ledger.demand(
+    ledger.require(
         not len(back),
         f'block order runs backwards at sample {back[:1] + 1}: '
         f'row {block[back[:1]]}, then {block[back[:1] + 1]}',
     )
-    # Rows that end where the tool is already (repeated points, first control points) may be left
-    # out; that their vertices are met is proven with all others.
+    # Rows may be left out at the start if the tool is already at their end (repeated points, first
+    # control points). Completeness checks their vertices with all others.
     tip, axis, contour, orientation = (
         plan.blocks[name][: max(block[0], 1)]
         for name in ('tip', 'axis', 'contour_tolerance', 'orientation_tolerance')
@@ -128,23 +157,44 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     top = tip + plan.flank_height * axis
     off, off_top = (np.linalg.norm(points - points[0], axis=1) for points in (tip, top))
     away = np.flatnonzero((off > contour + SLACK) | (off_top > orientation + SLACK))
-    ledger.demand(not len(away), f'the motion starts in row {block[0]}, not in row {away[:1]}')
+    ledger.require(
+        not len(away),
+        f'the motion starts with line {plan.blocks["line"][block[0]]}, '
+        f'but line {plan.blocks["line"][away[:1]]} comes before it',
+    )
     stated = plan.summary.get('cycle_time')
     spanned = float(time[-1] - time[0])
     if isinstance(stated, int | float):
-        ledger.demand(
+        ledger.require(
             abs(stated - spanned) <= 1.01 * plan.period,
             f'summary says cycle time {stated:.4f} s, setpoints span {spanned:.4f} s',
         )
 
 
 def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray) -> Deviation:
-    """Measure samples of the plan against its program; see `Deviation`."""
-    program = program_of(plan)
+    """
+    Measure poses of the plan against its program.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        Program, and the axis positions of the K setpoints.
+    machine : Machine
+        Machine with the forward kinematics to use.
+    tip, axis : ndarray, shape (K, 3)
+        Tool tip [m] and unit tool axis [-] of the setpoints.
+
+    Returns
+    -------
+    Deviation
+        Distances of the setpoints from the program.
+
+    """
+    program = _program_of(plan)
     result = _measure_widely(program, plan, tip, axis, plan.block)
     ruled = program.by_axes[plan.block]
     if ruled.any():
-        # Rotary axes run linearly here: the programmed axis at the same share of the turn.
+        # Here the rotary axes move linearly: compare with their position at the same part of it.
         row, position = plan.block[ruled], plan.position[ruled].copy()
         rotary = plan.blocks['rotary']
         first, way = rotary[row - 1], rotary[row] - rotary[row - 1]
@@ -162,7 +212,7 @@ def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
 def _measure_widely(
     program: ProgrammedPath, plan: PlanFiles, tip: FloatArray, axis: FloatArray, block: IntArray
 ) -> Deviation:
-    """Measure near the executed row, and again further off where that is out of tolerance."""
+    """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
     result = program.deviation(tip, axis, block)
     contour, top = corner_tolerances(plan, result)
     far = (result.contour > contour + SLACK) | (result.orientation > top + SLACK)
@@ -174,14 +224,27 @@ def _measure_widely(
     return result
 
 
-def program_of(plan: PlanFiles) -> ProgrammedPath:
-    """Build the programmed path of a plan."""
+def _program_of(plan: PlanFiles) -> ProgrammedPath:
+    """Build the programmed path of a plan from its blocks."""
     blocks = plan.blocks
     return ProgrammedPath.of(blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height)
 
 
 def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
-    """Take the smaller tolerance of the two blocks that meet at each vertex [m]."""
+    """
+    Return the tolerances at the program vertices: the smaller one of both adjacent blocks.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        Plan with M program rows.
+
+    Returns
+    -------
+    contour, orientation : ndarray, shape (M,)
+        Tolerances [m].
+
+    """
     both = []
     for name in ('contour_tolerance', 'orientation_tolerance'):
         own = np.array(plan.blocks[name], dtype=float)
@@ -191,13 +254,29 @@ def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
 
 
 def corner_tolerances(plan: PlanFiles, deviation: Deviation) -> tuple[FloatArray, FloatArray]:
-    """Take the tolerances at the vertex nearest to each sample's nearest point [m]."""
+    """
+    Return the tolerances at the vertex nearest to each pose.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        Plan with the tolerances of its program rows.
+    deviation : Deviation
+        Nearest points of K poses.
+
+    Returns
+    -------
+    contour, orientation : ndarray, shape (K,)
+        Tolerances [m].
+
+    """
     contour, top = vertex_tolerances(plan)
     vertex = np.where(deviation.part >= 0.5, deviation.row, np.maximum(deviation.row - 1, 0))
     return contour[vertex], top[vertex]
 
 
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, deviation: Deviation) -> None:
+    """Judge contour and orientation errors of all samples."""
     contour, top = corner_tolerances(plan, deviation)
     ledger.judge('contour error', deviation.contour, contour, slack=SLACK)
     ledger.judge('orientation error', deviation.orientation, top, slack=SLACK)
@@ -207,45 +286,46 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, deviation: Deviation) -> 
 def _prove_completeness(
     ledger: Ledger, plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
 ) -> None:
-    """Demand that every vertex is approached, first and last are reached, stops are kept."""
+    """Check that the motion passes every vertex, begins and ends on the program, and stops."""
     blocks, height = plan.blocks, plan.flank_height
     top, vertex_top = tip + height * axis, blocks['tip'] + height * blocks['axis']
     rows = np.arange(len(blocks['tip']))
     contour, orientation = vertex_tolerances(plan)
-    nearest, _ = _approach_widely(plan, tip, blocks['tip'], contour)
+    nearest, _ = _search_vertices(plan, tip, blocks['tip'], contour)
     ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
-    nearest_top, where = _approach_widely(plan, top, vertex_top, orientation)
+    nearest_top, where = _search_vertices(plan, top, vertex_top, orientation)
     ledger.judge('vertex missed by top', nearest_top, orientation, slack=SLACK, rows=rows)
     for name, sample, row in (('first', 0, 0), ('last', len(tip) - 1, len(rows) - 1)):
         gap = max(
             float(np.linalg.norm(tip[sample] - blocks['tip'][row])),
             float(np.linalg.norm(top[sample] - vertex_top[row])),
         )
-        ledger.demand(
+        ledger.require(
             gap <= SLACK,
-            f'the motion is {gap * 1e3:.3g} mm off the {name} pose (line {blocks["line"][row]})',
+            f'the motion is {gap * 1e3:.3g} mm away from the {name} pose of the program '
+            f'(line {blocks["line"][row]})',
         )
     if plan.position.shape[1] == 5:
         _prove_rotary_words(ledger, plan, where)
     stops = np.flatnonzero(blocks['exact_stop'])
     if len(stops):
         ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
-        # Through rest an axis moves less than J T^3 / 3 in one period.
+        # While an axis passes through rest, it moves less than J T^3 / 3 in one period.
         crawl = machine.max_jerk * plan.period**3 / 3.0
         use = np.r_[np.max(np.abs(np.diff(plan.position, axis=0)) / crawl, axis=1), 0.0]
         slowest = [float(use[max(i - 1, 0) : i + 2].min()) for i in where[stops]]
         moving = stops[np.array(slowest) > ROUNDING]
-        ledger.demand(
+        ledger.require(
             not len(moving),
-            f'no rest at the exact stop of line {blocks["line"][moving[:1]]}, '
-            f'stops missed: {len(moving)}',
+            f'no rest at the exact stop of line {blocks["line"][moving[:1]]}; '
+            f'{len(moving)} stops missed',
         )
 
 
-def _approach_widely(
+def _search_vertices(
     plan: PlanFiles, points: FloatArray, vertices: FloatArray, tolerance: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Look for each vertex among the samples around it, and further off where it is missed."""
+    """Search each vertex among the samples of its rows; if it is missed, among more samples."""
     label = np.maximum.accumulate(plan.block)
     rows = np.arange(len(vertices))
 
@@ -254,10 +334,12 @@ def _approach_widely(
         high = np.searchsorted(label, last, 'right')
         return np.clip(low, 0, len(points) - 2), np.clip(high, 1, len(points) - 1)
 
-    # A vertex lies between its own block and the next; rounding may shift labels by one more, but
-    # not at a stop: there a tool that comes back has passed the vertex in the block before.
+    # A vertex lies between its own row and the next. Rounding may shift the row of a sample by one
+    # more, except at a stop: a tool that turns back has passed the vertex in the row before.
     spread = np.where(plan.blocks['exact_stop'], 0, 1)
-    nearest, where = approach(points, vertices, *samples(rows - spread, rows + 1 + spread))
+    nearest, where = distances_to_vertices(
+        points, vertices, *samples(rows - spread, rows + 1 + spread)
+    )
     far = nearest > tolerance + SLACK
     if far.any():
         way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
@@ -265,12 +347,14 @@ def _approach_widely(
         first = np.searchsorted(way, way[far] - reach)
         last = np.searchsorted(way, way[far] + reach, 'right')
         first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
-        nearest[far], where[far] = approach(points, vertices[far], *samples(first, last))
+        nearest[far], where[far] = distances_to_vertices(
+            points, vertices[far], *samples(first, last)
+        )
     return nearest, where
 
 
 def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> None:
-    """Demand that rotary words keep their turns, and are met where the tip rests."""
+    """Check that rotary axes reach their words, and pass them with the right number of turns."""
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
     rows = rows[rows > 0]
@@ -280,17 +364,17 @@ def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> Non
     points = np.hstack([plan.position[:, -2:], flat])
     words = np.hstack([np.nan_to_num(rotary), np.zeros((len(rotary), 1))])
     angle = vertex_tolerances(plan)[1] / max(plan.flank_height, 1e-3)
-    gap, passed = _approach_widely(plan, points, words, angle)
+    gap, passed = _search_vertices(plan, points, words, angle)
     tilted = rows[np.linalg.norm(plan.blocks['axis'][rows, :2], axis=1) > 1e-3]
     ledger.judge('turns of rotary words', gap[tilted], np.pi, rows=tilted)
-    still = rows[program_of(plan).by_axes[rows]]
+    still = rows[_program_of(plan).by_axes[rows]]
     ledger.judge('rotary word missed', gap[still], angle[still], slack=SLACK, rows=still)
-    # About its own axis a tool turns without a trace in the workpiece frame.
+    # A turn of the tool about its own axis is not visible in the workpiece frame.
     where[still] = passed[still]
 
 
 def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
-    """Judge the tip speed by the feed of the executed block, at a border of either one."""
+    """Judge the tip speed against the feed of the executed block; at a border, of both blocks."""
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)
     chord = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
@@ -322,11 +406,11 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
 
 
 def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Compare commanded velocity and acceleration with differences of the positions."""
+    """Compare the velocity and acceleration columns with differences of the positions."""
     held = np.pad(plan.position, ((1, 1), (0, 0)), mode='edge')
     central = (held[2:] - held[:-2]) / (2.0 * plan.period)
     second = np.diff(held, 2, axis=0) / plan.period**2
-    # Under bounded jerk a velocity departs from its mean by J T^2 / 6, an acceleration by J T / 3.
+    # With jerk J, a velocity differs from its mean by J T^2 / 6 and an acceleration by J T / 3.
     for name, column, mean, room in (
         ('velocity column', plan.setpoints['velocity'], central, plan.period**2 / 2.0),
         ('acceleration column', plan.setpoints['acceleration'], second, plan.period),
@@ -338,7 +422,7 @@ def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 
 def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Judge the planner's grid: poses, continuity, deviation between samples, feed in limits."""
+    """Check the grid of the planner: poses, continuity, contour error and feed."""
     path, height = plan.path, plan.flank_height
     rows = np.asarray(path['block'], dtype=np.int64)
     tip, axis = Transform.of(machine).forward(path['q'])
@@ -346,8 +430,8 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     gap = np.maximum(gap, height * np.linalg.norm(axis - path['axis'], axis=1))
     ledger.check('path pose against its axes', gap, ROUND_TRIP, rows=rows)
     steps = np.diff(path['s'])
-    ledger.demand(bool((steps > 0.0).all()), 'path.npz: s does not increase everywhere')
-    deviation = _measure_widely(program_of(plan), plan, tip, axis, rows)
+    ledger.require(bool((steps > 0.0).all()), 'path.npz: s must increase at every grid point')
+    deviation = _measure_widely(_program_of(plan), plan, tip, axis, rows)
     contour, _ = corner_tolerances(plan, deviation)
     ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)
     feed = np.asarray(path['feed'], dtype=float)
@@ -364,7 +448,7 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             rate = np.maximum(np.abs(left[1, :, j]) * feed[:-1], np.abs(right[1, :, j]) * feed[1:])
             limit = float(machine.max_velocity[j])
             ledger.check('planned velocity', rate, limit, name, ROUNDING, rows=rows[:-1])
-    # Eq. 10 ignores tangential acceleration and jerk; with them a law may rightly exceed it.
+    # Eq. 10 leaves out tangential acceleration and jerk, so a correct law may exceed it.
     bounded = path['feed_limit'] > 0.0
     ledger.remarks['largest_feed_over_limit'] = float(
         np.max(feed[bounded] / path['feed_limit'][bounded], initial=0.0)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.proof.programmed_path import ProgrammedPath, approach
+from cnc_interp.proof.programmed_path import ProgrammedPath, distances_to_vertices
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE
 
 CORNER_KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]
@@ -113,7 +113,9 @@ def deviation(segments, blocks, height, count=7):
         tip, axis, np.repeat(segments.block[:, 0], count), np.full(len(tip), np.inf)
     )
     anywhere = np.zeros(n, np.int64), np.full(n, len(tip) - 1)
-    near, _ = approach(tip, blocks.tip, *anywhere)
-    near_top, _ = approach(tip + height * axis, blocks.tip + height * blocks.axis, *anywhere)
+    near, _ = distances_to_vertices(tip, blocks.tip, *anywhere)
+    near_top, _ = distances_to_vertices(
+        tip + height * axis, blocks.tip + height * blocks.axis, *anywhere
+    )
     forth = max(off.contour.max(), off.orientation.max())
     return forth / tolerance, max(near.max(), near_top.max()) / tolerance

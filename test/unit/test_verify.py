@@ -214,7 +214,7 @@ def test_a_stop_that_the_tool_has_passed_before_is_kept(tmp_path, text):
 
 def test_travel_is_checked(tmp_path):
     content = line_x(MACHINE, length=510 * MM)
-    failure = only_failure(proof_of(tmp_path, content), 'travel of X')
+    failure = only_failure(proof_of(tmp_path, content), 'X exceeds its travel')
     assert 'by 0.01' in failure
 
 
@@ -358,7 +358,7 @@ def test_the_planner_s_grid_is_looked_at(tmp_path):
     only_failure(spoil(bulge), 'contour error of path')
     only_failure(spoil(tear), 'axes across path cells')
     only_failure(spoil(hurry), 'planned velocity of A')
-    only_failure(spoil(turn_back), 's does not increase')
+    only_failure(spoil(turn_back), 's must increase')
 
 
 def test_the_stated_cycle_time_and_the_first_row(tmp_path):
@@ -434,5 +434,5 @@ def test_three_axes(tmp_path):
     proof = verify_plan(directory, machine)
     assert proof.ok, proof.failures
     other = verify_plan(directory, MACHINE)
-    only_failure(other, '3 axes in the plan, 5 on machine xyzac')
+    only_failure(other, 'the plan has 3 axes, machine xyzac has 5')
     assert 'NOT proven' in other.text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.core.units import MM
-from cnc_interp.proof.programmed_path import ProgrammedPath, approach
+from cnc_interp.proof.programmed_path import ProgrammedPath, distances_to_vertices
 
 HEIGHT = 30 * MM
 
@@ -97,7 +97,7 @@ def test_a_vertex_is_approached_between_two_samples_of_an_arc():
     angle = (np.arange(20) + 0.5) * step - 10 * step
     points = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     vertex = np.array([[radius + 2e-6, 0.0, 0.0]])
-    nearest, where = approach(points, vertex, np.array([0]), np.array([19]))
+    nearest, where = distances_to_vertices(points, vertex, np.array([0]), np.array([19]))
     # The arc itself is 2 um away; its chords are 3.6 um away.
     assert nearest[0] == pytest.approx(2e-6, abs=2e-8)
     assert where[0] == 9

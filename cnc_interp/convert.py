@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bspline import corner_end_derivatives
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.kinematics.axis_rates import traits_of
@@ -34,7 +35,6 @@ from cnc_interp.proof.programmed_splines import chords, portions
 from cnc_interp.run.chain import BATCH
 from cnc_interp.run.plan_writer import effective_feed
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.corners.corner_curves import end_derivatives
 from cnc_interp.smoothing.native.cubic_curves import CubicCurve, cubic_curve
 from cnc_interp.smoothing.native.joining import Jets, line_jets
 from cnc_interp.smoothing.orientation import dot, norm, turned_by
@@ -384,8 +384,8 @@ class _Path:
                 bottom, top = (
                     points[i : i + 1, :5][:, ::step] for points in (segments.bottom, segments.top)
                 )
-                p = end_derivatives(bottom)[0]
-                plain = end_derivatives(top)[0] - p
+                p = corner_end_derivatives(bottom)[0]
+                plain = corner_end_derivatives(top)[0] - p
                 tool = top[:, 0] - bottom[:, 0]
                 axis = tool / norm(tool)[:, None]
                 rate = plain - dot(plain, axis)[:, None] * axis

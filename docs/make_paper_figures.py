@@ -24,6 +24,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from scipy.optimize import brentq
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -35,7 +36,7 @@ from cnc_interp.program import Program, read_program
 from cnc_interp.run.chain import Plan, plan_program, summary_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.connection import PAPER_STEP
-from cnc_interp.smoothing.corners.corner_curves import spline_points, top_parameters
+from cnc_interp.smoothing.corners.corner_curves import top_parameters
 from cnc_interp.smoothing.segments import CORNER
 
 HERE = Path(__file__).parent
@@ -209,10 +210,10 @@ def first_point(run: Run, step: float) -> dict[str, Any]:
     ds = float(arc_length(CORNER, shapes_of(segments)[i], 0.0, 0.0, u_bottom))
     q = list(evaluate(run.whole.path, run.corner[0] - ds * np.arange(3.0))[0][:, None])
     o = [run.transform.forward(x)[1] for x in q]
-    tip = spline_points(bottom, u_bottom)
+    tip = corner_spline_points(bottom, u_bottom)
 
     def tool(u: float) -> FloatArray:
-        reach = spline_points(top, u) - tip
+        reach = corner_spline_points(top, u) - tip
         return np.asarray(reach / np.linalg.norm(reach))[None]
 
     def criterion(u: float) -> float:

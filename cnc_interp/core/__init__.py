@@ -1,1 +1,1 @@
-"""Shared ground of all rooms: arrays, units, errors, jets, Bezier spans."""
+"""What all packages use: array types, units, errors, jets, B-splines and Bezier pieces."""

@@ -1,4 +1,4 @@
-"""Type names of the arrays that pass between rooms."""
+"""Type names of the arrays that functions take and return."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,53 +1,59 @@
-"""Bezier spans of cubic B-splines: extraction, degree elevation, division; vectorised."""
+"""
+Bezier pieces: their points, derivatives, division and degree elevation.
+
+A B-spline is evaluated in two steps: ``bspline.py`` converts it to Bezier pieces, and this module
+evaluates the pieces. The NumPy functions work on many pieces at once. The compiled functions work
+on one piece and return jets (``jet.py``).
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.jet import Jet
 
 
-def cubic_spans(points: FloatArray, knots: FloatArray) -> FloatArray:
+def bezier_values(values: FloatArray, t: FloatArray | float) -> FloatArray:
     """
-    Return the Bezier points of spans of cubic B-splines.
+    Evaluate Bezier curves by de Casteljau's scheme.
 
     Parameters
     ----------
-    points : ndarray, shape (n, 4, 3)
-        The four control points that act on each span [m].
-    knots : ndarray, shape (n, 6)
-        The knots around it: the span lies between the third and the fourth [-].
+    values : ndarray, shape (..., k)
+        Bezier values of degree k - 1 along the last axis, in any unit.
+    t : float or ndarray, shape (...)
+        Parameters in [0, 1]; the shape must broadcast against that of the curves.
 
     Returns
     -------
-    ndarray, shape (n, 4, 3)
-        From the blossom of the span's polynomial: b_i has i arguments at its right end.
+    ndarray, shape (...)
+        Values of the curves at t, in the unit of ``values``.
 
     """
-    left, right = knots[:, 2], knots[:, 3]
-    found = []
-    for count in range(4):
-        level = [points[:, i] for i in range(4)]
-        for degree in range(1, 4):  # de Boor's scheme with an argument of its own at each level
-            x = right if degree <= count else left
-            level = [
-                _between(level[i], level[i + 1], x, knots[:, i + degree - 1], knots[:, i + 3])
-                for i in range(4 - degree)
-            ]
-        found.append(level[0])
-    return np.stack(found, axis=1)
-
-
-def _between(
-    a: FloatArray, b: FloatArray, x: FloatArray, low: FloatArray, high: FloatArray
-) -> FloatArray:
-    """Return the affine combination of a and b, shape (n, 3), for x between two knots."""
-    share = ((x - low) / (high - low))[:, None]
-    return np.asarray((1.0 - share) * a + share * b)
+    while values.shape[-1] > 1:
+        values = values[..., :-1] + np.asarray(t)[..., None] * np.diff(values, axis=-1)
+    return values[..., 0]
 
 
 def elevated(points: FloatArray, degree: int) -> FloatArray:
-    """Return the same Bezier curves, shape (n, k, 3), with ``degree + 1`` points."""
+    """
+    Return the same Bezier curves with a higher degree.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, k, d)
+        Bezier points of degree k - 1 [m].
+    degree : int
+        New degree, at least k - 1.
+
+    Returns
+    -------
+    ndarray, shape (n, degree + 1, d)
+        Bezier points of the same curves [m].
+
+    """
     while points.shape[1] <= degree:
         k = points.shape[1]
         share = (np.arange(1, k) / k)[:, None]
@@ -57,7 +63,22 @@ def elevated(points: FloatArray, degree: int) -> FloatArray:
 
 
 def divided(points: FloatArray, u: float = 0.5) -> tuple[FloatArray, FloatArray]:
-    """Divide Bezier curves, shape (n, k, 3), at u into two, by de Casteljau's scheme."""
+    """
+    Divide Bezier curves at one parameter by de Casteljau's scheme.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, k, d)
+        Bezier points [m].
+    u : float
+        Parameter of the division in [0, 1].
+
+    Returns
+    -------
+    left, right : ndarray, shape (n, k, d)
+        Bezier points of the parts before and after u [m].
+
+    """
     left, right = [points[:, 0]], [points[:, -1]]
     while points.shape[1] > 1:
         points = (1.0 - u) * points[:, :-1] + u * points[:, 1:]
@@ -66,8 +87,21 @@ def divided(points: FloatArray, u: float = 0.5) -> tuple[FloatArray, FloatArray]
     return np.stack(left, axis=1), np.stack(right[::-1], axis=1)
 
 
-def derivatives(points: FloatArray) -> FloatArray:
-    """Return C', C'', C''' of Bezier curves, shape (n, k, 3) with k > 3, at u = 0: (3, n, 3)."""
+def start_derivatives(points: FloatArray) -> FloatArray:
+    """
+    Return C', C'' and C''' of Bezier curves at u = 0.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, k, d)
+        Bezier points, k at least 4 [m].
+
+    Returns
+    -------
+    ndarray, shape (3, n, d)
+        The three derivatives by u [m].
+
+    """
     degree = points.shape[1] - 1
     found, factor, rest = [], 1.0, points
     for order in range(3):
@@ -75,3 +109,147 @@ def derivatives(points: FloatArray) -> FloatArray:
         factor *= degree - order
         found.append(factor * rest[:, 0])
     return np.stack(found)
+
+
+@njit(cache=True, nogil=True, inline='always')
+def bezier_jet(points: FloatArray, i: int, u: float) -> Jet:
+    """
+    Return the jet in u of one coordinate of a Bezier curve, by de Casteljau's scheme.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, d)
+        Bezier points of any degree k - 1 [m].
+    i : int
+        Index of the coordinate.
+    u : float
+        Parameter in [0, 1].
+
+    Returns
+    -------
+    Jet
+        Taylor coefficients of the coordinate at u [m].
+
+    """
+    n = points.shape[0]
+    work = np.empty(n)
+    for k in range(n):
+        work[k] = points[k, i]
+    d1 = d2 = d3 = 0.0
+    v = 1.0 - u
+    for level in range(n - 1, 0, -1):
+        if level == 3:
+            d3 = work[3] - 3.0 * work[2] + 3.0 * work[1] - work[0]
+        if level == 2:
+            d2 = work[2] - 2.0 * work[1] + work[0]
+        if level == 1:
+            d1 = work[1] - work[0]
+        for k in range(level):
+            work[k] = v * work[k] + u * work[k + 1]
+    p = n - 1.0
+    return (
+        work[0],
+        p * d1,
+        p * (p - 1.0) * d2 / 2.0,
+        p * (p - 1.0) * (p - 2.0) * d3 / 6.0,
+    )
+
+
+@njit(cache=True, nogil=True, inline='always')
+def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
+    """
+    Return the jet in u of one coordinate of a quintic Bezier curve, in powers of u.
+
+    This special case of ``bezier_jet`` needs no work array, so it is several times faster.
+
+    Parameters
+    ----------
+    points : ndarray, shape (6, d)
+        Bezier points [m].
+    i : int
+        Index of the coordinate.
+    u : float
+        Parameter in [0, 1].
+
+    Returns
+    -------
+    Jet
+        Taylor coefficients of the coordinate at u [m].
+
+    """
+    p0, p1, p2, p3, p4, p5 = (
+        points[0, i], points[1, i], points[2, i], points[3, i], points[4, i], points[5, i],
+    )  # fmt: skip
+    d1, d2, d3, d4, d5 = p1 - p0, p2 - p1, p3 - p2, p4 - p3, p5 - p4
+    a1 = 5.0 * d1
+    d1, d2, d3, d4 = d2 - d1, d3 - d2, d4 - d3, d5 - d4
+    a2 = 10.0 * d1
+    d1, d2, d3 = d2 - d1, d3 - d2, d4 - d3
+    a3 = 10.0 * d1
+    d1, d2 = d2 - d1, d3 - d2
+    a4, a5 = 5.0 * d1, d2 - d1
+    return (
+        p0 + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5)))),
+        a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + 5.0 * u * a5))),
+        a2 + u * (3.0 * a3 + u * (6.0 * a4 + 10.0 * u * a5)),
+        a3 + u * (4.0 * a4 + 10.0 * u * a5),
+    )
+
+
+@njit(cache=True, nogil=True)
+def quintic_part(points: FloatArray, a: float, b: float, out: FloatArray) -> None:
+    """
+    Compute the Bezier points of the part of a quintic between two parameters.
+
+    Point k is the blossom with k arguments b and 5 - k arguments a.
+
+    Parameters
+    ----------
+    points : ndarray, shape (6, d)
+        Bezier points over [0, 1] [m].
+    a, b : float
+        Parameters of the ends of the part.
+    out : ndarray, shape (6, d)
+        Output: Bezier points of the part [m].
+
+    """
+    columns = points.shape[1]
+    work = np.empty(6)
+    for c in range(columns):
+        for k in range(6):
+            for i in range(6):
+                work[i] = points[i, c]
+            for r in range(1, 6):
+                t = b if r <= k else a
+                for i in range(6 - r):
+                    work[i] = (1.0 - t) * work[i] + t * work[i + 1]
+            out[k, c] = work[0]
+
+
+@njit(cache=True, nogil=True)
+def quintic_end_jet(points: FloatArray, length: float) -> FloatArray:
+    """
+    Return the first five Taylor coefficients at the end of a quintic piece.
+
+    Parameters
+    ----------
+    points : ndarray, shape (6, d)
+        Bezier points [m].
+    length : float
+        Length of the parameter interval of the piece.
+
+    Returns
+    -------
+    ndarray, shape (5, d)
+        Value and four derivatives by the parameter, each divided by the factorial of its order.
+
+    """
+    columns = points.shape[1]
+    jet = np.zeros((5, columns))
+    choose = (1.0, 5.0, 10.0, 10.0, 5.0)
+    difference = points.copy()
+    for k in range(5):
+        jet[k] = choose[k] * difference[5 - k] / length**k
+        for j in range(5 - k):
+            difference[j] = difference[j + 1] - difference[j]
+    return jet

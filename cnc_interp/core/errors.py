@@ -1,4 +1,4 @@
-"""Every refusal of the interpolator: one base class, specific kinds that carry their values."""
+"""The errors of the interpolator: one base class, and kinds that carry line, axis and value."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from enum import IntEnum
 
 
 class InterpError(Exception):
-    """A request that cannot be carried out; the message says what is wrong and what to do."""
+    """A request cannot be carried out; the message says what is wrong and what to do."""
 
 
 class ProgramError(InterpError):
     """
-    A part program that cannot be read.
+    A part program cannot be read.
 
     Parameters
     ----------
@@ -20,9 +20,9 @@ class ProgramError(InterpError):
     source : str
         File name, or ``<text>``.
     line_number : int
-        Line in the file, from 1; 0 when the fault belongs to the whole file.
+        Line in the file, counted from 1; 0 if the fault concerns the whole file.
     word : str
-        The offending word as written, or empty.
+        The wrong word as it is written, or empty.
 
     """
 
@@ -34,7 +34,7 @@ class ProgramError(InterpError):
 
 
 class MachineError(InterpError):
-    """A machine file that cannot be used; names the key."""
+    """A machine file cannot be used; ``key`` is the entry that is wrong."""
 
     def __init__(self, message: str, key: str = ''):
         self.key = key
@@ -61,20 +61,21 @@ class SettingsError(InterpError):
 
 class BlockError(InterpError):
     """
-    A block whose motion is refused before anything moves.
+    The motion of a block is refused before anything moves.
 
-    The rooms know the line of a block; who knows the file as well sets ``source``.
+    The planning packages know only the line of a block. A caller that knows the file sets the
+    attribute ``source``.
 
     Parameters
     ----------
     message : str
         What is wrong and what to do.
     line_number : int
-        Line of the part program, 0 when unknown.
+        Line of the part program, 0 if unknown.
     axis : str
-        Name of the machine axis concerned, or empty.
+        Name of the machine axis, or empty.
     value : float
-        The offending value in SI, NaN when there is none.
+        The value that is refused, in SI units; NaN if there is none.
 
     """
 
@@ -86,7 +87,7 @@ class BlockError(InterpError):
         super().__init__(message)
 
     def __str__(self) -> str:
-        """Name the file, where it is known, and the line."""
+        """Return the message after file and line, as far as they are known."""
         if self.source:
             line = f':{self.line_number}' if self.line_number else ''
             return f'{self.source}{line}: {self.message}'
@@ -94,28 +95,28 @@ class BlockError(InterpError):
 
 
 class TravelError(BlockError):
-    """A pose outside the travel of an axis."""
+    """A pose lies outside the travel of an axis."""
 
 
 class SingularityError(BlockError):
-    """A path through a pose where a rotary axis is undefined."""
+    """The path passes a pose at which a rotary axis is undefined."""
 
 
 class PlanningError(BlockError):
-    """A path along which no motion law within the limits was found."""
+    """No motion law within the axis limits was found along a path."""
 
 
 class Refusal(IntEnum):
-    """Why a message or the rest of a run is not taken; constants of ``StreamStatus``."""
+    """Reason why a message or the rest of a run is refused; constants of ``StreamStatus``."""
 
     NONE = 0
-    # For the whole run:
-    BAD_MESSAGE = 1  # a message is not sound: a value or a shape
+    # The whole run is refused:
+    BAD_MESSAGE = 1  # a message has a wrong value or shape
     NOT_READY = 2  # the node is not active, or the machine is busy or on hold
     BAD_PATH = 3  # a block cannot be executed on this machine
-    GIVEN_UP = 4  # the machine has left the run: it was reset or restarted
-    MACHINE_FAULT = 5  # the machine stopped: fault or emergency stop
-    # For one message; the stream goes on:
+    GIVEN_UP = 4  # the machine was reset or restarted
+    MACHINE_FAULT = 5  # the machine stopped by a fault or an emergency stop
+    # One message is refused, and the stream continues:
     GAP = 16  # messages before it are missing
     SPOILT = 17  # its checksum is wrong
     REPEAT = 18  # it was received before
@@ -125,14 +126,14 @@ class Refusal(IntEnum):
 
 class StreamError(InterpError):
     """
-    A message that breaks the contract of a stream (gap, repeat, foreign program, wrong shape).
+    A message breaks the rules of its stream: gap, repeat, wrong program or wrong shape.
 
     Parameters
     ----------
     message : str
         What is wrong and what to do.
     kind : Refusal
-        What the run is refused for because of it.
+        Kind of the refusal.
 
     """
 

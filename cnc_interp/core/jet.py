@@ -1,9 +1,9 @@
 """
-Jets: truncated Taylor arithmetic, a value with its first three Taylor coefficients.
+Jets: truncated Taylor arithmetic with a value and its first three Taylor coefficients.
 
-A jet (c0, c1, c2, c3) stands for f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4), so that
-f' = c1, f'' = 2 c2 and f''' = 6 c3. Carrying jets through a formula gives its exact derivatives
-without writing them down. A vector jet is a tuple of three jets.
+A jet (c0, c1, c2, c3) represents f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4). The derivatives of f
+are c1, 2 c2 and 6 c3. A formula that is evaluated with jets gives its exact derivatives, without
+derivative formulas. A vector jet is a tuple of three jets.
 
 All functions are compiled into the kernels that use them.
 """
@@ -16,34 +16,35 @@ from numba import njit
 
 Jet = tuple[float, float, float, float]
 VectorJet = tuple[Jet, Jet, Jet]
+Vector = tuple[float, float, float]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def constant(a):  # type: ignore[no-untyped-def]
+def constant(a: float) -> Jet:
     """Return the jet of a constant."""
     return (a, 0.0, 0.0, 0.0)
 
 
 @njit(cache=True, nogil=True, inline='always')
-def add(a, b):  # type: ignore[no-untyped-def]
+def add(a: Jet, b: Jet) -> Jet:
     """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
 
 
 @njit(cache=True, nogil=True, inline='always')
-def subtract(a, b):  # type: ignore[no-untyped-def]
+def subtract(a: Jet, b: Jet) -> Jet:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3])
 
 
 @njit(cache=True, nogil=True, inline='always')
-def scale(a, x):  # type: ignore[no-untyped-def]
-    """Return x a for a number x."""
+def scale(a: Jet, x: float) -> Jet:
+    """Return x a, where x is a number."""
     return (x * a[0], x * a[1], x * a[2], x * a[3])
 
 
 @njit(cache=True, nogil=True, inline='always')
-def multiply(a, b):  # type: ignore[no-untyped-def]
+def multiply(a: Jet, b: Jet) -> Jet:
     """Return a b by the Cauchy product."""
     return (
         a[0] * b[0],
@@ -54,8 +55,8 @@ def multiply(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def divide(a, b):  # type: ignore[no-untyped-def]
-    """Return a / b, b[0] not zero."""
+def divide(a: Jet, b: Jet) -> Jet:
+    """Return a / b, where b[0] is not zero."""
     q0 = a[0] / b[0]
     q1 = (a[1] - q0 * b[1]) / b[0]
     q2 = (a[2] - q0 * b[2] - q1 * b[1]) / b[0]
@@ -64,8 +65,8 @@ def divide(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def square_root(a):  # type: ignore[no-untyped-def]
-    """Return the square root of a, a[0] > 0."""
+def square_root(a: Jet) -> Jet:
+    """Return the square root of a, where a[0] > 0."""
     r0 = sqrt(a[0])
     r1 = a[1] / (2.0 * r0)
     r2 = (a[2] - r1 * r1) / (2.0 * r0)
@@ -74,7 +75,7 @@ def square_root(a):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def sine_cosine(a):  # type: ignore[no-untyped-def]
+def sine_cosine(a: Jet) -> tuple[Jet, Jet]:
     """Return the jets of sin a and cos a."""
     s0, c0 = sin(a[0]), cos(a[0])
     s1, c1 = c0 * a[1], -s0 * a[1]
@@ -86,11 +87,11 @@ def sine_cosine(a):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def arctangent(y, x):  # type: ignore[no-untyped-def]
+def arctangent(y: Jet, x: Jet) -> Jet:
     """
-    Return atan2(y, x) of two jets, not both zero.
+    Return atan2(y, x) of two jets whose values are not both zero.
 
-    From g (x^2 + y^2) = x y' - y x' with g the derivative of the angle.
+    The derivative g of the angle follows from g (x^2 + y^2) = x y' - y x'.
     """
     d0 = x[0] * x[0] + y[0] * y[0]
     d1 = 2.0 * (x[0] * x[1] + y[0] * y[1])
@@ -105,24 +106,25 @@ def arctangent(y, x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a: VectorJet, b: VectorJet) -> Jet:
     """Return the scalar product of two vector jets."""
-    return add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]))
+    found: Jet = add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]))
+    return found
 
 
 @njit(cache=True, nogil=True, inline='always')
-def normalised(a):  # type: ignore[no-untyped-def]
-    """Return a / |a| of a vector jet."""
+def normalised(a: VectorJet) -> VectorJet:
+    """Return the unit vector a / |a| of a vector jet."""
     length = square_root(dot(a, a))
     return (divide(a[0], length), divide(a[1], length), divide(a[2], length))
 
 
 @njit(cache=True, nogil=True, inline='always')
-def rotated(axis, sine, cosine, v):  # type: ignore[no-untyped-def]
+def rotated(axis: Vector, sine: Jet, cosine: Jet, v: VectorJet) -> VectorJet:
     """
     Rotate the vector jet v about a constant unit axis [B2013, Eq. 4 (Rodrigues)].
 
-    ``sine`` and ``cosine`` are the jets of the angle's sine and cosine.
+    ``sine`` and ``cosine`` are the jets of the sine and the cosine of the angle.
     """
     along = add(add(scale(v[0], axis[0]), scale(v[1], axis[1])), scale(v[2], axis[2]))
     across = (
@@ -139,8 +141,8 @@ def rotated(axis, sine, cosine, v):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def compose(a, f):  # type: ignore[no-untyped-def]
-    """Return a(f), with ``a`` the jet at f[0] in its own parameter."""
+def compose(a: Jet, f: Jet) -> Jet:
+    """Return the jet of a(f(t)), where ``a`` is a jet in its own parameter at the value f[0]."""
     return (
         a[0],
         a[1] * f[1],
@@ -150,14 +152,15 @@ def compose(a, f):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def by_arc_length(a, speed):  # type: ignore[no-untyped-def]
+def by_arc_length(a: Jet, speed: Jet) -> Jet:
     """
-    Turn a jet in u into (value, d/ds, d2/ds2, d3/ds3), with ``speed`` the jet of ds/du.
+    Convert a jet in u to (value, d/ds, d2/ds2, d3/ds3), where ``speed`` is the jet of ds/du.
 
-    Applies d/ds = (1/speed) d/du three times; needs the first three coefficients of ``speed``.
+    The function applies d/ds = (1/speed) d/du three times. It needs the first three coefficients
+    of ``speed``.
     """
     v0, v1, v2 = speed[0], speed[1], speed[2]
-    # first derivative, as a series of two more terms
+    # The first derivative by s, with two more coefficients of its series in u.
     d0 = a[1] / v0
     d1 = (2.0 * a[2] - d0 * v1) / v0
     d2 = (3.0 * a[3] - d0 * v2 - d1 * v1) / v0

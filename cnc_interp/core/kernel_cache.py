@@ -1,8 +1,8 @@
 """
-Where compiled kernels are kept: a folder of their own for every state of their sources.
+The folder of compiled kernels; each version of the sources has its own folder.
 
-numba looks only at the file of a kernel itself, not at those of the kernels it calls; after a
-change in one file it would go on using callers compiled against the old one.
+numba compares only the file of a kernel with its cache, not the files of the kernels it calls.
+Without separate folders, a change in one file would leave callers with the old code.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PREFIX = 'kernels-'
 
 
 def fingerprint(package: Path) -> str:
-    """Return a short hash of all sources of the package that hold kernels."""
+    """Return a short hash of all source files in the package that contain kernels."""
     digest = hashlib.sha256()
     for source in sorted(package.rglob('*.py')):
         text = source.read_bytes()
@@ -27,7 +27,7 @@ def fingerprint(package: Path) -> str:
 
 
 def base_folder(package: Path, environment: Mapping[str, str]) -> Path:
-    """Return a folder that may be written: beside the sources, else in the user's cache."""
+    """Return a writable folder: next to the sources if possible, else in the user's cache."""
     if os.access(package, os.W_OK):
         return package / '__pycache__'
     cache = environment.get('XDG_CACHE_HOME') or str(Path.home() / '.cache')
@@ -36,9 +36,9 @@ def base_folder(package: Path, environment: Mapping[str, str]) -> Path:
 
 def choose(package: Path, environment: MutableMapping[str, str]) -> None:
     """
-    Point numba at the folder for these sources, unless the user has chosen one.
+    Set numba's cache folder for these sources, unless the user has set one.
 
-    Folders of older sources are removed, so that they do not pile up.
+    Folders of older sources are removed.
     """
     if 'NUMBA_CACHE_DIR' in environment:
         return

@@ -1,4 +1,4 @@
-"""Names for the units that people speak; everything inside is SI (``0.02 * MM``)."""
+"""Shop-floor units in SI: ``0.02 * MM`` is a length in metres. All values in the code are SI."""
 
 from math import pi
 

@@ -33,7 +33,7 @@ WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def has_free_terms(slopes: FloatArray) -> bool:
+def _has_free_terms(slopes: FloatArray) -> bool:
     """Tell whether the terms depend on a free coefficient; other rows are skipped."""
     for f in range(3):
         for c in range(3):
@@ -94,7 +94,7 @@ def add_rows(
         pull_by[:] = 0.0
         cell_gap = 0.0
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
+            if not _has_free_terms(slopes[i, q]):
                 continue
             x0, x1, x2 = terms[i, q, 0], terms[i, q, 1], terms[i, q, 2]
             s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -231,7 +231,7 @@ def predict(
         after = dm[i + 1] if i < n - 1 else 0.0
         cell_square = 0.0
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
+            if not _has_free_terms(slopes[i, q]):
                 continue
             x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
             for k in range(n_axes):
@@ -312,7 +312,7 @@ def correct(
         aim = target * weight[i]
         push_by[:] = 0.0
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
+            if not _has_free_terms(slopes[i, q]):
                 continue
             p0, p1, p2 = 0.0, 0.0, 0.0
             for k in range(n_axes):
@@ -388,7 +388,7 @@ def advance(
         after = dm[i + 1] if i < n - 1 else 0.0
         aim = target * weight[i]
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
+            if not _has_free_terms(slopes[i, q]):
                 continue
             x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
             for k in range(n_axes):

@@ -86,8 +86,8 @@ def solve(
     h : ndarray, shape (n,)
         Cell widths [m].
     rows : ndarray, shape (n, 3, 3, n_axes)
-        Per cell: q_s, 3 q_ss, q_sss over the jerk limit at its left end, the same at its right
-        end, and q_s, q_ss, 0 over the acceleration limit at its left node.
+        Per cell: q_s, 3 q_ss, q_sss over the jerk limit at its left end; the same at its right
+        end; then q_s, q_ss, 0 over the acceleration limit at its left node.
     cap : ndarray, shape (n,)
         Largest s_dot^2 in each cell [m2/s2].
     ends : ndarray, shape (4,)

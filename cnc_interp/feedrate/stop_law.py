@@ -1,8 +1,8 @@
 """
 The fastest stop along the path that can be found in milliseconds, from any state of motion.
 
-The first way is closed-form. s_dddot = -J, 0, +J until speed and acceleration are zero together,
-with the largest deceleration
+The first way is closed-form. s_dddot = -J, 0, +J until speed and acceleration are zero together.
+The largest deceleration is
 
     a_p = sqrt(J v + a^2/2)         (if this exceeds A, then A is held for a while)
 

@@ -15,6 +15,8 @@ from numba import njit
 
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bezier import quintic_jet
+from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 from cnc_interp.kinematics.transform import OUTER, linear_jets, rotary_jets
 from cnc_interp.smoothing.segments import (
@@ -27,8 +29,6 @@ from cnc_interp.smoothing.segments import (
     corner_jets,
     great_circle_jets,
     line_jets,
-    quintic_component,
-    spline_component,
     spline_jets,
 )
 
@@ -160,9 +160,9 @@ def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
         square = 0.0
         for k in range(3):
             if kind == CORNER:
-                rate = spline_component(shape[BOTTOM], k, u, late)[1]
+                rate = corner_spline_jet(shape[BOTTOM], k, u, late)[1]
             else:
-                rate = quintic_component(shape[BOTTOM], k, u)[1]
+                rate = quintic_jet(shape[BOTTOM], k, u)[1]
             square += rate * rate
         total += _GAUSS[1, i] * sqrt(square)
     return 0.5 * (b - a) * total
@@ -207,8 +207,8 @@ def tip_rests(shape):  # type: ignore[no-untyped-def]
     for u in PLAIN_GRID:
         tip = top = 0.0
         for k in range(3):
-            tip += quintic_component(shape[BOTTOM], k, u)[1] ** 2
-            top += quintic_component(shape[TOP], k, u)[1] ** 2
+            tip += quintic_jet(shape[BOTTOM], k, u)[1] ** 2
+            top += quintic_jet(shape[TOP], k, u)[1] ** 2
         if tip <= SLOWEST_TIP**2 * top:
             return True
     return False

@@ -194,7 +194,25 @@ class Ledger:
         allowed: float = 1.0,
         rows: IntArray | None = None,
     ) -> None:
-        """Judge a consistency check like ``judge``, but record it only if it fails."""
+        """
+        Judge a consistency check; unlike ``judge``, record it only if it fails.
+
+        Parameters
+        ----------
+        what : str
+            Name of the quantity.
+        value : ndarray, shape (k,)
+            Values in SI units, all >= 0.
+        limit : ndarray, shape (k,), or float
+            Limit of each value, in the same unit.
+        axis : str
+            Name of the axis, or ''.
+        allowed : float
+            A value is accepted up to ``limit * allowed``.
+        rows : ndarray of int, shape (k,), optional
+            Program row of each value. Without it, the values belong to the samples.
+
+        """
         before = len(self.findings)
         self.judge(what, value, limit, axis, allowed, rows=rows)
         self.findings = [f for i, f in enumerate(self.findings) if i < before or f.exceeded]

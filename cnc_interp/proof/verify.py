@@ -330,6 +330,7 @@ def _search_vertices(
     rows = np.arange(len(vertices))
 
     def samples(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
+        # First and last sample of the rows first ... last, with one sample more on each side.
         low = np.searchsorted(label, first) - 1
         high = np.searchsorted(label, last, 'right')
         return np.clip(low, 0, len(points) - 2), np.clip(high, 1, len(points) - 1)

@@ -9,17 +9,13 @@ import numpy as np
 
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import vertex_tolerances
 from cnc_interp.report.segments_file import FILE, lengths
-from cnc_interp.smoothing.corners.corner_curves import (
-    Curves,
-    poses,
-    spline_points,
-    top_parameters,
-)
+from cnc_interp.smoothing.corners.corner_curves import Curves, poses, top_parameters
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import (
     CORNER,
@@ -206,7 +202,7 @@ def _view(
     u, late = _parameters(one.parametrization[0])
     tip, axis = (np.concatenate(x) for x in zip(*(poses(curves, v) for v in u), strict=True))
     top_u = np.array([top_parameters(one.parametrization, v)[0] for v in u])
-    top = spline_points(polygon[0], top_u)
+    top = corner_spline_points(polygon[0], top_u)
     bend = _connection(one.connection[0], u)
     corner_way, corner_turn = _third_derivatives(one, u, late)
     middle, reach = 0.5 * (start + end), MARGIN * (end - start)

@@ -9,12 +9,12 @@ import numpy as np
 import plotly.graph_objects as go
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.units import MM, UM
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report.html import drawing, section
 from cnc_interp.report.plot_style import BLUE, ORANGE, base_layout, with_axes
 from cnc_interp.report.segments_file import lengths
-from cnc_interp.smoothing.corners.corner_curves import bezier
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 #: Points of a span in the close-up, and its spans on either side of the largest bound.
@@ -108,7 +108,9 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
     near = spans[max(worst - AROUND, 0) : worst + AROUND + 1]
     near = near[np.abs(near - spans[worst]) <= AROUND]
     u = np.linspace(0.0, 1.0, POINTS)
-    points = np.concatenate([bezier(segments.bottom[i].T[None], u[:, None]) for i in near], axis=0)
+    points = np.concatenate(
+        [bezier_values(segments.bottom[i].T[None], u[:, None]) for i in near], axis=0
+    )
     rows = slice(max(int(segments.block[near].min()) - 1, 0), int(segments.block[near].max()) + 2)
     tips = plan.blocks['tip'][rows]
     middle = points.mean(axis=0)

@@ -9,8 +9,9 @@ from zipfile import BadZipFile
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bezier import bezier_values
+from cnc_interp.core.bspline import corner_end_derivatives, sum_of
 from cnc_interp.core.errors import InterpError
-from cnc_interp.smoothing.corners.corner_curves import bezier, end_derivatives, sum_of
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
@@ -81,14 +82,16 @@ def lengths(segments: PathSegments) -> FloatArray:
     node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
     total = np.zeros(len(corner))
     for half in (points, points[:, ::-1]):
-        first, second, third = end_derivatives(half)
+        first, second, third = corner_end_derivatives(half)
         for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
             total += w * norm(first + x * (second + 0.5 * x * third))
     length[corner] = total
     spline = np.flatnonzero(segments.kind == SPLINE)
     rates = 5.0 * np.diff(segments.bottom[spline], axis=1)
     length[spline] = sum_of(
-        0.5 * w * norm(bezier(rates.swapaxes(1, 2), np.full((len(spline), 1), 0.5 * (x + 1.0))))
+        0.5
+        * w
+        * norm(bezier_values(rates.swapaxes(1, 2), np.full((len(spline), 1), 0.5 * (x + 1.0))))
         for x, w in zip(node, weight, strict=True)
     )
     return length

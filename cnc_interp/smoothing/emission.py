@@ -1,4 +1,4 @@
-"""Decided vertices -> segments: what corners leave of the lines, corners, spans of curves."""
+"""Classified vertices to segments: the remaining lines, the corners and the spans of curves."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from cnc_interp.core.errors import BlockError
 from cnc_interp.smoothing.corners import corner
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, corners_at
-from cnc_interp.smoothing.dense.rows import Rows
+from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.orientation import norm, turned_by
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments, room_for
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments, padded
 
 
 @dataclass(frozen=True)
 class Emission:
     """
-    Rows whose vertices are decided.
+    Rows whose vertices are classified and sized.
 
     Parameters
     ----------
     rows : Rows
-        Lines and curves.
+        End poses of lines and curves.
     legs : Legs
         Geometry of the blocks between the vertices.
     vertex : ndarray of int, shape (n,)
-        PASS, ROUND or STOP.
+        Kind of each vertex: PASS, ROUND or STOP.
     inner : ndarray, shape (n,)
         L1 of the corners [m].
     outer : ndarray, shape (n, 2)
-        L2 before and after the vertices, 0 without corner [m].
+        L2 before and after the vertices [m]; 0 without a corner.
     style : Style
-        How corners are made.
+        The construction of the corners.
 
     """
 
@@ -46,7 +46,7 @@ class Emission:
     style: Style
 
     def segments(self, last: int) -> PathSegments:
-        """Build the segments of rows 1 .. last and the corners at vertices 1 .. last."""
+        """Build the segments of rows 1 ... last and the corners at vertices 1 ... last."""
         kept, lines = self._lines(last)
         parts, places = [lines], [2 * kept + 1]
         round_ones = np.flatnonzero(self.vertex[: last + 1] == ROUND)
@@ -62,18 +62,18 @@ class Emission:
         return PathSegments.concatenate(parts)[order]
 
     def _curves(self, row: IntArray) -> PathSegments:
-        """Return the spans of curves; ``row`` says to which row, less one, each belongs."""
+        """Return the spans of curves; ``row`` has the index of the vertex before each span."""
         n, first = len(row), int(self.rows.count[0])
         spans = self.rows.spans[first : first + n]
-        room = self.style.room(n)
+        empty_curves = self.style.empty_curves(n)
         tool = spans.top[:, 0] - spans.bottom[:, 0]
         final = np.append(row[1:] != row[:-1], True)
         return PathSegments(
             kind=np.full(n, SPLINE),
             bottom=spans.bottom,
             top=spans.top,
-            connection=room.connection,
-            parametrization=room.parametrization,
+            connection=empty_curves.connection,
+            parametrization=empty_curves.parametrization,
             axis=tool / norm(tool)[:, None],
             rotation=np.zeros((n, 3)),
             rotary=np.full((n, 2, 2), np.nan),
@@ -87,9 +87,9 @@ class Emission:
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
         """
-        Return what the corners leave of the blocks, and the rotations of the resting tool.
+        Return the part of each line between its corners, and rotations of a resting tool.
 
-        The first array tells the rows, less one.
+        The first value has the index of the vertex before each of these segments.
         """
         rows, legs, outer, stop = self.rows, self.legs, self.outer, self.vertex == STOP
         blocks = rows.blocks
@@ -109,7 +109,7 @@ class Emission:
         share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
         rotation = legs.rotation[:last]
         part = np.where(resting, 1.0, (end - start) / np.where(resting, 1.0, legs.length[:last]))
-        curves = self.style.room(last)
+        curves = self.style.empty_curves(last)
         bottom = curves.bottom
         bottom[:, 0] = blocks.tip[:last] + start[:, None] * legs.direction[:last]
         bottom[:, 1] = blocks.tip[:last] + end[:, None] * legs.direction[:last]
@@ -123,8 +123,8 @@ class Emission:
         row = rows.row[kept + 1]
         return kept, PathSegments(
             kind=np.where(resting, ROTATION, LINE)[kept],
-            bottom=room_for(bottom[kept]),
-            top=room_for(curves.top[kept]),
+            bottom=padded(bottom[kept]),
+            top=padded(curves.top[kept]),
             connection=curves.connection[kept],
             parametrization=curves.parametrization[kept],
             axis=axis[kept],
@@ -140,10 +140,10 @@ class Emission:
 
     def _feed(self, rows: IntArray, swept: FloatArray) -> FloatArray:
         """
-        Return the programmed ds/dt of the blocks that start at rows [m/s].
+        Return the programmed ds/dt of the blocks after the vertices ``rows``, shape (k,) [m/s].
 
-        A duration (G93) gives length / duration; a rotation of the resting tip is limited by its
-        duration or by the axes alone.
+        A duration (G93) gives length / duration. A rotation with the tip at rest is limited only
+        by its duration or by the axes.
         """
         blocks, legs = self.rows.blocks, self.legs
         duration = blocks.duration[rows + 1]
@@ -154,7 +154,7 @@ class Emission:
         return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
 
     def _corners(self, rows: IntArray) -> PathSegments:
-        """Return the corners at the given vertices."""
+        """Return the corners at these vertices."""
         n, lines = len(rows), self.rows
         blocks, corners = lines.blocks, corners_at(lines.blocks, self.legs, rows)
         _, _, curves, deviation = corner.fit(
@@ -169,8 +169,8 @@ class Emission:
         zero = np.zeros(n)
         return PathSegments(
             kind=np.full(n, CORNER),
-            bottom=room_for(curves.bottom),
-            top=room_for(curves.top),
+            bottom=padded(curves.bottom),
+            top=padded(curves.top),
             connection=curves.connection,
             parametrization=curves.parametrization,
             axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.style.height,
@@ -189,12 +189,25 @@ class Emission:
 
 
 def no_segments(style: Style) -> PathSegments:
-    """Return an empty batch for a style of corners."""
-    curves = style.room(0)
+    """
+    Return an empty batch of segments.
+
+    Parameters
+    ----------
+    style : Style
+        The construction of corners, which fixes the shapes of the arrays.
+
+    Returns
+    -------
+    PathSegments
+        No segments.
+
+    """
+    curves = style.empty_curves(0)
     return PathSegments(
         kind=np.zeros(0, dtype=np.int64),
-        bottom=room_for(curves.bottom),
-        top=room_for(curves.top),
+        bottom=padded(curves.bottom),
+        top=padded(curves.top),
         connection=curves.connection,
         parametrization=curves.parametrization,
         axis=np.zeros((0, 3)),

@@ -1,10 +1,11 @@
 """
-The look-ahead: blocks in, smooth segments out, the same however the blocks arrive.
+The look-ahead: from blocks to smooth segments.
 
-Runs of short blocks are made into curves first (``compressor.py``). A vertex between two of the
-blocks that are left becomes one of three things: a corner (rounded), a stop (the tool
-rests there), or nothing (the path goes straight on). A corner is final when the next one is
-sized, because the line between them may be so short that both take what is left of it.
+Runs of short blocks first become curves (``compressor.py``). Then each vertex between the
+remaining blocks is classified: a corner is rounded, at a stop the tool rests, and otherwise the
+path continues straight. A corner is final when the next corner has its size, because both
+share a line between them that is too short. The result does not depend on how the blocks
+are divided into batches.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from cnc_interp.smoothing.corners.vertices import (
     refuse_reversals,
 )
 from cnc_interp.smoothing.dense.compressor import Compressor
-from cnc_interp.smoothing.dense.rows import Rows
+from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.emission import Emission, no_segments
 from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import PathSegments
@@ -41,13 +42,13 @@ class LookAhead:
     Parameters
     ----------
     settings : Settings
-        The user's choices.
+        Choices of the user.
     machine : MachineTraits
-        What smoothing must know of the machine.
+        Properties of the machine that the smoothing needs.
     row : int
-        Row in the program of the first block to come.
+        Program row of the first block.
     joined : bool
-        Whether a native spline ends at the first pose, so that the first block stays a line.
+        Whether a native spline ends at the first pose. Then the first block stays a line.
 
     """
 
@@ -59,11 +60,11 @@ class LookAhead:
         self._none = no_segments(self._style)
         self._compressor = Compressor(settings, machine, row, joined)
         self._rows: Rows | None = None
-        self._outer_before = 0.0  # L2 of the corner at the first kept vertex, unstretched
+        self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
         """
-        Take further blocks and return the segments that are final.
+        Add blocks and return the segments that are final.
 
         Parameters
         ----------
@@ -73,12 +74,12 @@ class LookAhead:
         Returns
         -------
         PathSegments
-            Possibly empty.
+            Segments that later blocks cannot change; may be empty.
 
         Raises
         ------
         BlockError
-            If a block's tool axis reverses (no plane of rotation).
+            If the tool axis of a block reverses, because its plane of rotation is undefined.
 
         """
         return self._take(self._compressor.push(blocks), final=False)
@@ -87,12 +88,21 @@ class LookAhead:
         """
         Return the remaining segments; the tool rests at the end.
 
-        With ``joined`` the last block stays a line, for a native spline goes on from it.
+        Parameters
+        ----------
+        joined : bool
+            Whether a native spline follows. Then the last block stays a line.
+
+        Returns
+        -------
+        PathSegments
+            All segments that were not returned before.
+
         """
         return self._take(self._compressor.finish(joined), final=True)
 
     def _take(self, rows: Rows, final: bool) -> PathSegments:
-        """Emit every line and curve whose both end vertices are final."""
+        """Return the segments of every line, curve and corner that is final."""
         if self._rows is not None:
             rows = Rows.concatenate([self._rows, rows])
         self._rows, blocks = rows, rows.blocks
@@ -103,7 +113,7 @@ class LookAhead:
         vertex = classify(rows, legs, self._settings.flank_height, self._machine)
         inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
-        # A vertex is final when its own corner is sized and its neighbour's too (left-overs).
+        # A vertex is final when its own corner and the next one have their size (left-overs).
         last = len(blocks) - 1 if final else len(blocks) - 3
         if last < 1:
             return self._none
@@ -115,29 +125,29 @@ class LookAhead:
         return segments
 
     def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return L1, shape (n,), and both L2, shape (n, 2), of every vertex; 0 without corner."""
+        """Return L1, shape (n,), and L2, shape (n, 2), of every vertex [m]; 0 without a corner."""
         inner, outer = np.zeros(len(lines)), np.zeros((len(lines), 2))
         rows = np.flatnonzero(vertex == ROUND)
         if len(rows):
             corners = corners_at(lines.blocks, legs, rows)
-            # a line that a curve joins belongs to its only corner
+            # A line with a curve at its other end belongs to one corner only.
             alone = np.stack([lines.smooth[rows], lines.leads[rows + 1]], axis=1)
             half = np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
             half = np.where(alone, half, 0.5 * half)
             ratios = self._ratios(corners)
-            start = corner.first_lengths(corners, half, ratios)
+            start = corner.initial_lengths(corners, half, ratios)
             inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
         return inner, outer
 
     def _ratios(self, corners: Corners) -> FloatArray:
-        """Return L2/L1 on both sides of corners, shape (n, 2): as told, or chosen for each."""
+        """Return L2/L1 on both sides of corners, shape (n, 2): the setting, or the best value."""
         ratio = self._settings.corner_ratio
         if ratio is not None:
             return np.full((len(corners.tip), 2), ratio)
         return ratios_at(corners, self._settings.flank_height, self._machine.axis_rates)
 
     def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
-        """Stretch the corners over lines that are too short to be worth keeping."""
+        """Enlarge corners to cover the rest of a line that is too short to keep."""
         used = outer[:known, 1] + outer[1 : known + 1, 0]
         length = legs.length[:known]
         rest = length - used

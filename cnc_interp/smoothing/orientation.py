@@ -1,4 +1,4 @@
-"""Orientation along lines: the great circle between programmed axes [B2013, Eq. 4]."""
+"""Tool axes on lines: the great circle between programmed axes [B2013, Eq. 4]."""
 
 from __future__ import annotations
 
@@ -8,17 +8,56 @@ from cnc_interp.core.arrays import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return scalar products over the last axis, always added in the same order."""
+    """
+    Return scalar products; the sum has a fixed order, so the bits do not depend on the shape.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (..., 3)
+        Vectors in any unit.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Scalar products over the last axis.
+
+    """
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def norm(a: FloatArray) -> FloatArray:
-    """Return lengths over the last axis."""
+    """
+    Return the lengths of vectors.
+
+    Parameters
+    ----------
+    a : ndarray, shape (..., 3)
+        Vectors in any unit.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Lengths over the last axis, in the same unit.
+
+    """
     return np.asarray(np.sqrt(dot(a, a)))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return vector products over the last axis."""
+    """
+    Return vector products.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (..., 3)
+        Vectors in any unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Vector products over the last axis.
+
+    """
     return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -36,12 +75,12 @@ def rotations_between(a: FloatArray, b: FloatArray) -> FloatArray:
     Parameters
     ----------
     a, b : ndarray, shape (..., 3)
-        Unit tool axes; not antiparallel.
+        Unit tool axes, not antiparallel [-].
 
     Returns
     -------
     ndarray, shape (..., 3)
-        Angle times unit normal k, zero where both are equal [rad].
+        Angle times unit normal k [rad]; zero if both axes are equal.
 
     """
     normal = cross(a, b)
@@ -53,19 +92,19 @@ def rotations_between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float) -> FloatArray:
     """
-    Turn tool axes by a share of rotation vectors [B2013, Eq. 4 (Rodrigues)].
+    Turn tool axes by a part of rotation vectors [B2013, Eq. 4 (Rodrigues)].
 
     Parameters
     ----------
     axis, rotation : ndarray, shape (..., 3)
-        Unit tool axes [-] and rotation vectors [rad, or rad/m with a share in m].
+        Unit tool axes [-] and rotation vectors [rad, or rad/m if ``share`` is in m].
     share : float or ndarray, shape (...)
-        How much of the rotation.
+        Factor on the rotation [-, or m].
 
     Returns
     -------
     ndarray, shape (..., 3)
-        Unit tool axes.
+        Turned unit tool axes [-].
 
     """
     rate = norm(rotation)
@@ -77,5 +116,18 @@ def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float)
 
 
 def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the angles [rad] between unit vectors over the last axis."""
+    """
+    Return the angles between unit vectors.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (..., 3)
+        Unit vectors [-].
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Angles in [0, pi] [rad].
+
+    """
     return np.asarray(np.arctan2(norm(cross(a, b)), dot(a, b)))

@@ -1,9 +1,8 @@
 """
-Any blocks in, smooth segments out: linear blocks by the look-ahead, native splines span by span.
+Blocks to smooth segments: linear blocks through the look-ahead, native splines span by span.
 
-Lines and curves meet at the poses that the program names. A line is given to the look-ahead as if
-the tool rested there; where line and curve go on into each other, which the curve sees to, that
-rest is taken back.
+Lines and splines meet at the programmed poses. The look-ahead sees a stop at such a pose. If the
+spline continues the line smoothly, this stop is removed from the segments afterwards.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ from cnc_interp.smoothing.native.spline_run import SplineRun
 from cnc_interp.smoothing.orientation import norm, rotations_between
 from cnc_interp.smoothing.segments import PathSegments
 
-#: A tip that moves less than this stands still [m].
+#: A tip that moves less than this does not move [m].
 STANDSTILL = 1e-9
 
 
 class PathSmoother:
     """
-    Smooth a stream of blocks, the same however they arrive.
+    Smooth a stream of blocks. The result does not depend on how the stream is divided.
 
     Parameters
     ----------
     settings : Settings
-        The user's choices.
+        Choices of the user.
     machine : MachineTraits
-        What smoothing must know of the machine.
+        Properties of the machine that the smoothing needs.
 
     """
 
@@ -47,25 +46,35 @@ class PathSmoother:
         self._lookahead = LookAhead(settings, machine)
         self._run: SplineRun | None = None
         self._recent: Blocks | None = None  # the last two linear blocks
-        self._waiting: PathSegments | None = None  # until it is known whether the tool rests
-        self._row = 0  # row in the program of the next block
-        self._start: FloatArray | None = None  # words of the start pose, until they are sent
+        self._waiting: PathSegments | None = None  # lines before a spline, until stop or not
+        self._row = 0  # program row of the next block
+        self._start: FloatArray | None = None  # rotary words of the start pose, until used
 
     def push(self, blocks: Blocks) -> PathSegments:
         """
-        Take further blocks and return the segments that are final.
+        Add blocks and return the segments that are final.
+
+        Parameters
+        ----------
+        blocks : Blocks
+            The next rows of the program; the very first row is the start pose.
+
+        Returns
+        -------
+        PathSegments
+            Segments that later blocks cannot change; may be empty.
 
         Raises
         ------
         BlockError
-            If a block's tool axis reverses, or a curve is none.
+            If the tool axis of a block reverses, or control points do not form a curve.
 
         """
         found: list[PathSegments | None] = []
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
         spline = blocks.on_spline
-        ends = spline & blocks.exact_stop  # a curve ends there
+        ends = spline & blocks.exact_stop  # a spline ends in this row
         cuts = np.flatnonzero((spline[1:] != spline[:-1]) | ends[:-1]) + 1
         for first, last in zip([0, *cuts], [*cuts, len(blocks)], strict=True):
             if first < last:
@@ -78,7 +87,7 @@ class PathSmoother:
         return self._joined(self._end_run(None) if self._run else [self._lookahead.finish()])
 
     def _linear(self, blocks: Blocks) -> list[PathSegments | None]:
-        """Take linear blocks; they end a curve."""
+        """Process linear blocks. They end a spline."""
         found: list[PathSegments | None] = []
         if self._run is not None:
             pose = self._run.last_row
@@ -90,7 +99,7 @@ class PathSmoother:
         return found
 
     def _curve(self, rows: Blocks) -> list[PathSegments | None]:
-        """Take control points; the first of a curve end the lines before."""
+        """Process control points. The first one of a spline ends the lines before it."""
         found: list[PathSegments | None] = []
         if self._run is None:
             recent = self._recent if self._recent is not None else rows[:1]
@@ -110,7 +119,7 @@ class PathSmoother:
         return found
 
     def _released(self, flows: bool) -> PathSegments | None:
-        """Return the lines that waited, without the rest at their end where the path flows on."""
+        """Return the lines held back; without the stop at their end if the path continues."""
         lines, self._waiting = self._waiting, None
         if lines is None or not len(lines) or not flows:
             return lines
@@ -119,7 +128,7 @@ class PathSmoother:
         return replace(lines, stop=stop)
 
     def _end_run(self, after: Jets | None) -> list[PathSegments | None]:
-        """Finish the curve; the look-ahead goes on from its last pose."""
+        """Finish the spline; the look-ahead continues from its last pose."""
         run = self._run
         assert run is not None
         rest = run.finish(after)
@@ -133,12 +142,13 @@ class PathSmoother:
         return [rest]
 
     def _joined(self, found: list[PathSegments | None]) -> PathSegments:
+        """Join batches of segments; the first one gets the rotary words of the start pose."""
         parts = [part for part in found if part is not None and len(part)]
         if not parts:
             return no_segments(self._style)
         segments = PathSegments.concatenate(parts)
         if self._start is not None:
-            # A curve has no rotary words, but those of the start pose say branch and turns.
+            # A spline has no rotary words. Those of the start pose choose branch and turns.
             rotary = segments.rotary.copy()
             rotary[0, 0] = self._start
             segments, self._start = replace(segments, rotary=rotary), None
@@ -146,7 +156,7 @@ class PathSmoother:
 
 
 def _line_at(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
-    """Return the jets of the block between two rows at one of its ends; None at rest."""
+    """Return the jets at one end of the line between two poses; None if the tip rests."""
     step = end.tip - start.tip
     length = norm(step)[:, None]
     if length[0, 0] < STANDSTILL:

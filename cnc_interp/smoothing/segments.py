@@ -1,4 +1,4 @@
-"""PathSegments: the smooth path in the workpiece frame (from smoothing to kinematics)."""
+"""PathSegments: the smooth path in the workpiece frame, and its evaluation."""
 
 from __future__ import annotations
 
@@ -10,56 +10,63 @@ from numba import njit
 
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.bezier import bezier_jet, quintic_jet
+from cnc_interp.core.bspline import corner_spline_jet
+from cnc_interp.core.jet import Jet, VectorJet
 
 LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
-#: Control points that a segment has room for: a line uses 2, a corner 5, a spline all 6.
+#: Number of control points in the arrays: a line uses 2 of them, a corner 5, a spline all 6.
 POINTS = 6
 
 
 @dataclass(frozen=True)
 class PathSegments:
     """
-    Smooth segments in path order, one row per segment, parameter u in [0, 1].
+    Smooth segments in path order, one row per segment, each with a parameter u in [0, 1].
 
-    A ``LINE`` goes straight from ``bottom[0]`` to ``bottom[1]`` while the tool axis turns on a
-    great circle at constant rate [B2013, Eq. 4]. A ``CORNER`` is the pair of cubic B-splines of
-    [B2013, section 2.3] with knots (0 0 0 0 .5 1 1 1 1): the tip runs on ``bottom``, the tool
-    axis is the direction of ``top(f(u)) + connection(u) - bottom(u)`` (Eq. 5 with parametrization
-    f and connection of ``connection.py``). A ``ROTATION`` turns the tool about the resting tip
-    ``bottom[0]``. A ``SPLINE`` is one polynomial span of a 5-axis curve: the tip runs on the
-    quintic Bezier curve ``bottom``, the tool axis is the direction of ``top(u) + connection(u)
-    - bottom(u)`` with the quintic Bezier curve ``top``.
+    ``LINE``: the tip moves straight from ``bottom[0]`` to ``bottom[1]``. The tool axis turns on a
+    great circle at a constant rate [B2013, Eq. 4].
+
+    ``CORNER``: a pair of cubic B-splines [B2013, section 2.3] with knots (0 0 0 0 .5 1 1 1 1). The
+    tip moves on ``bottom``. The tool axis is the direction of
+    ``top(f(u)) + connection(u) - bottom(u)`` (Eq. 5, with f and connection of ``connection.py``).
+
+    ``ROTATION``: the tool axis turns while the tip rests at ``bottom[0]``.
+
+    ``SPLINE``: one polynomial span of a 5-axis curve. The tip moves on the quintic Bezier curve
+    ``bottom``. The tool axis is the direction of ``top(u) + connection(u) - bottom(u)`` with the
+    quintic Bezier curve ``top``.
 
     Parameters
     ----------
     kind : ndarray of int, shape (n,)
-        LINE, CORNER, ROTATION or SPLINE.
+        Kind of the segment: LINE, CORNER, ROTATION or SPLINE.
     bottom, top : ndarray, shape (n, 6, 3)
-        Control points of bottom and top curve [m]; lines use the first two (start and end),
+        Control points of bottom and top curve [m]. Lines use the first two (start and end),
         corners the first five.
     connection : ndarray, shape (n, m, 3)
-        Bezier points over [0, 1] added to the top curve of a corner or spline [m].
+        Bezier points over [0, 1] that are added to the top curve of a corner or spline [m].
     parametrization : ndarray, shape (n, spans, 8)
-        u_top = f(u) of corners, span by span: start of the span, then the seven Bezier values of
-        a sextic on it; no spans where f(u) = u everywhere [-].
+        u_top = f(u) of corners, span by span [-]: the start of the span, then the seven Bezier
+        values of a sextic on it. No spans if f(u) = u.
     axis : ndarray, shape (n, 3)
         Unit tool axis at the start of the segment [-].
     rotation : ndarray, shape (n, 3)
-        Rotation vector that the tool axis runs through on lines and in rotations [rad].
+        Rotation vector of the tool axis over a line or rotation [rad].
     rotary : ndarray, shape (n, 2, 2)
-        Programmed rotary axes at start and end, NaN where not programmed [rad].
+        Programmed rotary axis positions at start and end [rad], NaN if not programmed.
     length : ndarray, shape (n,)
-        Length of lines; flank height times angle of rotations; NaN for curves [m].
+        Length of a line; flank height times angle of a rotation; NaN for curves [m].
     feed : ndarray, shape (n, 2)
-        Programmed ds/dt in the first and second half (the two blocks of a corner) [m/s].
+        Programmed ds/dt in the first and second half [m/s]; a corner lies in two blocks.
     block : ndarray of int, shape (n, 2)
-        Rows of the blocks executed in the first and second half.
+        Program rows of the blocks executed in the first and second half.
     line_number : ndarray of int, shape (n,)
-        Line of the second block in the part program.
+        Program line of the second block.
     stop : ndarray of bool, shape (n,)
-        True where the tool rests at the end of the segment.
+        Whether the tool rests at the end of the segment.
     deviation : ndarray, shape (n, 2)
-        Contour and orientation deviation of curves, 0 elsewhere [m].
+        Contour and orientation deviation of curves [m], 0 for lines and rotations.
 
     """
 
@@ -83,116 +90,89 @@ class PathSegments:
             getattr(self, field.name).flags.writeable = False
 
     def __len__(self) -> int:
-        """Count the segments."""
+        """Return the number of segments."""
         return len(self.kind)
 
     def __getitem__(self, rows: slice | IntArray) -> PathSegments:
-        """Take some of the segments."""
+        """Return the segments at these indices."""
         return PathSegments(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @staticmethod
     def concatenate(parts: list[PathSegments]) -> PathSegments:
-        """Join batches end to end."""
+        """Join batches of segments in order."""
         names = [field.name for field in fields(PathSegments)]
         return PathSegments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
-def room_for(points: FloatArray) -> FloatArray:
-    """Return control points, shape (n, k, 3), with room up to POINTS of them."""
+def padded(points: FloatArray) -> FloatArray:
+    """
+    Pad control points with zeros to the common number.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, k, 3)
+        Control points, k at most POINTS [m].
+
+    Returns
+    -------
+    ndarray, shape (n, POINTS, 3)
+        The same control points, then zeros [m].
+
+    """
     spare = np.zeros((len(points), POINTS - points.shape[1], 3))
     return np.concatenate([points, spare], axis=1)
 
 
-@njit(cache=True, nogil=True, inline='always')
-def spline_component(points, i, u, second_half):  # type: ignore[no-untyped-def]
-    """
-    Return the jet of one coordinate of the corner's cubic B-spline [B2013, Eq. 1 and A.2].
-
-    ``second_half`` chooses the polynomial piece, so that at u = 0.5 each side can be asked for.
-    """
-    if second_half:  # the curve read backwards is the same construction
-        p0, p1, p2, p3 = points[4, i], points[3, i], points[2, i], points[1, i]
-        x, sign = 1.0 - u, -1.0
-    else:
-        p0, p1, p2, p3 = points[0, i], points[1, i], points[2, i], points[3, i]
-        x, sign = u, 1.0
-    # (1-2x)^3 p0 + 2x(3 - 9x + 7x^2) p1 + 2x^2(3 - 4x) p2 + 2x^3 p3, in powers of x
-    a1 = 6.0 * (p1 - p0)
-    a2 = 12.0 * p0 - 18.0 * p1 + 6.0 * p2
-    a3 = -8.0 * p0 + 14.0 * p1 - 8.0 * p2 + 2.0 * p3
-    return (
-        p0 + x * (a1 + x * (a2 + x * a3)),
-        sign * (a1 + x * (2.0 * a2 + 3.0 * x * a3)),
-        a2 + 3.0 * x * a3,
-        sign * a3,
-    )
-
-
-@njit(cache=True, nogil=True, inline='always')
-def bezier_component(points, i, u):  # type: ignore[no-untyped-def]
-    """Return the jet of one coordinate of a Bezier curve by blossoming de Casteljau's scheme."""
-    n = points.shape[0]
-    work = np.empty(n)
-    for k in range(n):
-        work[k] = points[k, i]
-    d1 = d2 = d3 = 0.0
-    v = 1.0 - u
-    for level in range(n - 1, 0, -1):
-        if level == 3:
-            d3 = work[3] - 3.0 * work[2] + 3.0 * work[1] - work[0]
-        if level == 2:
-            d2 = work[2] - 2.0 * work[1] + work[0]
-        if level == 1:
-            d1 = work[1] - work[0]
-        for k in range(level):
-            work[k] = v * work[k] + u * work[k + 1]
-    p = n - 1.0
-    return (
-        work[0],
-        p * d1,
-        p * (p - 1.0) * d2 / 2.0,
-        p * (p - 1.0) * (p - 2.0) * d3 / 6.0,
-    )
-
-
-@njit(cache=True, nogil=True, inline='always')
-def quintic_component(points, i, u):  # type: ignore[no-untyped-def]
-    """Return the jet of one coordinate of a quintic Bezier curve, in powers of u."""
-    p0, p1, p2, p3, p4, p5 = (
-        points[0, i], points[1, i], points[2, i], points[3, i], points[4, i], points[5, i],
-    )  # fmt: skip
-    d1, d2, d3, d4, d5 = p1 - p0, p2 - p1, p3 - p2, p4 - p3, p5 - p4
-    a1 = 5.0 * d1
-    d1, d2, d3, d4 = d2 - d1, d3 - d2, d4 - d3, d5 - d4
-    a2 = 10.0 * d1
-    d1, d2, d3 = d2 - d1, d3 - d2, d4 - d3
-    a3 = 10.0 * d1
-    d1, d2 = d2 - d1, d3 - d2
-    a4, a5 = 5.0 * d1, d2 - d1
-    return (
-        p0 + u * (a1 + u * (a2 + u * (a3 + u * (a4 + u * a5)))),
-        a1 + u * (2.0 * a2 + u * (3.0 * a3 + u * (4.0 * a4 + 5.0 * u * a5))),
-        a2 + u * (3.0 * a3 + u * (6.0 * a4 + 10.0 * u * a5)),
-        a3 + u * (4.0 * a4 + 10.0 * u * a5),
-    )
-
-
 @njit(cache=True, nogil=True)
-def spline_jets(bottom, top, connection, u):  # type: ignore[no-untyped-def]
-    """Return the vector jets, in u, of tool tip and tool axis of a spline [B2013, Eq. 5]."""
+def spline_jets(
+    bottom: FloatArray, top: FloatArray, connection: FloatArray, u: float
+) -> tuple[VectorJet, VectorJet]:
+    """
+    Return the jets in u of tool tip and tool axis on a SPLINE [B2013, Eq. 5].
+
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (6, 3)
+        Quintic Bezier points [m].
+    connection : ndarray, shape (m, 3)
+        Bezier points of the connection [m].
+    u : float
+        Parameter in [0, 1].
+
+    Returns
+    -------
+    tip, axis : VectorJet
+        Jets of the tool tip [m] and of the unit tool axis [-].
+
+    """
     tip, tool = np.empty((3, 4)), np.empty((3, 4))
     for i in range(3):
-        p = quintic_component(bottom, i, u)
-        d = jet.subtract(quintic_component(top, i, u), p)
-        d = jet.add(d, bezier_component(connection, i, u))
+        p = quintic_jet(bottom, i, u)
+        d = jet.subtract(quintic_jet(top, i, u), p)
+        d = jet.add(d, bezier_jet(connection, i, u))
         tip[i, 0], tip[i, 1], tip[i, 2], tip[i, 3] = p
         tool[i, 0], tool[i, 1], tool[i, 2], tool[i, 3] = d
-    return vector_jet(tip), jet.normalised(vector_jet(tool))
+    return _vector_jet(tip), jet.normalised(_vector_jet(tool))
 
 
 @njit(cache=True, nogil=True)
-def span_at(parametrization, u):  # type: ignore[no-untyped-def]
-    """Return number, start and length of the span of f in which u lies."""
+def span_at(parametrization: FloatArray, u: float) -> tuple[int, float, float]:
+    """
+    Find the span of f that contains u.
+
+    Parameters
+    ----------
+    parametrization : ndarray, shape (spans, 8)
+        Start of each span and seven Bezier values of f on it [-].
+    u : float
+        Bottom parameter in [0, 1].
+
+    Returns
+    -------
+    number, start, length : int, float, float
+        Index, start and length of the span [-].
+
+    """
     k = parametrization.shape[0] - 1
     while k > 0 and parametrization[k, 0] > u:
         k -= 1
@@ -201,57 +181,93 @@ def span_at(parametrization, u):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def top_parameter(parametrization, u, inside):  # type: ignore[no-untyped-def]
-    """Return the jet of u_top = f(u), on the span in which ``inside`` lies."""
+def _top_parameter(parametrization: FloatArray, u: float, inside: float) -> Jet:
+    """Return the jet of u_top = f(u), evaluated on the span that contains ``inside``."""
     if parametrization.shape[0] == 0:
         return (u, 1.0, 0.0, 0.0)
     k, start, length = span_at(parametrization, inside)
-    f = bezier_component(parametrization[k, 1:].copy().reshape(7, 1), 0, (u - start) / length)
+    f = bezier_jet(parametrization[k, 1:].copy().reshape(7, 1), 0, (u - start) / length)
     return (f[0], f[1] / length, f[2] / length**2, f[3] / length**3)
 
 
 @njit(cache=True, nogil=True)
-def corner_breaks(parametrization):  # type: ignore[no-untyped-def]
-    """Return the parameters, from 0 to 1, where a corner's third derivative may jump."""
+def corner_breaks(parametrization: FloatArray) -> FloatArray:
+    """
+    Return the parameters at which the third derivative of a corner may jump.
+
+    Parameters
+    ----------
+    parametrization : ndarray, shape (spans, 8)
+        Start of each span of f and seven Bezier values on it [-].
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Bottom parameters in rising order, 0 and 1 included [-].
+
+    """
     spans = parametrization.shape[0]
     if spans == 0:
         return np.array([0.0, 0.5, 1.0])
     low, high = 0.0, 1.0
-    for _ in range(60):  # f rises: where the top curve passes its own knot
+    for _ in range(60):  # bisection for f(u) = 0.5, the inner knot of the top curve; f rises
         middle = 0.5 * (low + high)
-        if top_parameter(parametrization, middle, middle)[0] < 0.5:
+        if _top_parameter(parametrization, middle, middle)[0] < 0.5:
             low = middle
         else:
             high = middle
     if abs(low - 0.5) < 1e-9:
         low = 0.5
-    return np.unique(np.concatenate((parametrization[:, 0], np.array([0.5, low, 1.0]))))
+    found: FloatArray = np.unique(
+        np.concatenate((parametrization[:, 0], np.array([0.5, low, 1.0])))
+    )
+    return found
 
 
 @njit(cache=True, nogil=True)
-def corner_jets(bottom, top, connection, parametrization, u, inside):  # type: ignore[no-untyped-def]
+def corner_jets(
+    bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
+    u: float, inside: float,
+) -> tuple[VectorJet, VectorJet]:  # fmt: skip
     """
-    Return the vector jets, in u, of tool tip and tool axis of a corner [B2013, Eq. 5].
+    Return the jets in u of tool tip and tool axis on a CORNER [B2013, Eq. 5].
 
-    Where u lies on a break, ``inside`` tells from which side: it lies in the same piece.
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (6, 3)
+        Control points; the first five are used [m].
+    connection : ndarray, shape (m, 3)
+        Bezier points of the connection [m].
+    parametrization : ndarray, shape (spans, 8)
+        Start of each span of f and seven Bezier values on it [-].
+    u : float
+        Bottom parameter in [0, 1].
+    inside : float
+        A parameter inside the same smooth piece as u; it selects the side if u is a break.
+
+    Returns
+    -------
+    tip, axis : VectorJet
+        Jets of the tool tip [m] and of the unit tool axis [-].
+
     """
     late = late_top = inside > 0.5
-    f = top_parameter(parametrization, u, inside)
+    f = _top_parameter(parametrization, u, inside)
     if parametrization.shape[0] > 0:
-        late_top = top_parameter(parametrization, inside, inside)[0] > 0.5
+        late_top = _top_parameter(parametrization, inside, inside)[0] > 0.5
     tip, tool = np.empty((3, 4)), np.empty((3, 4))
     for i in range(3):
-        p = spline_component(bottom, i, u, late)
-        t = jet.compose(spline_component(top, i, f[0], late_top), f)
-        d = jet.add(jet.subtract(t, p), bezier_component(connection, i, u))
+        p = corner_spline_jet(bottom, i, u, late)
+        t = jet.compose(corner_spline_jet(top, i, f[0], late_top), f)
+        d = jet.add(jet.subtract(t, p), bezier_jet(connection, i, u))
         tip[i, 0], tip[i, 1], tip[i, 2], tip[i, 3] = p
         tool[i, 0], tool[i, 1], tool[i, 2], tool[i, 3] = d
-    return vector_jet(tip), jet.normalised(vector_jet(tool))
+    return _vector_jet(tip), jet.normalised(_vector_jet(tool))
 
 
 @njit(cache=True, nogil=True)
-def vector_jet(rows):  # type: ignore[no-untyped-def]
-    """Return three jets, shape (3, 4), as a vector jet."""
+def _vector_jet(rows: FloatArray) -> VectorJet:
+    """Return the rows of an array, shape (3, 4), as a vector jet."""
     return (
         (rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3]),
         (rows[1, 0], rows[1, 1], rows[1, 2], rows[1, 3]),
@@ -260,20 +276,55 @@ def vector_jet(rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def great_circle_jets(axis, rotation, u):  # type: ignore[no-untyped-def]
-    """Return the jet in u of the axis turned by u times the rotation vector [B2013, Eq. 4]."""
+def great_circle_jets(axis: FloatArray, rotation: FloatArray, u: float) -> VectorJet:
+    """
+    Return the jet in u of a tool axis turned by u times a rotation vector [B2013, Eq. 4].
+
+    Parameters
+    ----------
+    axis, rotation : ndarray, shape (3,)
+        Unit tool axis at u = 0 [-], and rotation vector [rad].
+    u : float
+        Parameter in [0, 1].
+
+    Returns
+    -------
+    VectorJet
+        Jet of the unit tool axis [-].
+
+    """
     o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
     angle = sqrt(rotation[0] ** 2 + rotation[1] ** 2 + rotation[2] ** 2)
     if angle == 0.0:
         return o
     k = (rotation[0] / angle, rotation[1] / angle, rotation[2] / angle)
     sine, cosine = jet.sine_cosine((angle * u, angle, 0.0, 0.0))
-    return jet.rotated(k, sine, cosine, o)
+    turned: VectorJet = jet.rotated(k, sine, cosine, o)
+    return turned
 
 
 @njit(cache=True, nogil=True)
-def line_jets(bottom, axis, rotation, u):  # type: ignore[no-untyped-def]
-    """Return the vector jets, in u, of tool tip and tool axis of a line."""
+def line_jets(
+    bottom: FloatArray, axis: FloatArray, rotation: FloatArray, u: float
+) -> tuple[VectorJet, VectorJet]:
+    """
+    Return the jets in u of tool tip and tool axis on a LINE [B2013, Eq. 4].
+
+    Parameters
+    ----------
+    bottom : ndarray, shape (2 or more, 3)
+        Start and end point of the tip [m].
+    axis, rotation : ndarray, shape (3,)
+        Unit tool axis at u = 0 [-], and its rotation vector over the line [rad].
+    u : float
+        Parameter in [0, 1].
+
+    Returns
+    -------
+    tip, axis : VectorJet
+        Jets of the tool tip [m] and of the unit tool axis [-].
+
+    """
     dx, dy, dz = (
         bottom[1, 0] - bottom[0, 0],
         bottom[1, 1] - bottom[0, 1],

@@ -7,7 +7,7 @@ from scipy.special import comb
 from tiers import examples
 
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.smoothing.corners.corner import Corners, Style, first_lengths, fit
+from cnc_interp.smoothing.corners.corner import Corners, Style, fit, initial_lengths
 from cnc_interp.smoothing.corners.corner_curves import poses
 from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
@@ -88,7 +88,7 @@ def fitted(seed, count, method, in_step, septic):
     """Random corners within their tolerances: what is programmed, L2, curves, deviations."""
     lengths, corners = random_corners(seed, count)
     style, ratios = Style(HEIGHT, in_step, method, septic), ratios_at(corners, HEIGHT, None)
-    start = first_lengths(corners, 0.5 * lengths, ratios)
+    start = initial_lengths(corners, 0.5 * lengths, ratios)
     _, outer, curves, deviation = fit(corners, *start, style, ratios)
     return corners, outer, curves, deviation
 

@@ -300,7 +300,7 @@ POINTS = ''.join(f'X{5 * i} Y{i * i % 3} XH={5 * i}\n' for i in range(1, 6))
             HEAD + 'BSPLINE SD=3\nX5 XH=5 PL=1\nX9 XH=9 PL=0\nX12 XH=12 PL=0\nX14 XH=14 PL=0\n'
             'X16 XH=16 PL=1\nX18 XH=18\nX20 XH=20\n',
             9,
-            'tear',
+            'interrupt the spline',
         ),
         (HEAD + 'BSPLINE SD=3\n' + POINTS.replace('\n', ' PL=1\n', 2), None, None),
     ],
@@ -345,7 +345,7 @@ def test_curves_that_are_none_are_refused_in_the_stream_too():
     for bad, word in (
         (changed(tip=moved), 'does not begin where the tool is'),
         (changed(tip=still, top=blocks.top - blocks.tip + still), 'stands still'),
-        (changed(knot_interval=torn), 'tear'),
+        (changed(knot_interval=torn), 'interrupt the spline'),
         (changed(knot_interval=open_end), 'last two knot intervals'),
         (blocks[:4], 'at least 4 control points'),
     ):

@@ -1,1 +1,1 @@
-"""One vertex between two blocks: rounded, stopped at, or passed."""
+"""What happens at a vertex between two blocks: it is rounded, stopped at or passed."""

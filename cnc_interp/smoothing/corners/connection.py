@@ -1,18 +1,18 @@
 """
-Smooth orientation connection of corners to their lines [B2013, sections 2.5-3.3, Appendix B].
+Smooth connection of the orientation on corners and lines [B2013, sections 2.5-3.3, Appendix B].
 
-The axis of a corner is the direction of D(u) = C_top(f(u)) + E(u) - C_bottom(u). At both ends it
-must continue that of the line, rho o(s(u)) with a length rho of its own, and its derivatives.
-Three ways:
+The tool axis on a corner is the direction of D(u) = C_top(f(u)) + E(u) - C_bottom(u). At both ends
+it must continue the tool axis o(s) of the line, together with its derivatives. So D = rho o(s(u))
+to that order, where the length rho of D is free. There are three methods:
 
-``exact``   Where the top polygon is divided like the bottom one, f(u) = u is right to first order
-            and rho = h. Otherwise f' and f'' follow, order by order, from the component along the
-            top curve, and rho from the one along the axis. What is left of the first derivatives
-            (two with the quintic, three with the septic) is the end condition of the Hermite
-            polynomial E, zero at both ends. Tip and axis are then C2 (C3) for any walls.
-``linear``  f(u) = u and no E: the default of industrial controls, the paper's bad example.
-``paper``   Three first and three last values of f, found one after the other by Newton's method
-            on the discrete third derivative of the axis (Eq. 11), joined by a cubic spline.
+``exact``   If both polygons are divided in the same ratio, f(u) = u is right to first order and
+            rho = h. Otherwise f' and f'' follow from the component along the top curve, and rho
+            from the component along the tool axis. The remaining difference of the first two
+            derivatives (three with the septic) becomes the end condition of the Hermite
+            polynomial E, which is zero at both ends. Tip and axis are then C2 (C3).
+``linear``  f(u) = u and E = 0. Industrial controls do this by default; [B2013] compares with it.
+``paper``   The first and last three values of f are found one after the other by Newton's method
+            on the discrete third derivative of the axis (Eq. 11). A cubic spline joins them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.smoothing.corners.corner_curves import Curves, end_derivatives, spline_points
+from cnc_interp.core.bezier import elevated
+from cnc_interp.core.bspline import corner_end_derivatives, corner_spline_points
+from cnc_interp.smoothing.corners.corner_curves import Curves
 from cnc_interp.smoothing.orientation import cross, dot, norm, turned_by
 
-#: Step of the paper's discrete derivative, in bottom parameter (the paper does not state one).
+#: Step of the discrete derivative in the bottom parameter [-]; [B2013] does not state a value.
 PAPER_STEP = 0.02
 
 
@@ -31,24 +33,24 @@ def connect(
     curves: Curves, height: float, axes: FloatArray, rates: FloatArray, method: str
 ) -> None:
     """
-    Fill connection E and parametrization f of corners.
+    Compute the connection E and the parametrization f of corners in place.
 
     Parameters
     ----------
     curves : Curves
-        Bottom and top are given; a sextic f is fitted where there is room for one span.
+        Bottom and top are input. With one span in ``parametrization``, f is a sextic on it.
     height : float
         Flank height h [m].
     axes : ndarray, shape (n, 2, 3)
-        Programmed tool axis at entry and exit [-].
+        Programmed tool axis at the start and end of each corner [-].
     rates : ndarray, shape (n, 2, 3)
-        Rotation vector per metre of path on the lines before and after [rad/m].
+        Rotation vector per metre of path on the line before and the line after [rad/m].
     method : {'exact', 'linear', 'paper'}
-        How.
+        Method of the module docstring.
 
     """
     if method == 'paper':
-        curves.parametrization[:] = paper_spans(curves, axes, rates)
+        curves.parametrization[:] = _paper_spans(curves, axes, rates)
     if method != 'exact':
         return
     ends = (
@@ -60,9 +62,9 @@ def connect(
     slopes = [np.stack([np.ones(n), np.zeros(n), np.zeros(n)]) for _ in ends]
     if curves.parametrization.shape[1]:
         found = [end.slopes() for end in ends]
-        values = sextic(*found)
+        values = _sextic(*found)
         slides = np.diff(values, axis=1).min(axis=1) > 0.0
-        # Where the top curve hardly moves, or backwards, f stays u and E does everything.
+        # If f would not increase, because the top curve hardly moves, f(u) = u and E does all.
         values = np.where(slides[:, None], values, np.arange(7) / 6.0)
         curves.parametrization[:, 0, 1:] = values
         for slope, f, b in zip(slopes, found, (values, 1.0 - values[:, ::-1]), strict=True):
@@ -74,18 +76,19 @@ def connect(
 
 class End:
     """
-    One end of many corners, seen inward: its curves, and how the line's axis goes on.
+    One end of many corners, seen towards the corner.
 
-    On the line o_s = w k x o, o_ss = -w^2 o, o_sss = -w^2 o_s; s(u) is the bottom's arc length.
+    On the line o_s = w k x o, o_ss = -w^2 o and o_sss = -w^2 o_s [B2013, Eq. 4]. s(u) is the arc
+    length of the bottom curve.
 
     Parameters
     ----------
     bottom, top : ndarray, shape (n, 5, 3)
-        Control points, counted from this end [m].
+        Control points, the first one at this end [m].
     height : float
         Flank height [m].
     axis, rate : ndarray, shape (n, 3)
-        Tool axis here [-], and the line's rotation vector per metre inward [rad/m].
+        Tool axis here [-], and rotation vector of the line per metre towards the corner [rad/m].
 
     """
 
@@ -98,7 +101,7 @@ class End:
         rate: FloatArray,
     ):
         self.height, self.axis = height, axis
-        self.b, self.c = end_derivatives(bottom), end_derivatives(top)
+        self.b, self.c = corner_end_derivatives(bottom), corner_end_derivatives(top)
         s1 = norm(self.b[0])[:, None]
         tangent = self.b[0] / s1
         s2, s3 = dot(self.b[1], tangent)[:, None], dot(self.b[2], tangent)[:, None]
@@ -112,7 +115,15 @@ class End:
         )
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
-        """Return f' and f'', shape (n,): D' and D'' along the top curve are those of the line."""
+        """
+        Return f' and f'' for which D' and D'' along the top curve are those of the line.
+
+        Returns
+        -------
+        f1, f2 : ndarray, shape (n,)
+            Derivatives of the top parameter by the bottom parameter [-].
+
+        """
         b, c, o, h = self.b, self.c, self.o, self.height
         e = c[0] - dot(c[0], self.axis)[:, None] * self.axis
         reach = dot(c[0], e)
@@ -125,9 +136,20 @@ class End:
 
     def residuals(self, f: FloatArray, free_length: FloatArray) -> FloatArray:
         """
-        Return what D lacks here: (rho o - D)', '' and ''', shape (3, n, 3).
+        Return the difference (rho o - D) in the first three derivatives by u.
 
-        ``f`` holds f', f'', f''', shape (3, n); with ``free_length`` rho follows D, else rho = h.
+        Parameters
+        ----------
+        f : ndarray, shape (3, n)
+            f', f'' and f''' [-].
+        free_length : ndarray of bool, shape (n,)
+            Whether rho follows D. Otherwise rho = h.
+
+        Returns
+        -------
+        ndarray, shape (3, n, 3)
+            What E', E'' and E''' must be at this end [m].
+
         """
         b, c, o, h = self.b, self.c, self.o, self.height
         f1, f2, f3 = f[:, :, None]
@@ -148,14 +170,14 @@ class End:
         )
 
 
-def sextic(
+def _sextic(
     first: tuple[FloatArray, FloatArray], last: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """
-    Return the Bezier values of f, shape (n, 7), with f(0.5) = 0.5.
+    Return the Bezier values of f on its only span, shape (n, 7), with f(0.5) = 0.5.
 
-    So the knots of both curves coincide. ``first`` has f' and f'' at u = 0, ``last`` the
-    derivatives of 1 - f counted backwards from u = 1.
+    Then the inner knots of both curves coincide. ``first`` has f' and f'' at u = 0. ``last`` has
+    the derivatives of 1 - f at u = 1, counted backwards.
     """
     f1, f2 = first
     g1, g2 = last
@@ -167,18 +189,19 @@ def sextic(
 
 def hermite(first: FloatArray, last: FloatArray, points: int) -> FloatArray:
     """
-    Return the Bezier points of E, zero at both ends with given derivatives there.
+    Return the Bezier points of E, which is zero at both ends and has given derivatives there.
 
     Parameters
     ----------
     first, last : ndarray, shape (3, n, 3)
-        E', E'', E''' at u = 0, and counted backwards from u = 1 [m].
+        E', E'' and E''' by u at u = 0, and at u = 1 counted backwards [m].
     points : int
-        6 for the quintic (two derivatives), 8 for the septic (three).
+        6 for the quintic (two derivatives) or 8 for the septic (three).
 
     Returns
     -------
     ndarray, shape (n, points, 3)
+        Bezier points [m].
 
     """
     degree = points - 1
@@ -191,27 +214,29 @@ def hermite(first: FloatArray, last: FloatArray, points: int) -> FloatArray:
     return found
 
 
-def first_values(
+def _first_values(
     bottom: FloatArray, top: FloatArray, axis: FloatArray, rate: FloatArray
 ) -> FloatArray:
     """
-    Return the paper's first three values of u_top, shape (3, n) [section 3.3, Eq. 11].
+    Return the first three values of u_top by the method of the paper, shape (3, n).
 
-    The bottom points are ``PAPER_STEP`` apart in u; before the corner the axis is the line's at
-    the same steps of arc length. Gauss-Newton: the third difference is almost linear in u_top.
+    [B2013, section 3.3, Eq. 11]. The bottom points are ``PAPER_STEP`` apart in u. Before the
+    corner, the axis is that of the line at equal steps of arc length. Gauss-Newton converges fast,
+    because the third difference is almost linear in u_top.
     """
     n = len(axis)
-    speed = norm(end_derivatives(bottom)[0])
+    speed = norm(corner_end_derivatives(bottom)[0])
     before = [turned_by(axis, rate, (k - 2) * PAPER_STEP * speed) for k in range(3)]
     values = np.empty((3, n))
 
     def tool_at(u: FloatArray, point: FloatArray) -> FloatArray:
-        tool = spline_points(top, u) - point
+        # Unit tool axis from the bottom point to the top curve at u, shape (n, 3).
+        tool = corner_spline_points(top, u) - point
         return np.asarray(tool / norm(tool)[:, None])
 
     for k in range(3):
         u = np.full(n, (k + 1) * PAPER_STEP)
-        point = spline_points(bottom, u)
+        point = corner_spline_points(bottom, u)
         expected = 3.0 * before[2] - 3.0 * before[1] + before[0]
         step = 1e-6
         for _ in range(8):
@@ -224,16 +249,16 @@ def first_values(
     return values
 
 
-def paper_spans(curves: Curves, axes: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return f through the paper's six points by a cubic spline, shape (n, 7, 8)."""
+def _paper_spans(curves: Curves, axes: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return f as a cubic spline through the six points of the paper, shape (n, 7, 8)."""
     steps = PAPER_STEP * np.arange(1, 4)
     x = np.concatenate([[0.0], steps, 1.0 - steps[::-1], [1.0]])
-    first = first_values(curves.bottom, curves.top, axes[:, 0], rates[:, 0])
-    last = first_values(curves.bottom[:, ::-1], curves.top[:, ::-1], axes[:, 1], -rates[:, 1])
+    first = _first_values(curves.bottom, curves.top, axes[:, 0], rates[:, 0])
+    last = _first_values(curves.bottom[:, ::-1], curves.top[:, ::-1], axes[:, 1], -rates[:, 1])
     n = len(axes)
     y = np.concatenate([np.zeros((1, n)), first, 1.0 - last[::-1], np.ones((1, n))]).T
     h = np.diff(x)
-    system = np.zeros((8, 8))  # for the second derivatives; not a knot at both ends
+    system = np.zeros((8, 8))  # for the second derivatives, with not-a-knot ends
     system[0, :3] = h[1], -h[0] - h[1], h[0]
     system[7, 5:] = h[6], -h[5] - h[6], h[5]
     for i in range(1, 7):
@@ -245,8 +270,5 @@ def paper_spans(curves: Curves, axes: FloatArray, rates: FloatArray) -> FloatArr
     b1 = y[:, :-1] + slope * h / 3.0
     b2 = 2.0 * b1 - y[:, :-1] + bend[:, :-1] * h**2 / 6.0
     values = np.stack([y[:, :-1], b1, b2, y[:, 1:]], axis=2)
-    for degree in range(3, 6):  # a cubic's Bezier values as those of a sextic
-        share = np.arange(1, degree + 1) / (degree + 1.0)
-        inside = share * values[..., :-1] + (1.0 - share) * values[..., 1:]
-        values = np.concatenate([values[..., :1], inside, values[..., -1:]], axis=2)
+    values = elevated(values.reshape(-1, 4, 1), 6).reshape(n, 7, 7)
     return np.concatenate([np.broadcast_to(x[:-1, None], (n, 7, 1)), values], axis=2)

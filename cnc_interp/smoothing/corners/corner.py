@@ -1,14 +1,15 @@
 """
-The 5-axis corner: two cubic B-splines within contour and orientation tolerance [B2013, 2.2-2.3].
+The 5-axis corner: two cubic B-splines within both tolerances [B2013, sections 2.2-2.3].
 
-Bottom polygon: P2 the programmed corner, P1 and P3 at L1 from it, P0 and P4 at L2 on the two
-lines. The largest deviation is that of the middle, |C(0.5) - P2| = |L1 (v + w)| / 4 (Eq. 3, A.3).
+Bottom polygon: P2 is the programmed corner, P1 and P3 are at the distance L1 from it, P0 and P4 at
+the distance L2 on the two lines. The largest deviation is that of the middle,
+|C(0.5) - P2| = |L1 (v + w)| / 4 (Eq. 3, A.3).
 
-Top polygon: P12 = P2 + h o; P10 and P14 lie on the programmed axis at entry and exit. Two ways to
-place its inner points. ``in_step`` divides its legs like those of the bottom polygon, so that
-u_top = u_bottom is right to first order; where the top then deviates by more than the orientation
-tolerance, L1 shrinks. ``tolerance``, the paper's, sets them from the orientation tolerance alone.
-Everything is vectorised over corners.
+Top polygon: P12 = P2 + h o. P10 and P14 lie on the programmed tool axis at the start and end of
+the corner. There are two ways to place the inner points. ``in_step`` divides the legs in the same
+ratio as on the bottom, so that u_top = u_bottom is right to first order; if the top then exceeds
+the orientation tolerance, L1 shrinks. ``tolerance`` is the paper's way: the inner points follow
+from the orientation tolerance alone. All functions work on many corners at once.
 """
 
 from __future__ import annotations
@@ -24,27 +25,27 @@ from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.orientation_bounds import orientation_bounds
 from cnc_interp.smoothing.orientation import norm, turned_by
 
-#: Shortest ratio L2/L1 where the lines are too short for the tolerance.
+#: Smallest ratio L2/L1 if the lines are too short for the tolerance.
 LEAST_RATIO = 1.5
-#: The same on top, where the inner points follow from the orientation tolerance alone.
+#: The same for the top polygon with ``tolerance``.
 LEAST_TOP_RATIO = 1.4
-#: The tool axis turns at most this much on each side inside one corner [rad].
+#: Largest turn of the tool axis on each side of one corner [rad].
 LARGEST_TURN = 0.7
-#: A corner that uses its tolerance to this is not shrunk any more.
+#: A corner whose deviation over tolerance is below this value is accepted [-].
 USED_UP = 1.0 + 1e-9
 
 
 @dataclass(frozen=True)
 class Corners:
     """
-    What the program says about n corners.
+    Programmed data of n corners.
 
     Parameters
     ----------
     tip, axis : ndarray, shape (n, 3)
-        Programmed corners [m] and tool axes there [-].
+        Programmed corner points [m] and tool axes [-].
     legs : ndarray, shape (n, 2, 3)
-        Unit vectors from the corner along both lines [-].
+        Unit vectors from the corner along the lines before and after it [-].
     rates : ndarray, shape (n, 2, 3)
         Rotation vector per metre of path on the lines before and after [rad/m].
     tolerances : ndarray, shape (n, 2)
@@ -59,29 +60,44 @@ class Corners:
     tolerances: FloatArray
 
     def __getitem__(self, rows: IntArray) -> Corners:
-        """Take some of the corners."""
+        """Return the corners at these indices."""
         return Corners(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def axis_at(self, side: int, x: FloatArray) -> FloatArray:
-        """Return the programmed axis at x metres from the corner on one side, shape (n, 3)."""
+        """
+        Return the programmed tool axis near corners.
+
+        Parameters
+        ----------
+        side : int
+            0 for the line before the corner, 1 for the line after it.
+        x : ndarray, shape (n,)
+            Distance from the corner [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit tool axes [-].
+
+        """
         return turned_by(self.axis, self.rates[:, side], x if side else -x)
 
 
 @dataclass(frozen=True)
 class Style:
     """
-    How corners are made.
+    The construction of corners.
 
     Parameters
     ----------
     height : float
         Flank height h [m].
     in_step : bool
-        How the top polygon is divided.
+        Whether the top polygon is divided like the bottom one (module docstring).
     method : {'exact', 'linear', 'paper'}
-        How the orientation is connected.
+        How the orientation is connected (``connection.py``).
     septic : bool
-        Whether E is septic instead of quintic.
+        Whether the connection E is septic instead of quintic.
 
     """
 
@@ -92,50 +108,73 @@ class Style:
 
     @staticmethod
     def of(settings: Settings) -> Style:
-        """Take what concerns the corners alone."""
+        """Return the construction of corners that the settings ask for."""
         in_step = settings.top == 'in_step'
         return Style(settings.flank_height, in_step, settings.parametrization, settings.septic)
 
-    def room(self, count: int) -> Curves:
-        """Return room for the curves of some corners."""
+    def empty_curves(self, count: int) -> Curves:
+        """Return empty curves for a number of corners."""
         spans = {'paper': 7, 'linear': 0, 'exact': 0 if self.in_step else 1}[self.method]
         return Curves.empty(count, 8 if self.septic else 6, spans)
 
 
-def first_lengths(
+def initial_lengths(
     corners: Corners, lengths: FloatArray, ratios: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Return L1, shape (n,), and both L2, shape (n, 2), from the contour tolerance and the room.
+    Compute L1 and L2 from the contour tolerance and the available lengths [B2013, Eq. 3].
 
-    ``lengths`` says how much of each line a corner may use [m], ``ratios`` is L2/L1 where there is
-    room [-]; shapes (n, 2).
+    Parameters
+    ----------
+    corners : Corners
+        Data of n corners.
+    lengths : ndarray, shape (n, 2)
+        Length of each line that the corner may use [m].
+    ratios : ndarray, shape (n, 2)
+        L2/L1 where the lines are long enough [-].
+
+    Returns
+    -------
+    inner : ndarray, shape (n,)
+        L1 [m].
+    outer : ndarray, shape (n, 2)
+        L2 before and after the corner [m].
+
     """
     turn = norm(corners.rates) * lengths
-    room = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
-    inner = room.min(axis=1) / LEAST_RATIO
+    available = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
+    inner = available.min(axis=1) / LEAST_RATIO
     bend = norm(corners.legs[:, 0] + corners.legs[:, 1])
     allowed = 4.0 * corners.tolerances[:, 0]
     bound = bend * inner > allowed
     inner = np.where(bound, allowed / np.where(bound, bend, 1.0), inner)  # Eq. 3 and A.3
-    return inner, np.minimum(ratios * inner[:, None], room)
+    return inner, np.minimum(ratios * inner[:, None], available)
 
 
 def build(
     corners: Corners, inner: FloatArray, outer: FloatArray, reach: FloatArray, style: Style
 ) -> Curves:
     """
-    Return the curves of corners.
+    Build the curves of corners.
 
     Parameters
     ----------
+    corners : Corners
+        Data of n corners.
     inner, outer : ndarray, shapes (n,) and (n, 2)
         L1 and both L2 [m].
     reach : ndarray, shape (n,)
-        Deviation for which ``tolerance`` sets the inner points of the top polygon [m].
+        Deviation from which ``tolerance`` computes the inner points of the top polygon [m].
+    style : Style
+        The construction of the corners.
+
+    Returns
+    -------
+    Curves
+        The curves of n corners.
 
     """
-    curves = style.room(len(inner))
+    curves = style.empty_curves(len(inner))
     bottom, top = curves.bottom, curves.top
     axes = np.stack([corners.axis_at(side, outer[:, side]) for side in (0, 1)], axis=1)
     bottom[:, 2] = corners.tip
@@ -145,7 +184,7 @@ def build(
         bottom[:, 4 * side] = corners.tip + outer[:, side, None] * leg
         bottom[:, 1 + 2 * side] = corners.tip + inner[:, None] * leg
         top[:, 4 * side] = bottom[:, 4 * side] + style.height * axes[:, side]
-    shares = inner[:, None] / outer if style.in_step else top_shares(top, reach)
+    shares = inner[:, None] / outer if style.in_step else _top_shares(top, reach)
     for side in (0, 1):
         leg = top[:, 4 * side] - top[:, 2]
         top[:, 1 + 2 * side] = top[:, 2] + shares[:, side, None] * leg
@@ -153,8 +192,8 @@ def build(
     return curves
 
 
-def top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
-    """Return where the paper's inner top points divide the legs, shape (n, 2): Eq. 3 on top."""
+def _top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
+    """Return the relative positions of the inner top points, shape (n, 2): Eq. 3 on top."""
     legs = top[:, [0, 4]] - top[:, 2:3]
     lengths = np.maximum(norm(legs), 1e-300)
     inner = lengths.min(axis=1) / LEAST_TOP_RATIO
@@ -178,39 +217,39 @@ def fit(
     Parameters
     ----------
     corners : Corners
-        The corners.
+        Data of n corners.
     inner, outer : ndarray, shapes (n,) and (n, 2)
-        L1 and both L2 to begin with [m].
+        L1 and both L2 at the beginning [m].
     style : Style
-        How corners are made.
+        The construction of the corners.
     ratios : ndarray, shape (n, 2), optional
-        Largest L2/L1 of a corner that shrinks; without it the ends stay where they are [-].
+        Largest L2/L1 of a corner that shrinks [-]. Without it, L2 does not change.
 
     Returns
     -------
-    inner, outer : ndarray
-        As reached.
+    inner, outer : ndarray, shapes (n,) and (n, 2)
+        L1 and both L2 at the end [m].
     curves : Curves
-        The corners.
+        The curves of n corners.
     deviation : ndarray, shape (n, 2)
         Contour and orientation deviation [m].
 
     """
     inner, outer = inner.copy(), outer.copy()
     reach = corners.tolerances[:, 1].copy()
-    curves, deviation = style.room(len(inner)), np.zeros((len(inner), 2))
+    curves, deviation = style.empty_curves(len(inner)), np.zeros((len(inner), 2))
     rows = np.arange(len(inner))
     for turn in range(30):
         some = corners[rows]
         built = build(some, inner[rows], outer[rows], reach[rows], style)
         curves.put(rows, built)
-        deviation[rows] = deviations(some, outer[rows], built, style)
+        deviation[rows] = _deviations(some, outer[rows], built, style)
         excess = (deviation[rows] / some.tolerances).max(axis=1)
         too_large = excess > USED_UP
         rows = rows[too_large]
         if not len(rows):
             break
-        # Where only the swing of the axis is too large, L1 must fall far before L2 follows.
+        # If only the turn of the axis is too large, L1 must shrink far before L2 follows.
         shrink = np.clip(0.998 / excess[too_large], 0.05, 0.995 if turn < 6 else 0.9)
         inner[rows] *= shrink
         reach[rows] *= shrink
@@ -219,14 +258,14 @@ def fit(
     return inner, outer, curves, deviation
 
 
-def deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Style) -> FloatArray:
+def _deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Style) -> FloatArray:
     """
-    Bound contour and orientation deviation of corners, shape (n, 2) [m].
+    Return contour deviation and bound of the orientation deviation, shape (n, 2) [m].
 
-    The contour deviation is the distance of the middle from the programmed corner (Eq. 3), the
-    largest there is in either direction. The orientation deviation, at flank height, is the
-    largest of three: the same distance on top; the distance of any top point from the programmed
-    top locus; and the change of the axis against the programmed one at the tip's nearest point.
+    The contour deviation is the distance of the middle from the programmed corner (Eq. 3). It is
+    the largest deviation in both directions. The orientation deviation is measured at flank
+    height. It is the largest of three values: the distance of the middle on top, the distance of
+    any top point from the programmed top curve, and the turn of the axis from the programmed one.
     """
     point, tool = poses(curves, 0.5)
     contour = norm(point - corners.tip)

@@ -1,17 +1,18 @@
 """
-Proven bounds of how far the tool axis of a corner strays, for every way to make a corner.
+Proven bounds of the orientation deviation of a corner, for every way to construct it.
 
-On each smooth piece of a corner both errors are analytic in u (o' is the programmed axis, Eq. 4):
+On each smooth piece of a corner two errors are analytic in u (o' is the programmed axis, Eq. 4):
 
-    swing   h (o(u) - o'(x))                   x: foot of the tip on its programmed line
-    away    p(u) + h o(u) - p'(x) - h o'(x)    x: foot of the top point on its polygon's leg,
-                                               or the corner where that is nearer
+    axis error   h (o(u) - o'(x))                   x: foot of the tip on its programmed line
+    top error    p(u) + h o(u) - p'(x) - h o'(x)    x: foot of the top point on its polygon,
+                                                       or the corner if that is nearer
 
-Interpolated at Chebyshev points of an interval by a polynomial of degree n, such an error is
-missed by at most 4 M rho^-n / (rho - 1) if M bounds it in the Bernstein ellipse rho around the
-interval [T2013, theorem 8.2]; the polynomial lies in the hull of its Bezier points. M follows
-from the Taylor coefficients of the curves at the middle. An interval is halved until what is
-proven there is within ``CLOSE`` of the largest error met at any Chebyshev point of the corner.
+A polynomial of degree n interpolates such an error at Chebyshev points of an interval. The
+remainder is at most 4 M rho^-n / (rho - 1), where M bounds the error in the Bernstein ellipse rho
+around the interval [T2013, theorem 8.2]. M follows from the Taylor coefficients of the curves at
+the middle of the interval. The polynomial lies in the hull of its Bezier points. The sum of both
+is a proven bound. An interval is halved until its bound is within the factor ``CLOSE`` of the
+largest error at any Chebyshev point of the corner.
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.smoothing.corners.corner_curves import Curves
-from cnc_interp.smoothing.segments import corner_breaks, span_at, spline_component
+from cnc_interp.smoothing.segments import corner_breaks, span_at
 
-#: Degree of the interpolation; proven / met where an interval is not halved again; most halvings.
+#: Degree of interpolation; accepted ratio of bound and largest error seen; most halvings.
 DEGREE, CLOSE, HALVINGS = 8, 1.01, 12
-#: Errors below this are rounding of coordinates [m].
+#: Errors below this value are rounding errors of coordinates [m].
 ROUNDING = 1e-14
-#: Chebyshev points in [-1, 1], and from values there to Bezier points.
+#: Chebyshev points in [-1, 1], and the matrix from values there to Bezier points.
 PLACES = -np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)
 TO_BEZIER = np.linalg.inv(
     np.array(
@@ -39,7 +41,7 @@ TO_BEZIER = np.linalg.inv(
         ]
     )
 )
-#: Ellipses tried: a large one makes rho^-n small and M large.
+#: Ellipses that are tried. A large rho makes rho^-n small, but M large.
 ELLIPSES = np.array([40.0, 16.0, 6.0, 2.5])
 BINOMIAL = np.array([[float(comb(n, k)) for k in range(8)] for n in range(8)])
 
@@ -53,24 +55,30 @@ def orientation_bounds(
     least: FloatArray,
 ) -> FloatArray:
     """
-    Bound the orientation deviation of corners, shape (n,) [m].
+    Compute a proven bound of the orientation deviation of corners.
 
     Parameters
     ----------
     curves : Curves
-        The corners.
+        The curves of n corners.
     legs, rates : ndarray, shape (n, 2, 3)
-        Unit vectors from the corner along both lines [-]; rotation vectors per metre [rad/m].
+        Unit vectors from the corner along both lines [-], and their rotation vectors per metre
+        [rad/m].
     outer : ndarray, shape (n, 2)
-        Both L2 [m].
+        L2 before and after the corner [m].
     height : float
         Flank height h [m].
     least : ndarray, shape (n,)
-        Deviation known to occur: smaller errors need no close bound [m].
+        Deviation that is known to occur. Errors below it need no close bound [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Bound of the orientation deviation at flank height [m].
 
     """
     return np.asarray(
-        bounds_of(
+        _bounds_of(
             curves.bottom, curves.top, curves.connection, curves.parametrization,
             legs, rates, outer, height, least,
         )
@@ -78,34 +86,40 @@ def orientation_bounds(
 
 
 @njit(cache=True, nogil=True)
-def bounds_of(bottom, top, connection, parametrization, legs, rates, outer, height, least):  # type: ignore[no-untyped-def]
-    """Bound the errors of many corners, shape (n,) [m]."""
+def _bounds_of(
+    bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
+    legs: FloatArray, rates: FloatArray, outer: FloatArray, height: float, least: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Return the bounds of many corners, shape (n,) [m]."""
     bounds = least.copy()
     for i in range(len(bottom)):
-        lift, met = powers(connection[i]), least[i]
-        lines = lines_of(bottom[i], top[i], legs[i], rates[i], outer[i], height)
+        lift, largest_seen = _powers(connection[i]), least[i]
+        lines = _programmed_lines(bottom[i], top[i], legs[i], rates[i], outer[i], height)
         breaks = corner_breaks(parametrization[i])
         for k in range(len(breaks) - 1):
-            met, bounds[i] = bound_piece(
+            largest_seen, bounds[i] = _bound_piece(
                 breaks[k], breaks[k + 1], bottom[i], top[i], lift, parametrization[i], lines,
-                height, met, bounds[i],
+                height, largest_seen, bounds[i],
             )  # fmt: skip
     return bounds
 
 
-#: Rows of what is programmed on one side of a corner.
+#: Rows of the programmed data on one side of a corner.
 AXIS, LEG, SLOPE, CHORD, SCALARS = range(5)
-#: Columns of its last row: rotation per metre, L2.
+#: Columns of the last of these rows: rotation per metre, L2.
 TURN, OUTER = range(2)
 
 
 @njit(cache=True, nogil=True)
-def lines_of(bottom, top, legs, rates, outer, height):  # type: ignore[no-untyped-def]
+def _programmed_lines(
+    bottom: FloatArray, top: FloatArray, legs: FloatArray, rates: FloatArray, outer: FloatArray,
+    height: float,
+) -> FloatArray:  # fmt: skip
     """
-    Return what is programmed on both sides of a corner, shape (2, 5, 3).
+    Return the programmed data on both sides of a corner, shape (2, 5, 3).
 
-    At x metres from the corner the axis is cos(turn x) axis + sin(turn x) slope; the top point's
-    foot is x = (top point - corner of the top polygon) . chord.
+    At x metres from the corner the programmed axis is cos(turn x) axis + sin(turn x) slope. The
+    foot of the top point is x = (top point - corner of the top polygon) . chord.
     """
     found = np.zeros((2, 5, 3))
     for side in range(2):
@@ -130,8 +144,8 @@ def lines_of(bottom, top, legs, rates, outer, height):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def powers(points):  # type: ignore[no-untyped-def]
-    """Return the power coefficients of a Bezier curve over [0, 1]."""
+def _powers(points: FloatArray) -> FloatArray:
+    """Return the power coefficients over [0, 1] of a Bezier curve, shape (k, d)."""
     found = points.copy()
     n = len(points) - 1
     for level in range(1, n + 1):
@@ -145,8 +159,8 @@ def powers(points):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def moved_to(coefficients, place):  # type: ignore[no-untyped-def]
-    """Return the Taylor coefficients at a place of polynomials given at zero."""
+def _shifted(coefficients: FloatArray, place: float) -> FloatArray:
+    """Return the Taylor coefficients at ``place`` of polynomials given at zero, shape (k, d)."""
     found = coefficients.copy()
     n = len(found)
     for i in range(n - 1):
@@ -157,8 +171,16 @@ def moved_to(coefficients, place):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def bound_piece(low, high, bottom, top, lift, parametrization, lines, height, met, proven):  # type: ignore[no-untyped-def]
-    """Return ``met`` and ``proven`` raised to the errors of one smooth piece, halved at need."""
+def _bound_piece(
+    low: float, high: float, bottom: FloatArray, top: FloatArray, lift: FloatArray,
+    parametrization: FloatArray, lines: FloatArray, height: float, largest_seen: float,
+    proven: float,
+) -> tuple[float, float]:  # fmt: skip
+    """
+    Raise the largest error seen and the bound to those of one smooth piece.
+
+    The piece is halved where its bound is not close enough. Returns both values [m].
+    """
     stack = np.empty((HALVINGS + 2, 3))
     stack[0, 0], stack[0, 1], stack[0, 2] = low, high, 0.0
     count = 1
@@ -167,57 +189,60 @@ def bound_piece(low, high, bottom, top, lift, parametrization, lines, height, me
         start, end, depth = stack[count, 0], stack[count, 1], stack[count, 2]
         middle = 0.5 * (start + end)
         half = 0.5 * (end - start)
-        tip, tool, late, strange = taylor(middle, half, bottom, top, lift, parametrization)
-        bound, met = bound_interval(
-            half, tip, tool, lines, int(middle > 0.5), int(late), height, met
+        tip, tool, late, outside = _taylor(middle, half, bottom, top, lift, parametrization)
+        bound, largest_seen = _bound_interval(
+            half, tip, tool, lines, int(middle > 0.5), int(late), height, largest_seen
         )
-        bound += 4.0 * height * strange / sqrt(along(tool[0], tool[0]))
-        if bound <= max(CLOSE * met, proven, ROUNDING) or depth >= HALVINGS:
+        bound += 4.0 * height * outside / sqrt(_scalar_product(tool[0], tool[0]))
+        if bound <= max(CLOSE * largest_seen, proven, ROUNDING) or depth >= HALVINGS:
             proven = max(proven, bound)
             continue
         stack[count, 0], stack[count, 1], stack[count, 2] = start, middle, depth + 1.0
         stack[count + 1, 0], stack[count + 1, 1], stack[count + 1, 2] = middle, end, depth + 1.0
         count += 2
-    return met, proven
+    return largest_seen, proven
 
 
 @njit(cache=True, nogil=True)
-def taylor(u, half, bottom, top, lift, parametrization):  # type: ignore[no-untyped-def]
+def _taylor(
+    u: float, half: float, bottom: FloatArray, top: FloatArray, lift: FloatArray,
+    parametrization: FloatArray,
+) -> tuple[FloatArray, FloatArray, bool, float]:  # fmt: skip
     """
     Return the Taylor coefficients at u of tip, shape (4, 3), and tool vector, shape (m, 3).
 
-    The tip counts from the corner; the tool vector is the difference of both curves (Eq. 5).
-    Also returned are whether the top curve is in its second half, and how far the tool vector
-    may be from the polynomial within u +- half, should f pass 0.5 there.
+    The tip is relative to the corner. The tool vector is the difference of both curves (Eq. 5).
+    The third value tells whether the top curve is in its second half. The last one bounds the
+    error of the polynomial within u +- half if f crosses 0.5 there, in metres.
     """
     tip, spline = np.empty((4, 3)), np.empty((4, 3))
     for c in range(3):
-        tip[0, c], tip[1, c], tip[2, c], tip[3, c] = spline_component(bottom, c, u, u > 0.5)
-    raised = moved_to(lift, u)
+        tip[0, c], tip[1, c], tip[2, c], tip[3, c] = corner_spline_jet(bottom, c, u, u > 0.5)
+    raised = _shifted(lift, u)
     if len(parametrization) == 0:
         t, inner = u, np.zeros((2, 1))
         inner[1, 0] = 1.0
     else:
         k, start, length = span_at(parametrization, u)
-        inner = moved_to(
-            powers(parametrization[k, 1:].copy().reshape((7, 1))), (u - start) / length
+        inner = _shifted(
+            _powers(parametrization[k, 1:].copy().reshape((7, 1))), (u - start) / length
         )
         for i in range(1, 7):
             inner[i, 0] /= length**i
         t = inner[0, 0]
     for c in range(3):
-        spline[0, c], spline[1, c], spline[2, c], spline[3, c] = spline_component(
+        spline[0, c], spline[1, c], spline[2, c], spline[3, c] = corner_spline_jet(
             top, c, t, t > 0.5
         )
     over, jump = -abs(t - 0.5), 0.0
     for i in range(1, len(inner)):
         over += abs(inner[i, 0]) * half**i
     for c in range(3):
-        jump += (spline[3, c] - spline_component(top, c, t, t <= 0.5)[3]) ** 2
-    strange = sqrt(jump) * max(over, 0.0) ** 3
+        jump += (spline[3, c] - corner_spline_jet(top, c, t, t <= 0.5)[3]) ** 2
+    outside = sqrt(jump) * max(over, 0.0) ** 3
     degree = 3 * (len(inner) - 1)
     tool = np.zeros((max(degree + 1, len(raised)), 3))
-    power = np.zeros(degree + 1)  # of f - f(u)
+    power = np.zeros(degree + 1)  # coefficients of (f - f(u))^k
     power[0] = 1.0
     for k in range(4):
         for i in range(degree + 1):
@@ -234,12 +259,12 @@ def taylor(u, half, bottom, top, lift, parametrization):  # type: ignore[no-unty
         for i in range(4):
             tool[i, c] -= tip[i, c]
         tip[0, c] -= bottom[2, c]
-    return tip, tool, t > 0.5, strange
+    return tip, tool, t > 0.5, outside
 
 
 @njit(cache=True, nogil=True)
-def reach(rows, radius):  # type: ignore[no-untyped-def]
-    """Bound how far a polynomial goes from its value at the middle of a complex disc."""
+def _variation(rows: FloatArray, radius: float) -> float:
+    """Bound the distance of a polynomial from its middle value in a complex disc."""
     total = 0.0
     for i in range(len(rows) - 1, 0, -1):
         square = rows[i, 0] ** 2 + rows[i, 1] ** 2 + rows[i, 2] ** 2
@@ -248,24 +273,29 @@ def reach(rows, radius):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline='always')
-def along(v, w):  # type: ignore[no-untyped-def]
-    """Return a scalar product."""
-    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+def _scalar_product(v: FloatArray, w: FloatArray) -> float:
+    """Return the scalar product of two vectors of length 3."""
+    return float(v[0] * w[0] + v[1] * w[1] + v[2] * w[2])
 
 
 @njit(cache=True, nogil=True, inline='always')
-def strayed(gap, o, line, x, height, row):  # type: ignore[no-untyped-def]
-    """Write gap + h (o - o'(x)) to a row and return its length."""
+def _write_axis_error(
+    gap: FloatArray, o: FloatArray, line: FloatArray, x: float, height: float, row: FloatArray
+) -> float:
+    """Write the error gap + h (o - o'(x)) to ``row`` and return its length [m]."""
     angle = line[SCALARS, TURN] * x
     cosine, sine = cos(angle), sin(angle)
     for c in range(3):
         row[c] = gap[c] + height * (o[c] - cosine * line[AXIS, c] - sine * line[SLOPE, c])
-    return sqrt(along(row, row))
+    return sqrt(_scalar_product(row, row))
 
 
 @njit(cache=True, nogil=True)
-def bound_interval(half, tip, tool, lines, side, top_side, height, met):  # type: ignore[no-untyped-def]
-    """Return a proven bound of both errors on an interval, and the largest error met so far."""
+def _bound_interval(
+    half: float, tip: FloatArray, tool: FloatArray, lines: FloatArray, side: int, top_side: int,
+    height: float, largest_seen: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Return a proven bound of both errors on an interval, and the largest error seen so far."""
     swing, tips, axes = (
         np.empty((DEGREE + 1, 3)),
         np.empty((DEGREE + 1, 3)),
@@ -279,72 +309,85 @@ def bound_interval(half, tip, tool, lines, side, top_side, height, met):  # type
             o[c] = tool[len(tool) - 1, c]
             for i in range(len(tool) - 2, -1, -1):
                 o[c] = o[c] * x + tool[i, c]
-        length = sqrt(along(o, o))
+        length = sqrt(_scalar_product(o, o))
         for c in range(3):
             o[c] /= length
-        met = max(met, strayed(gap, o, line, along(p, line[LEG]), height, swing[j]))
+        largest_seen = max(
+            largest_seen,
+            _write_axis_error(gap, o, line, _scalar_product(p, line[LEG]), height, swing[j]),
+        )
     nearest, away = np.full(DEGREE + 1, np.inf), np.inf
-    missed = missed_by(half, tip, tool, line, lines[top_side], height)
-    if missed[0] == np.inf:
-        return np.inf, met
-    swung = hull(swing) + missed[0]
+    remainder = _remainders(half, tip, tool, line, lines[top_side], height)
+    if remainder[0] == np.inf:
+        return np.inf, largest_seen
+    swung = _hull(swing) + remainder[0]
     for attempt in range(2):
-        if attempt == 1:  # perhaps the other side is nearer
-            missed = missed_by(half, tip, tool, line, lines[1 - top_side], height)
+        if attempt == 1:  # the other side of the top polygon may be nearer
+            remainder = _remainders(half, tip, tool, line, lines[1 - top_side], height)
         top_line = lines[top_side if attempt == 0 else 1 - top_side]
-        away = min(away, bound_away(tips, axes, top_line, height, missed, nearest))
-        if max(away, swung) <= CLOSE * met:
-            return max(away, swung), met
+        away = min(away, _bound_top_error(tips, axes, top_line, height, remainder, nearest))
+        if max(away, swung) <= CLOSE * largest_seen:
+            return max(away, swung), largest_seen
     for j in range(DEGREE + 1):
-        met = max(met, nearest[j])
-    return max(away, swung), met
+        largest_seen = max(largest_seen, nearest[j])
+    return max(away, swung), largest_seen
 
 
 @njit(cache=True, nogil=True)
-def bound_away(tips, axes, line, height, missed, nearest):  # type: ignore[no-untyped-def]
-    """Return a proven bound of ``away`` from one side, and lower ``nearest`` to values there."""
+def _bound_top_error(
+    tips: FloatArray, axes: FloatArray, line: FloatArray, height: float, remainder: FloatArray,
+    nearest: FloatArray,
+) -> float:  # fmt: skip
+    """Return a proven bound of the top error from one side; lower ``nearest`` to values there."""
     corner, away = np.empty((DEGREE + 1, 3)), np.empty((DEGREE + 1, 3))
     feet, gap, scratch = np.empty(DEGREE + 1), np.zeros(3), np.zeros(3)
     for j in range(DEGREE + 1):
         for c in range(3):
             corner[j, c] = tips[j, c] + height * (axes[j, c] - line[AXIS, c])
-        feet[j] = along(corner[j], line[CHORD])
-    low, high = span_of(feet)
-    shift = max(missed[3] - low, 0.0)  # no foot before the corner
-    # Half a block is L2 or more.
-    outside = high + shift + missed[3] > 1.5 * line[SCALARS, OUTER]
+        feet[j] = _scalar_product(corner[j], line[CHORD])
+    low, high = _value_range(feet)
+    shift = max(remainder[3] - low, 0.0)  # keeps every foot on this side of the corner
+    # The foot must lie on the programmed block, which is at least 2 L2 long.
+    outside = high + shift + remainder[3] > 1.5 * line[SCALARS, OUTER]
     for j in range(DEGREE + 1):
         foot = feet[j] + shift
         for c in range(3):
             gap[c] = tips[j, c] - foot * line[LEG, c]
-        found = strayed(gap, axes[j], line, foot, height, away[j])
-        if shift > 0.0:  # what is met is met at the foot itself, or at the corner
+        found = _write_axis_error(gap, axes[j], line, foot, height, away[j])
+        if shift > 0.0:  # the error itself is attained at the foot or at the corner
             foot = max(feet[j], 0.0)
             for c in range(3):
                 gap[c] = tips[j, c] - foot * line[LEG, c]
-            found = strayed(gap, axes[j], line, foot, height, scratch)
-        nearest[j] = min(nearest[j], found, sqrt(along(corner[j], corner[j])))
-    bound = np.inf if outside else hull(away) + missed[2]
+            found = _write_axis_error(gap, axes[j], line, foot, height, scratch)
+        nearest[j] = min(nearest[j], found, sqrt(_scalar_product(corner[j], corner[j])))
+    bound = np.inf if outside else _hull(away) + remainder[2]
     if outside or shift > 0.0:
-        bound = min(bound, hull(corner) + missed[1])
+        bound = min(bound, _hull(corner) + remainder[1])
     return bound
 
 
 @njit(cache=True, nogil=True)
-def missed_by(half, tip, tool, line, top_line, height):  # type: ignore[no-untyped-def]
-    """Bound what interpolation misses of swing, way from the corner, away and foot."""
+def _remainders(
+    half: float, tip: FloatArray, tool: FloatArray, line: FloatArray, top_line: FloatArray,
+    height: float,
+) -> FloatArray:  # fmt: skip
+    """
+    Bound the interpolation remainders, shape (4,) [m].
+
+    They belong to the axis error, the distance from the corner, the top error and the foot.
+    """
     found = np.full(4, np.inf)
-    straight = sqrt(along(tool[0], tool[0]))
-    chord = sqrt(along(top_line[CHORD], top_line[CHORD]))
+    straight = sqrt(_scalar_product(tool[0], tool[0]))
+    chord = sqrt(_scalar_product(top_line[CHORD], top_line[CHORD]))
     for rho in ELLIPSES:
         radius = 0.5 * half * (rho + 1.0 / rho)  # of a disc around the ellipse
-        share = reach(tool, radius) / straight
+        share = _variation(tool, radius) / straight
         square = share * (2.0 + share)  # |D . D / D0 . D0 - 1|
         if square > 0.75:
             continue
         stretch = 1.0 / sqrt(1.0 - square)
         axis = height * (share * stretch + stretch - 1.0)  # h |o - o0|
-        moved = reach(tip, radius)
+        moved = _variation(tip, radius)
         slid = (moved + axis) * chord
         turned = height * expm1(min(line[SCALARS, TURN] * moved, 30.0))  # h |o' - o'0|
         top_turned = height * expm1(min(top_line[SCALARS, TURN] * slid, 30.0))
@@ -357,8 +400,8 @@ def missed_by(half, tip, tool, line, top_line, height):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def hull(values):  # type: ignore[no-untyped-def]
-    """Return the largest length of the Bezier points of the polynomial through values."""
+def _hull(values: FloatArray) -> float:
+    """Return the largest length of the Bezier points of the polynomial through vector values."""
     most = 0.0
     for k in range(DEGREE + 1):
         square = 0.0
@@ -372,8 +415,8 @@ def hull(values):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def span_of(values):  # type: ignore[no-untyped-def]
-    """Return the least and the largest Bezier value of the polynomial through values."""
+def _value_range(values: FloatArray) -> tuple[float, float]:
+    """Return the smallest and largest Bezier value of the polynomial through scalar values."""
     low, high = np.inf, -np.inf
     for k in range(DEGREE + 1):
         point = 0.0

@@ -1,15 +1,16 @@
 """
-L2/L1 for the shortest machining time [B2013, section 2.2, leaves it open].
+The ratio L2/L1 of a corner for the shortest machining time; [B2013, section 2.2] leaves it open.
 
-Near a corner the axes move almost linearly with tip and tool axis, so the corner in *their* space
-is the same B-spline with legs along the slopes q_s of both lines. Each axis weighed by its jerk
-limit, three sizes tell its shape: max_i |q_s,i| / J_i before, behind, and of the difference.
+Near a corner the axes move almost linearly with tip and tool axis. So in the space of the axes
+the corner is the same B-spline, with legs along the slopes q_s of both lines. Each axis is divided
+by its jerk limit. Three sizes describe the shape: max_i |q_s,i| / J_i before the corner, after the
+corner, and of the difference.
 
-Where the slopes hardly differ, the speed hardly changes and wants the least q_sss: L2/L1 near
-1.5, at which the curvature is a triangle. Where they differ much, the tool brakes into the corner
-anyway and gains by turning early: 2. On a side where the axes move less per metre than on the
-other, the tip comes faster and wants a longer leg. The constants are fitted to planned machining
-times of random corners; ``docs/how_it_works/corner_rounding.md`` has the figures.
+If the slopes differ little, the speed hardly changes and the best ratio has the least q_sss.
+This is about 1.5, where the curvature is a triangle. If they differ much, the tool brakes for the
+corner anyway, and an early turn is better: about 2. On the side where the axes move less per
+metre, the tip is faster and needs a longer leg. The constants are fitted to planned machining
+times of random corners; see ``docs/how_it_works/corner_rounding.md``.
 """
 
 from __future__ import annotations
@@ -22,35 +23,40 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.orientation import cross, norm
 
-#: Axis movement per metre, each over its jerk limit, for poses (tip, axis, step, turn per metre).
+#: (tip, axis, direction of tip, rotation per metre) -> q_s of each axis over its jerk limit.
 AxisRates = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
-#: Ratio over the change of slope, between the least and the most of equal slopes.
+#: Ratio for equal slopes: offset, factor of the relative change, smallest and largest value.
 OFFSET, SLOPE, LEAST, MOST = 1.35, 0.65, 1.6, 2.0
-#: Growth with the logarithm of unequal slopes, and the largest ratio of all.
+#: Growth with the logarithm of the ratio of both slopes, and the largest ratio in any case.
 GROWTH, LARGEST = 0.5, 4.0
 
 
 def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> FloatArray:
     """
-    Return L2/L1 on both sides of corners, shape (n, 2).
+    Return L2/L1 on both sides of corners.
 
-    Without a machine, and where its axes are not defined (at the pole), the slopes of tip and top
-    point stand for those of the axes.
+    Without a machine, tip and top point replace the axes. The same happens where the axes are not
+    defined (at the pole).
 
     Parameters
     ----------
     corners : Corners
-        The corners.
+        Data of n corners.
     height : float
         Flank height [m].
     axis_rates : callable, optional
-        Axis movement per metre over the axes' jerk limits; rows that are not finite are unknown.
+        Axis movement per metre over the jerk limits. Rows that are not finite are unknown.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        L2/L1 before and after each corner [-].
 
     """
     steps = -corners.legs[:, 0], corners.legs[:, 1]
     swings = [height * cross(corners.rates[:, side], corners.axis) for side in (0, 1)]
-    found = best_ratios(
+    found = _best_ratios(
         *(
             np.maximum(norm(tip), norm(top))
             for tip, top in (
@@ -66,20 +72,12 @@ def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> 
         axis_rates(corners.tip, corners.axis, steps[side], corners.rates[:, side])
         for side in (0, 1)
     )
-    own = best_ratios(*(np.abs(slope).max(axis=1) for slope in (before, after, after - before)))
+    own = _best_ratios(*(np.abs(slope).max(axis=1) for slope in (before, after, after - before)))
     return np.where(np.isfinite(own), own, found)
 
 
-def best_ratios(before: FloatArray, after: FloatArray, change: FloatArray) -> FloatArray:
-    """
-    Return L2/L1 on both sides of corners, shape (n, 2), from three sizes.
-
-    Parameters
-    ----------
-    before, after, change : ndarray, shape (n,)
-        Largest slope of any axis over its jerk limit on both lines, and of their difference.
-
-    """
+def _best_ratios(before: FloatArray, after: FloatArray, change: FloatArray) -> FloatArray:
+    """Return L2/L1 on both sides of corners, shape (n, 2), from the three sizes, shape (n,)."""
     steepest = np.maximum(before, after)
     equal = np.clip(OFFSET + SLOPE * change / steepest, LEAST, MOST)
     sizes = np.maximum(np.stack([before, after], axis=1), 1e-9 * steepest[:, None])

@@ -1,4 +1,4 @@
-"""What a vertex between two blocks becomes: a corner, a stop, or nothing."""
+"""Classification of the vertices between blocks: passed, rounded or stopped at."""
 
 from __future__ import annotations
 
@@ -10,20 +10,38 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Corners
-from cnc_interp.smoothing.dense.growing_skeleton import STANDSTILL
-from cnc_interp.smoothing.dense.rows import Rows
+from cnc_interp.smoothing.dense.path_rows import Rows
+from cnc_interp.smoothing.dense.skeleton import STANDSTILL
 from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
 
-#: Directions (relative to 1) and rates at flank height that differ less go straight on.
+#: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9
-#: The path goes on, is rounded, or rests.
+#: Kinds of vertices: the path passes, is rounded, or the tool rests.
 PASS, ROUND, STOP = 0, 1, 2
 
 
 @dataclass
 class Legs:
-    """Geometry of the blocks between consecutive vertices, one row per block."""
+    """
+    Geometry of the n blocks between consecutive vertices.
+
+    Parameters
+    ----------
+    length : ndarray, shape (n,)
+        Length of the block [m].
+    direction : ndarray, shape (n, 3)
+        Unit direction of the tip [-].
+    rotation : ndarray, shape (n, 3)
+        Rotation vector of the tool axis over the block [rad].
+    turn : ndarray, shape (n,)
+        Angle of this rotation [rad].
+    rate : ndarray, shape (n, 3)
+        Rotation vector per metre of path [rad/m].
+    resting : ndarray of bool, shape (n,)
+        Whether the tip stands still.
+
+    """
 
     length: FloatArray
     direction: FloatArray
@@ -34,7 +52,20 @@ class Legs:
 
     @staticmethod
     def of(blocks: Blocks) -> Legs:
-        """Measure the blocks; row i leads from vertex i to vertex i + 1."""
+        """
+        Compute the geometry of blocks.
+
+        Parameters
+        ----------
+        blocks : Blocks
+            n + 1 vertices. Block i leads from vertex i to vertex i + 1.
+
+        Returns
+        -------
+        Legs
+            Geometry of n blocks.
+
+        """
         step = np.diff(blocks.tip, axis=0)
         length = norm(step)
         resting = length < STANDSTILL
@@ -45,7 +76,7 @@ class Legs:
 
 
 def refuse_reversals(rows: Rows, legs: Legs) -> None:
-    """Refuse blocks whose orientations are antiparallel: their great circle is undefined."""
+    """Raise BlockError for a block with antiparallel tool axes: its great circle is undefined."""
     blocks = rows.blocks
     cosine = dot(blocks.axis[:-1], blocks.axis[1:])
     programmed = np.isfinite(blocks.rotary[1:]).all(axis=1) & legs.resting
@@ -60,23 +91,23 @@ def refuse_reversals(rows: Rows, legs: Legs) -> None:
 
 def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits) -> IntArray:
     """
-    Decide what each vertex becomes.
+    Decide the kind of each vertex.
 
     Parameters
     ----------
     rows : Rows
-        The blocks, n vertices.
+        Lines and curves with n end poses.
     legs : Legs
-        Their geometry.
+        Geometry between these poses.
     flank_height : float
-        Height at which orientation is measured [m].
+        Flank height [m].
     machine : MachineTraits
-        Where the machine has to stop.
+        Largest turn that is rounded, and the cone around the pole.
 
     Returns
     -------
     ndarray of int, shape (n,)
-        PASS, ROUND or STOP; the ends are stops.
+        PASS, ROUND or STOP; the first and the last vertex are stops.
 
     """
     blocks, curve = rows.blocks, rows.count > 0
@@ -106,7 +137,24 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
 
 
 def corners_at(blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
-    """Collect what the program says about the corners at some vertices."""
+    """
+    Collect the programmed data of the corners at some vertices.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        The vertices.
+    legs : Legs
+        Geometry between them.
+    rows : ndarray of int, shape (n,)
+        Indices of the corner vertices.
+
+    Returns
+    -------
+    Corners
+        Data of n corners. The smaller tolerance of both blocks counts.
+
+    """
     tolerances = [
         np.minimum(column[rows], column[rows + 1])
         for column in (blocks.contour_tolerance, blocks.orientation_tolerance)

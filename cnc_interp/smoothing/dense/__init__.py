@@ -1,1 +1,1 @@
-"""Runs of short blocks become smooth curves within the tolerances."""
+"""Compression: runs of short blocks become smooth curves within the tolerances."""

@@ -1,10 +1,11 @@
 """
-Proof that a curve stays in the tolerance tube: no samples, the Bezier points of the difference.
+The certificate: a proof that a curve stays within the tolerances, without samples.
 
-On a piece of a span between two vertices the blocks are linear in u and the curve is a quintic, so
-their difference is a quintic and lies in the convex hull of its Bezier points. Curve and blocks
-are compared at the same u, which runs over both from end to end: the bound holds for the distance
-of the curve from the blocks and of the blocks from the curve, and tip and tool axis stay in step.
+On the part of a span between two vertices, the blocks are linear in u and the curve is a quintic.
+Their difference is a quintic, which lies in the convex hull of its Bezier points. Curve and blocks
+are compared at the same u, and u covers both from end to end. So the bound holds for the distance
+of the curve from the blocks and of the blocks from the curve. Tip and tool axis are compared at
+the same u, too.
 """
 
 from __future__ import annotations
@@ -14,54 +15,56 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-#: Pieces are halved this often where the hull is too wide.
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.bezier import quintic_part
+
+#: Largest number of times that a part is halved if the hull is too wide.
 HALVINGS = 3
-#: The tip moves on: each difference of its Bezier points along the chord, as a share of that.
+#: Smallest step of the Bezier points of the tip along the chord of the span, over the chord [-].
 ADVANCE = 0.01
 
 
 @njit(cache=True, nogil=True)
-def piece(points, a, b, out):  # type: ignore[no-untyped-def]
-    """Write the Bezier points of a quintic on the part from a to b of [0, 1]."""
-    columns = points.shape[1]
-    work = np.empty(6)
-    for c in range(columns):
-        for k in range(6):
-            for i in range(6):
-                work[i] = points[i, c]
-            for r in range(1, 6):
-                t = b if r <= k else a
-                for i in range(6 - r):
-                    work[i] = (1.0 - t) * work[i] + t * work[i + 1]
-            out[k, c] = work[0]
-
-
-@njit(cache=True, nogil=True)
-def hull(points, a, b, first, last, tool, turn, height, turning, work):  # type: ignore[no-untyped-def]
+def _hull(
+    points: FloatArray, a: float, b: float, first: FloatArray, last: FloatArray,
+    tool: FloatArray, turn: float, height: float, turning: bool, work: FloatArray,
+) -> tuple[float, float]:  # fmt: skip
     """
-    Bound the deviations of a quintic on the part a ... b of its span from a line.
+    Bound the deviations of the part a ... b of a quintic span from a line.
 
-    The top of the curve is where its tool axis points at flank height, p + h D/|D|: what D has
-    along the tool axis acts on nothing. With d = D - D' and o' the direction of D',
+    The top point is p + h D/|D|, where D = top - bottom. So the component of D along the tool axis
+    has no effect on it. With d = D - D' and the direction o' of D' on the line,
 
-        |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + 2.3 |d|^2/h + (h/|D'| - 1) |d|;
+        |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + 2.3 |d|^2/h + (h/|D'| - 1) |d|.
 
-    o' turns by ``turn`` along the line and is taken in its middle, which adds |d| turn.
+    o' turns by ``turn`` along the line. Its middle direction is used, which adds |d| turn.
 
     Parameters
     ----------
+    points : ndarray, shape (6, d)
+        Bezier points of tip and top [m].
+    a, b : float
+        Ends of the part in [0, 1].
     first, last : ndarray, shape (6,)
-        Tip and top of the line at a and b.
+        Tip and top of the line at a and b [m].
     tool : ndarray, shape (3,)
-        Its tool axis in the middle.
+        Tool axis in the middle of the line [-].
+    turn : float
+        Turn of the tool axis along the line [rad].
+    height : float
+        Flank height [m].
+    turning : bool
+        Whether the tool turns; without it, only the tip is compared.
+    work : ndarray, shape (6, d)
+        Work array.
 
     Returns
     -------
-    tuple of float
-        Contour and orientation deviation [m].
+    contour, orientation : float
+        Bounds of contour and orientation deviation [m].
 
     """
-    piece(points, a, b, work)
+    quintic_part(points, a, b, work)
     contour, top, across = 0.0, 0.0, 0.0
     for k in range(6):
         share = k / 5.0
@@ -93,33 +96,36 @@ def hull(points, a, b, first, last, tool, turn, height, turning, work):  # type:
 
 
 @njit(cache=True, nogil=True)
-def certify(points, knots, tip, axis, u, used, height, turning, allowed):  # type: ignore[no-untyped-def]
+def certify(
+    points: FloatArray, knots: FloatArray, tip: FloatArray, axis: FloatArray, u: FloatArray,
+    used: FloatArray, height: float, turning: bool, allowed: FloatArray,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """
-    Bound the deviation of spans from the blocks.
+    Bound the deviation of the spans of a curve from the blocks.
 
     Parameters
     ----------
     points : ndarray, shape (n, 6, d)
-        Bezier points of tip and (where the tool turns) top [m].
-    knots : ndarray
-        Parameters of the spans' ends, at least n + 1 [m].
+        Bezier points of the tip, and of the top if the tool turns [m].
+    knots : ndarray, shape (n + 1 or more,)
+        Curve parameters at the ends of the spans [m].
     tip, axis, u : ndarray, shapes (m, 3), (m, 3) and (m,)
-        Vertices of the blocks.
+        Vertices of the blocks: tip [m], tool axis [-] and curve parameter [m].
     used : ndarray, shape (m - 1, 2)
-        Deviation of each segment from the program, before it came here [m].
+        Deviation of each segment between vertices from the program [m].
     height : float
         Flank height [m].
     turning : bool
         Whether the tool turns.
     allowed : ndarray, shape (2,)
-        Contour and orientation tolerance; where the hull is wider it is refined [m].
+        Contour and orientation tolerance [m]; a wider hull is refined.
 
     Returns
     -------
     deviation : ndarray, shape (n, 2)
         Largest contour and orientation deviation of each span from the program [m].
     advances : ndarray of bool, shape (n,)
-        Whether the tip surely moves on everywhere in the span.
+        Whether the tip certainly moves forward everywhere in the span.
 
     """
     n = len(points)
@@ -161,7 +167,7 @@ def certify(points, knots, tip, axis, u, used, height, turning, allowed):  # typ
                         size += tool[i] * tool[i]
                     for i in range(3):
                         tool[i] /= sqrt(size)
-                    contour, top = hull(
+                    contour, top = _hull(
                         points[s], (a - start) / d, (b - start) / d, first, last, tool,
                         turn * (y - x), height, turning, work,
                     )  # fmt: skip

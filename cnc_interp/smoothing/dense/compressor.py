@@ -1,11 +1,12 @@
 """
-The compressor: runs of short blocks become smooth curves within the tolerances, block by block.
+The compressor: runs of short blocks become smooth curves within the tolerances.
 
-A run follows its polyline (``polyline.py``) window by window: a quintic spline through the whole
-window is fitted to the tube (``tube.py``), certified (``certificate.py``), and its first half is
-committed; the next window continues it with four derivatives. A window is solved when all it
-depends on has come, so the result is the same however the blocks arrive. Where a curve meets a
-line or a corner it takes over the line's own motion: straight tip, tool on the great circle.
+A run of short blocks is a polyline (``polyline.py``) that is processed window by window. A quintic
+spline through the whole window is fitted into the tolerance tube (``tube_fit.py``) and certified
+(``certificate.py``). Its first half is committed, and the next window continues it with four
+derivatives. A window is solved only when all data that it depends on have arrived. So the result
+does not depend on how the blocks arrive. Where a curve meets a line or a corner, it begins with
+the motion of the line: the tip moves straight and the tool axis on the great circle.
 """
 
 from __future__ import annotations
@@ -19,35 +20,40 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense.corner_search import CornerSearch
 from cnc_interp.smoothing.dense.curve_fit import AHEAD, Run, Window
-from cnc_interp.smoothing.dense.end_lines import Leg, leg_at, longest_spacing, with_leg
-from cnc_interp.smoothing.dense.growing_skeleton import LONG, SHORT, Chain, ChainBuilder
+from cnc_interp.smoothing.dense.end_lines import (
+    EndLine,
+    choose_end_line,
+    longest_spacing,
+    with_end_line,
+)
+from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.polyline import Polyline
-from cnc_interp.smoothing.dense.rows import Rows
+from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
 from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between
 
-#: Blocks that a run must have at least.
-FEWEST = 3
-#: Vertices kept behind the last one sent, before those further back are forgotten.
-KEPT = 2048
-#: Way that a run needs to end before a vertex, in tolerances.
-TO_END = 40.0
+#: Smallest number of blocks in a run.
+FEWEST_BLOCKS = 3
+#: Number of vertices that are kept before the last one sent.
+KEPT_VERTICES = 2048
+#: Shortest distance between the committed curve and the end of its run, in tolerances.
+SHORTEST_REST = 40.0
 
 
 class Compressor:
     """
-    Turn a stream of blocks into lines and curves.
+    Convert a stream of blocks to lines and curves.
 
     Parameters
     ----------
     settings : Settings
-        The user's choices: what becomes a curve.
+        Choices of the user.
     machine : MachineTraits
-        Where a turning tool stops.
+        Properties of the machine that the smoothing needs.
     row : int
-        Row in the program of the first block to come.
+        Program row of the first block.
     joined : bool
-        Whether a native spline ends at the first pose: the first block stays a line.
+        Whether a native spline ends at the first pose. Then the first block stays a line.
 
     """
 
@@ -61,26 +67,31 @@ class Compressor:
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
         self._pole, self._pole_cone = machine.pole, machine.pole_cone
-        self._builder = ChainBuilder(settings, machine, row, joined)
+        self._builder = SkeletonBuilder(settings, machine, row, joined)
         self._corners = CornerSearch(settings.corner_angle)
         self._first = row
-        self._at = 0  # the vertex that everything before is sent of
+        self._at = 0  # all blocks before this vertex have been sent
         self._begun = False
         self._run: Run | None = None
-        self._start = self._next = self._last = 0  # of the run: first vertex, next one, last one
-        self._lead: Leg | None = None  # before the run, until its first window is committed
-        self._tail: Leg | None = None  # after it
+        self._start = self._next = self._last = 0  # first, next and last vertex of the run
+        self._lead: EndLine | None = None  # line before a run, until it is sent
+        self._tail: EndLine | None = None  # line after the run
         self._after_curve = False
         self._rows: list[Rows] = []
 
     def push(self, blocks: Blocks) -> Rows:
         """
-        Take further blocks and return what is final.
+        Add blocks and return the rows that are final.
 
         Parameters
         ----------
         blocks : Blocks
             The next rows of the program; the very first row is the start pose.
+
+        Returns
+        -------
+        Rows
+            Lines and curves that later blocks cannot change.
 
         """
         if not self._enabled:
@@ -90,41 +101,55 @@ class Compressor:
         return self._advance(final=False)
 
     def finish(self, joined: bool = False) -> Rows:
-        """Return the rest; with ``joined`` the last block stays a line."""
+        """
+        Return the remaining rows.
+
+        Parameters
+        ----------
+        joined : bool
+            Whether a native spline follows. Then the last block stays a line.
+
+        Returns
+        -------
+        Rows
+            All lines and curves that were not returned before.
+
+        """
         if self._enabled:
             self._builder.push(None, final=True, joined=joined)
         return self._advance(final=True)
 
     def _advance(self, final: bool) -> Rows:
-        """Send all that is known."""
-        if self._builder.chain is not None:
-            self._corners.look(self._chain, final)
+        """Find corners, and return all rows that are final."""
+        if self._builder.skeleton is not None:
+            self._corners.decide(self._skeleton, final)
             self._send()
             self._forget()
         rows, self._rows = self._rows, []
         return Rows.concatenate(rows) if rows else Rows.none()
 
     @property
-    def _chain(self) -> Chain:
-        assert self._builder.chain is not None
-        return self._builder.chain
+    def _skeleton(self) -> Skeleton:
+        """Return the skeleton, which exists after the first block."""
+        assert self._builder.skeleton is not None
+        return self._builder.skeleton
 
     def _send(self) -> None:
-        """Send lines and runs, one after another, as far as vertices are decided."""
+        """Send lines and runs in order, as far as their vertices are decided."""
         if not self._begun and self._corners.decided:
             self._begun = True
-            self._rows.append(Rows.plain(self._chain.blocks[:1], self._first))
+            self._rows.append(Rows.plain(self._skeleton.blocks[:1], self._first))
         while True:
             if self._run is not None:
                 if not self._follow(self._run):
                     return
                 continue
-            chain, a = self._chain, self._at
+            skeleton, a = self._skeleton, self._at
             if a + 1 >= self._corners.decided:
                 return
-            if chain.kind[a + 1] == SHORT:
+            if skeleton.kind[a + 1] == SHORT:
                 start = a
-            elif chain.kind[a + 1] == LONG and not chain.ends[a + 1]:
+            elif skeleton.kind[a + 1] == LONG and not skeleton.ends[a + 1]:
                 start = a + 1
             else:
                 self._line(a + 1)
@@ -133,7 +158,7 @@ class Compressor:
             last, ended, ready = self._extent(start)
             if not ready:
                 return
-            if last - start >= FEWEST:
+            if last - start >= FEWEST_BLOCKS:
                 self._begin(start, last, ended)
                 continue
             for k in range(a + 1, last + 1):
@@ -142,39 +167,48 @@ class Compressor:
 
     def _extent(self, start: int) -> tuple[int, bool, bool]:
         """
-        Look how far a run from a vertex goes.
+        Find the end of a run that begins at a vertex.
 
         Returns
         -------
         last : int
-            Its last vertex known.
+            Last known vertex of the run.
         ended : bool
-            Whether it ends there.
+            Whether the run ends there.
         ready : bool
-            Whether enough is known to begin it, or not to.
+            Whether enough is known to decide if there is a run.
 
         """
-        chain, stop = self._chain, self._corners.decided
-        if start + 1 < len(chain) and chain.kind[start + 1] != SHORT:
+        skeleton, stop = self._skeleton, self._corners.decided
+        if start + 1 < len(skeleton) and skeleton.kind[start + 1] != SHORT:
             return start, True, True
         if start + 1 >= stop:
             return start, False, False
-        following = np.append(chain.kind[start + 2 : stop + 1], SHORT)[: stop - start - 1]
-        ends = np.flatnonzero(chain.ends[start + 1 : stop] | (following != SHORT))
+        following = np.append(skeleton.kind[start + 2 : stop + 1], SHORT)[: stop - start - 1]
+        ends = np.flatnonzero(skeleton.ends[start + 1 : stop] | (following != SHORT))
         if len(ends):
             return start + 1 + int(ends[0]), True, True
         last = stop - 1
-        long = chain.u[last] >= chain.u[start] + AHEAD * longest_spacing(chain, start + 1)
-        return last, False, bool(long) and last - start >= FEWEST
+        long = skeleton.u[last] >= skeleton.u[start] + AHEAD * longest_spacing(skeleton, start + 1)
+        return last, False, bool(long) and last - start >= FEWEST_BLOCKS
 
     def _line(
-        self, k: int, leg: Leg | None = None, leads: bool = False, off: FloatArray | None = None
+        self,
+        k: int,
+        leg: EndLine | None = None,
+        leads: bool = False,
+        off: FloatArray | None = None,
     ) -> None:
-        """Send the line to a vertex, on a leg perhaps; or only to where a curve begins on it."""
-        chain = self._chain
-        block = replace(chain.blocks[k : k + 1], exact_stop=chain.stop[k : k + 1].copy())
+        """
+        Send the line to vertex k.
+
+        With ``leg``, the line is an end line of a curve. With ``leads``, it ends where the curve
+        begins. ``off`` is its deviation from the program, shape (2,) [m].
+        """
+        skeleton = self._skeleton
+        block = replace(skeleton.blocks[k : k + 1], exact_stop=skeleton.stop[k : k + 1].copy())
         if off is None:
-            off = chain.used[k] if leg is None else leg.used
+            off = skeleton.used[k] if leg is None else leg.used
         if leg is not None and not block.rapid[0]:
             block = replace(block, feedrate=np.array([leg.feed]))
         if leg is not None and leads:
@@ -187,62 +221,65 @@ class Compressor:
             contour_tolerance=block.contour_tolerance - off[0],
             orientation_tolerance=block.orientation_tolerance - off[1],
         )
-        row = int(chain.row[k])
+        row = int(skeleton.row[k])
         self._rows.append(Rows.line(block, row, off, smooth=self._after_curve, leads=leads))
         self._after_curve = False
 
     def _begin(self, start: int, last: int, ended: bool) -> None:
-        """Open a run at a vertex."""
-        chain, height = self._chain, self._height
-        tip, axis = chain.blocks.tip, chain.blocks.axis
-        near = chain.u[start] + AHEAD * longest_spacing(chain, start + 1)
-        seen = min(last, int(np.searchsorted(chain.u, near)))
-        turning = bool(chain.turning[start + 1 : seen + 1].any()) or not self._fixed(axis[start])
-        if chain.stop[start]:
-            jet = np.concatenate([tip[start], chain.top[start]])[None]
+        """Begin a run at a vertex."""
+        skeleton, height = self._skeleton, self._height
+        tip, axis = skeleton.blocks.tip, skeleton.blocks.axis
+        near = skeleton.u[start] + AHEAD * longest_spacing(skeleton, start + 1)
+        seen = min(last, int(np.searchsorted(skeleton.u, near)))
+        turning = bool(skeleton.turning[start + 1 : seen + 1].any())
+        turning = turning or not self._fixed(axis[start])
+        if skeleton.stop[start]:
+            jet = np.concatenate([tip[start], skeleton.top[start]])[None]
             self._lead = None
             line, following = Polyline.at(tip[start], axis[start], start), start + 1
         else:
-            leg = leg_at(chain, start, 1, last, ended)
+            leg = choose_end_line(skeleton, start, 1, last, ended)
             self._lead = leg
             line = Polyline.at(*leg.pose, -1)
-            line, jet = with_leg(line, leg, leg.goal, leg.vertex, chain, height)
+            line, jet = with_end_line(line, leg, leg.goal, leg.vertex, skeleton, height)
             following = leg.vertex + 1
-        self._run = Run(line, jet, turning, height, longest_spacing(chain, start + 1), self._share)
+        longest = longest_spacing(skeleton, start + 1)
+        self._run = Run(line, jet, turning, height, longest, self._share)
         self._start, self._next = start, following
 
     def _fixed(self, axis: FloatArray) -> bool:
-        """Tell whether a tool that does not turn now stays as it is for the whole run."""
+        """Tell whether a tool that does not turn now cannot turn later in the run."""
         if self._pole is None:
             return True
         angle = float(angles_between(axis, np.asarray(self._pole)))
         return min(angle, np.pi - angle) < self._pole_cone
 
     def _follow(self, run: Run) -> bool:
-        """Commit one window of the run; False when more blocks are needed."""
-        chain, start = self._chain, self._start
+        """Process one window of the run; return False if more blocks are necessary."""
+        skeleton, start = self._skeleton, self._start
         if not run.ended:
             last, ended, _ = self._extent(start)
-            turned = np.flatnonzero(chain.turning[start + 1 : last + 1])
+            turned = np.flatnonzero(skeleton.turning[start + 1 : last + 1])
             if not run.turning and len(turned):
-                # so far the tool did not turn: this curve ends where it begins to
-                chain.corner[start + int(turned[0])] = True
+                # The tool did not turn up to here, so this curve ends where it begins to turn.
+                skeleton.corner[start + int(turned[0])] = True
                 last, ended, _ = self._extent(start)
             if last >= self._next:
                 rows = slice(self._next, last + 1)
                 run.line = run.line.extended(
-                    chain.blocks.tip[rows], chain.blocks.axis[rows], np.arange(last + 1)[rows],
-                    chain.used[rows], chain.feed[rows], chain.row[rows],
-                    chain.blocks.line_number[rows], self._height,
+                    skeleton.blocks.tip[rows], skeleton.blocks.axis[rows],
+                    np.arange(last + 1)[rows],
+                    skeleton.used[rows], skeleton.feed[rows], skeleton.row[rows],
+                    skeleton.blocks.line_number[rows], self._height,
                 )  # fmt: skip
                 self._next = last + 1
-            found = run.window(chain.tolerance[last], final=False)
+            found = run.window(skeleton.tolerance[last], final=False)
             if found is None:
                 if not ended:
                     return False
                 self._end(run, last)
         if run.ended:
-            found = run.window(chain.tolerance[self._last], final=True)
+            found = run.window(skeleton.tolerance[self._last], final=True)
         assert found is not None
         if found.spans is None:
             self._retreat(run, found.worst)
@@ -251,27 +288,27 @@ class Compressor:
         return True
 
     def _end(self, run: Run, last: int) -> None:
-        """Lead the polyline of a run to its end."""
-        chain = self._chain
+        """Complete the polyline of a run with its end line."""
+        skeleton = self._skeleton
         self._last = last
-        if chain.stop[last]:
+        if skeleton.stop[last]:
             self._tail = None
-            pose = np.concatenate([chain.blocks.tip[last], chain.top[last]])[None]
+            pose = np.concatenate([skeleton.blocks.tip[last], skeleton.top[last]])[None]
             run.end(run.line, pose)
             return
-        leg = leg_at(chain, last, -1, self._start, True)
+        leg = choose_end_line(skeleton, last, -1, self._start, True)
         self._tail = leg
         line = run.line.upto(leg.vertex)
-        run.end(*with_leg(line, leg, leg.pose, -1, chain, self._height))
+        run.end(*with_end_line(line, leg, leg.pose, -1, skeleton, self._height))
 
     def _commit(self, run: Run, found: Window) -> None:
-        """Send the first spans of a window, the line that leads to them, and the line after."""
-        chain = self._chain
+        """Send the first spans of a window, and the lines before and after the curve."""
+        skeleton = self._skeleton
         if self._lead is not None:
             lead, self._lead = self._lead, None
             self._line(lead.segment, lead, leads=True)
         assert found.spans is not None
-        self._rows.append(self._curve(found, smooth=run.begun or not chain.stop[self._start]))
+        self._rows.append(self._curve(found, smooth=run.begun or not skeleton.stop[self._start]))
         run.begun = True
         self._after_curve = True
         if not found.last:
@@ -282,15 +319,15 @@ class Compressor:
         self._at = last
         if tail is None:
             self._after_curve = False
-        elif chain.ends[last]:
+        elif skeleton.ends[last]:
             self._line(last, tail)
 
     def _curve(self, found: Window, smooth: bool) -> Rows:
-        """Return the row of a piece of curve."""
-        chain, spans = self._chain, found.spans
+        """Return the row of the committed part of a curve."""
+        skeleton, spans = self._skeleton, found.spans
         assert spans is not None
         k = self._last if found.last else self._start + 1
-        block = chain.blocks[k : k + 1]
+        block = skeleton.blocks[k : k + 1]
         block = replace(
             block,
             tip=spans.bottom[-1:, 5].copy(),
@@ -303,39 +340,40 @@ class Compressor:
 
     def _retreat(self, run: Run, worst: float) -> None:
         """
-        Give a run up from where no curve holds the tolerance.
+        End a run earlier, because no curve keeps the tolerance at the position ``worst`` [m].
 
-        It ends at a vertex there, with a corner. Where that is too near, the blocks themselves
-        are driven: all of them if nothing is committed, else from a stop to the next vertex.
+        The run ends at a vertex there, with a corner. If this vertex is too near, the blocks are
+        followed as lines: all of them if nothing is committed yet. Otherwise the tool stops at
+        the end of the curve and moves straight to the next vertex.
         """
-        chain, least = self._chain, float(self._chain.tolerance[self._start + 1].min())
+        skeleton, least = self._skeleton, float(self._skeleton.tolerance[self._start + 1].min())
         line = run.whole
         inside = np.flatnonzero(line.vertex >= 0)
         place = line.u[inside]
         nearest = int(np.argmin(np.abs(place - worst)))
         vertex = int(line.vertex[inside[nearest]])
-        near = place[nearest] < run.t + TO_END * least
+        near = place[nearest] < run.t + SHORTEST_REST * least
         if not run.begun:
             self._run = None
-            if vertex - self._start < FEWEST or near or vertex >= self._end_of(run):
+            if vertex - self._start < FEWEST_BLOCKS or near or vertex >= self._end_of(run):
                 vertex = max(vertex, self._start + 1)
-                chain.corner[self._start + 1 : vertex + 1] = True
+                skeleton.corner[self._start + 1 : vertex + 1] = True
             else:
-                chain.corner[vertex] = True
+                skeleton.corner[vertex] = True
             return
         if near:
-            later = inside[place >= run.t + TO_END * least]
+            later = inside[place >= run.t + SHORTEST_REST * least]
             vertex = int(line.vertex[later[0]]) if len(later) else -1
         if 0 <= vertex < self._end_of(run):
-            chain.corner[vertex] = True
+            skeleton.corner[vertex] = True
             run.reopen(vertex)
             self._next = vertex + 1
             return
-        # from where the curve ends, off the blocks by what it may, straight to the next vertex
+        # The curve may end beside the blocks, within its tolerance; a line leads back to a vertex.
         vertex = int(line.vertex[inside[place > run.t][0]])
         self._after_curve = False
-        chain.stop[vertex] = chain.corner[vertex] = True
-        self._line(vertex, off=self._share * chain.tolerance[vertex])
+        skeleton.stop[vertex] = skeleton.corner[vertex] = True
+        self._line(vertex, off=self._share * skeleton.tolerance[vertex])
         self._at, self._run = vertex, None
 
     def _end_of(self, run: Run) -> int:
@@ -343,16 +381,17 @@ class Compressor:
         return self._last if run.ended else self._next
 
     def _forget(self) -> None:
-        """Drop vertices that nothing depends on any more."""
-        chain = self._chain
-        widest = float(chain.tolerance[-1].max())
-        kept = int(np.searchsorted(chain.u, chain.u[self._corners.turned - 1] - 20.0 * widest))
-        # a run that has begun never comes back to where it started, however long it gets
+        """Drop vertices that no later result depends on."""
+        skeleton = self._skeleton
+        widest = float(skeleton.tolerance[-1].max())
+        behind = skeleton.u[self._corners.turned - 1] - 20.0 * widest
+        kept = int(np.searchsorted(skeleton.u, behind))
+        # A run that has begun never needs its first vertices again, however long it becomes.
         needed = self._start if self._run is not None and self._run.begun else self._at
         first = min(needed - 1, kept - 1, self._corners.decided - 1)
-        if first < KEPT:
+        if first < KEPT_VERTICES:
             return
-        self._builder.chain = chain.after(first)
+        self._builder.skeleton = skeleton.after(first)
         self._corners.shift(first)
         self._at -= first
         self._start -= first

@@ -1,4 +1,4 @@
-"""One curve in the making: fitted window by window, certified, committed by halves of them."""
+"""One curve through a run of short blocks: fitted, certified and committed window by window."""
 
 from __future__ import annotations
 
@@ -7,37 +7,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.smoothing.dense import certificate, knots, polyline, tube
+from cnc_interp.core.bezier import quintic_end_jet
+from cnc_interp.core.bspline import (
+    clamped_knots,
+    quintic_bezier_matrices,
+    quintic_bezier_points,
+)
+from cnc_interp.smoothing.dense import certificate, knots, polyline, tube_fit
+from cnc_interp.smoothing.dense.path_rows import Spans
 from cnc_interp.smoothing.dense.polyline import Polyline
-from cnc_interp.smoothing.dense.rows import Spans
 
 #: Longest and shortest spacing of knots, in tolerances.
 LONGEST, FINEST = 100.0, 2.0
-#: Spans solved together, and committed; the last window of a run may have ``LAST``.
+#: Spans in a window, spans committed of it, and most spans in the last window of a run.
 WINDOW, COMMIT, LAST = 40, 20, 60
-#: Fewest spans of a curve between its ends.
+#: Smallest number of spans of a curve between its ends.
 LEAST = 6
-#: Way beyond a window that knots depend on, in longest spacings.
+#: Distance after a window up to which the polyline influences its knots, in longest spacings.
 AHEAD = 3.0
-#: What is tried with a window, one after another: fewest and most sweeps, aim, spacing.
+#: Attempts for a window, in order: fewest and most sweeps, aim, factor of the knot spacing.
 ATTEMPTS = ((1, 40, 0.85, 1.0), (1, 80, 0.7, 1.0), (1, 60, 0.75, 0.5), (1, 60, 0.75, 0.25))
 
 
 @dataclass(frozen=True)
 class Window:
     """
-    What came of a window.
+    The result of a window.
 
     Parameters
     ----------
     spans : Spans or None
-        The spans to commit; None where no curve was found in the tube.
+        Spans to commit; None if no curve within the tolerances was found.
     axis : ndarray, shape (3,)
-        Tool axis at their end [-].
+        Tool axis at the end of these spans [-].
     last : bool
-        Whether the run ends with them.
+        Whether the run ends there.
     worst : float
-        Where the deviation was too large [m].
+        Curve parameter at which the deviation was too large [m].
 
     """
 
@@ -49,14 +55,14 @@ class Window:
 
 class Run:
     """
-    A run of short blocks and the curve through it, as far as it is committed.
+    A run of short blocks, and the curve through it as far as it is committed.
 
     Parameters
     ----------
     line : Polyline
-        What the curve follows; grows as blocks come.
+        Polyline that the curve follows. It grows while blocks arrive.
     jet : ndarray, shape (m, 6)
-        Value and derivatives, divided by their factorials, with which the curve begins.
+        Value and derivatives at the start of the curve, divided by factorials of their order.
     turning : bool
         Whether the tool turns.
     height, longest : float
@@ -84,37 +90,52 @@ class Run:
 
     @property
     def passed(self) -> int:
-        """The last vertex of the chain that is committed; -1 if none."""
+        """Return the last skeleton vertex that the committed curve has passed, or -1."""
         known = self.line.vertex[: int(np.searchsorted(self.line.u, self.t, 'right'))]
         return int(known.max(initial=-1))
 
     def end(self, line: Polyline, jet: FloatArray) -> None:
-        """Say how the run ends: what it follows and the derivatives at its end."""
+        """
+        Set the end of the run.
+
+        Parameters
+        ----------
+        line : Polyline
+            The complete polyline of the run.
+        jet : ndarray, shape (m, 6)
+            Value and derivatives at the end, divided by factorials of their order.
+
+        """
         self.whole, self.line = self.line, line
         self.ended, self._end_jet = True, jet
 
     def reopen(self, vertex: int) -> None:
-        """Let the run end at an earlier vertex, in a way that is still to be said."""
+        """Shorten the run to an earlier vertex; ``end`` must be called again."""
         line = self.whole if self.ended else self.line
         self.line = self.whole = line.upto(vertex)
         self.ended, self._end_jet = False, self._jet[:0]
 
     def shift(self, first: int) -> None:
-        """Count the vertices of the chain from a later one."""
+        """Renumber the skeleton vertices after the first ones were dropped."""
         lines = [self.line] if self.whole is self.line else [self.line, self.whole]
         for line in lines:
             line.vertex = np.where(line.vertex >= 0, line.vertex - first, -1)
 
     def window(self, tolerance: FloatArray, final: bool) -> Window | None:
         """
-        Fit the next window; None when it is not all there yet.
+        Fit the next window; return None if more blocks are necessary.
 
         Parameters
         ----------
         tolerance : ndarray, shape (2,)
             Contour and orientation tolerance [m].
         final : bool
-            Whether the run has its end.
+            Whether the end of the run is known.
+
+        Returns
+        -------
+        Window or None
+            The spans to commit, or the place where no curve keeps the tolerance.
 
         """
         if not final:
@@ -122,18 +143,18 @@ class Run:
         least = float(tolerance.min())
         line, end = self.line, float(self.line.u[-1])
         limit = end
-        if not final:  # the spacing wanted at a vertex is final when that way behind it is known
+        if not final:  # the spacing at a vertex depends on the vertices up to AHEAD after it
             known = int(np.searchsorted(line.u, end - AHEAD * self._longest, 'right')) - 1
             limit = float(line.u[max(known, 0)])
             if limit <= self.t:
                 return None
         left = self._share * tolerance - line.used
-        wanted = knots.spacings(
+        wanted = knots.knot_spacings(
             line.tip, line.axis, line.u, left, self._height, self._longest, FINEST * least
         )
         worst = self.t
         for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
-            found = knots.march(
+            found = knots.place_knots(
                 line.u, wanted, self.t, limit, factor, factor * FINEST * least, LAST
             )
             whole = found[-1] >= limit
@@ -150,7 +171,7 @@ class Run:
         return Window(None, line.axis[-1], False, worst)
 
     def _to_the_end(self, found: FloatArray, end: float) -> FloatArray:
-        """Return knots that meet the end of the run, with spans enough for both ends."""
+        """Return knots that end at the end of the run, with enough spans for both ends."""
         count = len(found) - 1
         found = self.t + (found - self.t) * ((end - self.t) / (found[-1] - self.t))
         if count < LEAST:
@@ -167,31 +188,31 @@ class Run:
         sweeps: tuple[int, int],
         aim: float,
     ) -> Window | float:
-        """Return the spans to commit between knots, or where the deviation is too large."""
+        """Return the spans to commit, or the place where the deviation is too large [m]."""
         line, height = self.line, self._height
         spans = len(found) - 1
-        full = tube.clamped(found)
-        matrices = tube.bezier_matrices(full, spans)
-        cloud = knots.samples(line.tip, line.axis, line.u, left, found, height)
-        stiffness = tube.STIFFNESS * float(tolerance.min()) / tube.TYPICAL
-        coefficients, _ = tube.fit(
-            full, matrices, found, self._jet, self._end_jet if last else self._jet[:0], cloud,
+        full = clamped_knots(found)
+        matrices = quintic_bezier_matrices(full, spans)
+        samples = knots.sample_points(line.tip, line.axis, line.u, left, found, height)
+        stiffness = tube_fit.STIFFNESS * float(tolerance.min()) / tube_fit.TYPICAL
+        coefficients, _ = tube_fit.fit(
+            full, matrices, found, self._jet, self._end_jet if last else self._jet[:0], samples,
             self.turning, sweeps, aim, stiffness,
         )  # fmt: skip
         count = spans if last else COMMIT
-        points = tube.span_points(coefficients, matrices, count)
-        if last:  # to the last bit where it must be
+        points = quintic_bezier_points(coefficients, matrices, count)
+        if last:  # exact to the last bit
             points[-1, 5] = self._end_jet[0, : points.shape[2]]
         deviation, advances = certificate.certify(
             points, found, line.tip, line.axis, line.u, line.used, height, self.turning,
             self._share * tolerance,
         )  # fmt: skip
         excess = np.where(advances, (deviation / (self._share * tolerance)).max(axis=1), np.inf)
-        if not excess.max() <= 1.0:  # nor where a solution broke down
+        if not excess.max() <= 1.0:  # also true for NaN, if the solution broke down
             worst = int(np.argmax(excess))
             return float(0.5 * (found[worst] + found[worst + 1]))
         source, cut, speed, segment = polyline.pieces(points, found, line.u, line.feed, line.row)
-        # the motion starts in the first block and ends in the last, however short they are
+        # The motion starts in the first block and ends in the last one, however short they are.
         if not self.begun:
             segment[0, 0] = 0
         if last:
@@ -204,7 +225,7 @@ class Run:
             axis = line.axis[-1] if last else tool / np.sqrt(tool @ tool)
         else:
             top = bottom + height * axis
-        jet = tube.end_jet(points[-1], found[count] - found[count - 1])
+        jet = quintic_end_jet(points[-1], found[count] - found[count - 1])
         self.t = float(found[count])
         self._jet = jet if self.turning else np.concatenate([jet, np.zeros((5, 3))], axis=1)
         if not last:
@@ -218,7 +239,7 @@ class Run:
         )  # fmt: skip
 
     def _drop(self) -> None:
-        """Forget vertices that no window depends on any more."""
+        """Drop vertices that no later window depends on."""
         if self.ended:
             return
         first = int(np.searchsorted(self.line.u, self.t - 1.05 * AHEAD * self._longest)) - 1

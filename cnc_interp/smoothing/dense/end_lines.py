@@ -1,4 +1,4 @@
-"""The lines on which curves start and end: long blocks, and chords beside corners."""
+"""The lines at both ends of a curve: a long block, or a chord over short blocks at a corner."""
 
 from __future__ import annotations
 
@@ -7,49 +7,49 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.smoothing.dense import skeleton
+from cnc_interp.smoothing.dense import thinning
 from cnc_interp.smoothing.dense.curve_fit import AHEAD, LONGEST
-from cnc_interp.smoothing.dense.growing_skeleton import Chain
 from cnc_interp.smoothing.dense.polyline import Polyline
+from cnc_interp.smoothing.dense.skeleton import Skeleton
 from cnc_interp.smoothing.orientation import rotations_between, turned_by
 
-#: A chord beside a corner is this long, where it can be, and the corner gets this part of it; both
-#: in tolerances.
+#: Wanted length of a chord at a corner, and the part of it for the corner, both in tolerances.
 CHORD, CORNER_PART = 20.0, 14.0
-#: Way along the blocks within which it ends, in tolerances.
+#: Distance along the blocks within which a chord must end, in tolerances.
 REACH = 30.0
-#: Tolerances that blocks may lie off it.
+#: Largest distance of the blocks from the chord, in tolerances.
 OFF = 0.3
-#: Blocks on a chord are told apart where they are this long, in tolerances.
+#: Shortest block on a chord that keeps its own program row, in tolerances.
 CUT = 0.5
-#: A curve starts inside a long block at most this many longest spacings before its end,
-#: and within this share of it.
+#: A curve begins inside a long block, at most this many longest spacings before the end of the
+#: block, and within this part of its length.
 LEAD, LEAD_SHARE = 2.0, 0.4
 
 
 @dataclass(frozen=True)
-class Leg:
+class EndLine:
     """
     The line on which a run starts or ends.
 
     Parameters
     ----------
     segment : int
-        Segment of the chain that it stands for.
+        Segment of the skeleton that the line replaces.
     vertex : int
-        Vertex of the chain next to it inside the run.
+        Skeleton vertex at the inner end of the line.
     pose : tuple of ndarray
-        Tip and axis where line and curve meet.
+        Tip [m] and tool axis [-] where line and curve meet.
     goal : tuple of ndarray
-        Tip and axis of ``vertex``.
+        Tip [m] and tool axis [-] of ``vertex``.
     used : ndarray, shape (2,)
         Deviation of the line from the blocks [m].
     feed : float
-        Lowest feed of the blocks that it stands for [m/s].
+        Smallest feed of the blocks that the line replaces [m/s].
     cuts : ndarray, shape (m,)
-        Where these blocks meet on the way between ``pose`` and ``goal``, as the tool goes [-].
+        Borders of these blocks between ``pose`` and ``goal``, from 0 to 1 in the direction of
+        motion [-].
     pieces : ndarray of int, shape (m + 1,)
-        Segments of the chain between the cuts.
+        Segments of the skeleton between these borders.
 
     """
 
@@ -63,63 +63,97 @@ class Leg:
     pieces: IntArray
 
 
-def longest_spacing(chain: Chain, k: int) -> float:
-    """Return the longest spacing of knots at a segment [m]."""
-    return LONGEST * float(chain.tolerance[k].min())
-
-
-def leg_at(chain: Chain, vertex: int, step: int, other: int, ended: bool) -> Leg:
+def longest_spacing(skeleton: Skeleton, k: int) -> float:
     """
-    Choose the line on which a run meets what is before (step 1) or after it (step -1).
+    Return the longest spacing of knots at a segment.
 
-    Beside a long block that is the block itself; at a corner it is a chord over as many short
-    blocks as lie near it. ``other`` is the vertex at the far end of the run, as far as it is known
-    (``ended``: it ends there).
+    Parameters
+    ----------
+    skeleton : Skeleton
+        The skeleton.
+    k : int
+        Segment of the skeleton.
+
+    Returns
+    -------
+    float
+        Spacing in the curve parameter [m].
+
     """
-    tip, axis = chain.blocks.tip, chain.blocks.axis
+    return LONGEST * float(skeleton.tolerance[k].min())
+
+
+def choose_end_line(
+    skeleton: Skeleton, vertex: int, step: int, other: int, ended: bool
+) -> EndLine:
+    """
+    Choose the line on which a run begins or ends.
+
+    Next to a long block it is that block. At a corner it is a chord over the short blocks near it.
+
+    Parameters
+    ----------
+    skeleton : Skeleton
+        The skeleton.
+    vertex : int
+        Vertex at which the run begins or ends.
+    step : int
+        1 at the beginning of the run, -1 at its end.
+    other : int
+        Vertex at the far end of the run, as far as it is known.
+    ended : bool
+        Whether the run ends at ``other``.
+
+    Returns
+    -------
+    EndLine
+        The line.
+
+    """
+    tip, axis = skeleton.blocks.tip, skeleton.blocks.axis
     here = tip[vertex], axis[vertex]
-    if not chain.ends[vertex]:
+    if not skeleton.ends[vertex]:
         k = vertex if step > 0 else vertex + 1
         far = vertex - step
         length = float(np.linalg.norm(tip[far] - tip[vertex]))
-        share = min(LEAD_SHARE, LEAD * longest_spacing(chain, k) / length)
-        pose = between(*here, tip[far], axis[far], share)
-        feed, piece = float(chain.feed[k]), np.array([k])
-        return Leg(k, vertex, pose, here, chain.used[k], feed, np.zeros(0), piece)
+        share = min(LEAD_SHARE, LEAD * longest_spacing(skeleton, k) / length)
+        pose = _pose_between(*here, tip[far], axis[far], share)
+        feed, piece = float(skeleton.feed[k]), np.array([k])
+        return EndLine(k, vertex, pose, here, skeleton.used[k], feed, np.zeros(0), piece)
     k = vertex + 1 if step > 0 else vertex
-    longest, least = longest_spacing(chain, k), float(chain.tolerance[k].min())
-    whole = abs(float(chain.u[other] - chain.u[vertex]))
+    longest, least = longest_spacing(skeleton, k), float(skeleton.tolerance[k].min())
+    whole = abs(float(skeleton.u[other] - skeleton.u[vertex]))
     reach = whole / 3.0 if ended and whole < AHEAD * longest else REACH * least
-    beyond = np.searchsorted(chain.u, chain.u[vertex] + step * reach, 'right')
+    beyond = np.searchsorted(skeleton.u, skeleton.u[vertex] + step * reach, 'right')
     if step > 0:
         far = min(max(int(beyond) - 1, vertex + 1), other)
     else:
         far = max(min(int(beyond), vertex - 1), other)
-    end, off, off_top = skeleton.straight_from(
-        tip, chain.top, chain.tolerance[k], vertex, step, far, CHORD * least, OFF
+    end, off, off_top = thinning.longest_chord(
+        tip, skeleton.top, skeleton.tolerance[k], vertex, step, far, CHORD * least, OFF
     )
     low, high = min(vertex, end), max(vertex, end)
-    used = np.array([off, off_top]) + chain.used[low + 1 : high + 1].max(axis=0)
+    used = np.array([off, off_top]) + skeleton.used[low + 1 : high + 1].max(axis=0)
     length = float(np.linalg.norm(tip[end] - tip[vertex]))
     share = min(0.5, CORNER_PART * least / length)
-    pose = between(*here, tip[end], axis[end], share)
+    pose = _pose_between(*here, tip[end], axis[end], share)
     covered = np.arange(low + 1, high + 1)
-    # feet of the vertices between on the chord, as share of the way from pose to end
+    # Feet of the inner vertices on the chord, as part of the distance from the pose to its end.
     along = (tip[covered[:-1]] - tip[vertex]) @ (tip[end] - tip[vertex]) / length**2
     place = (along - share) / (1.0 - share)
     if step < 0:
         place = 1.0 - place
-    cuts, pieces = spread(place, covered, CUT * least / (length * (1.0 - share)))
-    feed = float(chain.feed[low + 1 : high + 1].min())
-    return Leg(k, end, pose, (tip[end], axis[end]), used, feed, cuts, pieces)
+    cuts, pieces = _borders(place, covered, CUT * least / (length * (1.0 - share)))
+    feed = float(skeleton.feed[low + 1 : high + 1].min())
+    return EndLine(k, end, pose, (tip[end], axis[end]), used, feed, cuts, pieces)
 
 
-def spread(place: FloatArray, segments: IntArray, apart: float) -> tuple[FloatArray, IntArray]:
-    """Return borders between segments within 0 to 1 that are this far apart, and what is left."""
+def _borders(place: FloatArray, segments: IntArray, apart: float) -> tuple[FloatArray, IntArray]:
+    """Return borders between segments in [0, 1], at least ``apart`` apart, and the segments."""
     cuts: list[float] = []
     pieces = [int(segments[0])]
     for x, following in zip(place, segments[1:], strict=True):
-        if x < apart:  # before the way begins
+        if x < apart:  # before the line begins
             pieces[-1] = int(following)
         elif x <= 1.0 - apart and x >= (cuts[-1] if cuts else 0.0) + apart:
             cuts.append(float(x))
@@ -127,44 +161,51 @@ def spread(place: FloatArray, segments: IntArray, apart: float) -> tuple[FloatAr
     return np.array(cuts), np.array(pieces)
 
 
-def between(
+def _pose_between(
     tip: FloatArray, axis: FloatArray, far_tip: FloatArray, far_axis: FloatArray, share: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the pose at a share of the way from one pose to another."""
+    """Return the pose at a part of the line from one pose to another."""
     rotation = rotations_between(axis[None], far_axis[None])
     return tip + share * (far_tip - tip), turned_by(axis[None], rotation, share)[0]
 
 
-def with_leg(
+def with_end_line(
     line: Polyline,
-    leg: Leg,
+    leg: EndLine,
     pose: tuple[FloatArray, FloatArray],
     vertex: int,
-    chain: Chain,
+    skeleton: Skeleton,
     height: float,
 ) -> tuple[Polyline, FloatArray]:
     """
-    Return a polyline with a vertex that a leg leads to, and how curves move at its outer end.
+    Extend a polyline by an end line, and return the motion at the outer end of that line.
 
     Parameters
     ----------
     line : Polyline
-        What the leg goes on from.
-    leg : Leg
-        The line that is added.
+        Polyline to which the end line is added.
+    leg : EndLine
+        The end line.
     pose : tuple of ndarray
-        Tip and axis where it ends.
+        Tip [m] and tool axis [-] at the end of the added part.
     vertex : int
-        Index of that vertex in the chain; -1 where the run ends there.
-    chain : Chain
-        What the leg is a part of.
+        Skeleton vertex at that end, or -1 if the run ends there.
+    skeleton : Skeleton
+        The skeleton.
     height : float
         Flank height [m].
+
+    Returns
+    -------
+    line : Polyline
+        The extended polyline.
+    jet : ndarray, shape (4, 6)
+        Value and three derivatives of tip and top, divided by factorials of their order.
 
     """
     n = len(leg.pieces)
     before = line.tip[-1], line.axis[-1]
-    inner = [between(*before, *pose, float(cut)) for cut in leg.cuts]
+    inner = [_pose_between(*before, *pose, float(cut)) for cut in leg.cuts]
     straight = Polyline.at(*before, -1).extended(
         pose[0][None], pose[1][None], np.array([-1]), leg.used[None], np.ones(1),
         leg.pieces[:1], leg.pieces[:1], height,
@@ -177,8 +218,8 @@ def with_leg(
         np.append(np.full(n - 1, -1), vertex),
         np.repeat(leg.used[None], n, axis=0),
         np.full(n, leg.feed),
-        chain.row[leg.pieces],
-        chain.blocks.line_number[leg.pieces],
+        skeleton.row[leg.pieces],
+        skeleton.blocks.line_number[leg.pieces],
         height,
     )
     return line, jet

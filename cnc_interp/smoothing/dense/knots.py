@@ -1,9 +1,9 @@
 """
-Where the knots and the samples of a curve through dense blocks go.
+Knots and samples of a curve through dense blocks.
 
-A polyline is a chain of short blocks: tool tips, unit tool axes, and the parameter u of its
-vertices, du = sqrt((|dp|^2 + |dT|^2) / 2) with T = p + h o the point at flank height, so that u
-goes on where the tip is slow and the tool turns.
+The blocks are a polyline of tool tips p and unit tool axes o. With the top point T = p + h o at
+flank height h, the curve parameter u grows by du = sqrt((|dp|^2 + |dT|^2) / 2) per block. So u
+also grows where the tip is slow and the tool turns.
 """
 
 from __future__ import annotations
@@ -13,19 +13,24 @@ from math import ceil, sqrt
 import numpy as np
 from numba import njit
 
-#: Spacings tried, from the longest on, each half of the one before.
+from cnc_interp.core.arrays import FloatArray, IntArray
+
+#: Number of spacings that are tried; each one is half of the spacing before.
 LADDER = 7
-#: The second difference over a spacing may be this many tolerances.
+#: Largest second difference of the polyline over one spacing, in tolerances.
 BEND = 4.0
-#: Growth of the spacing along u.
+#: Largest change of the spacing per unit of u [-].
 GROWTH = 0.5
-#: Samples are at most this share of a spacing apart.
+#: Largest distance of samples, as part of a spacing [-].
 DENSITY = 0.35
 
 
 @njit(cache=True, nogil=True)
-def pose_at(tip, axis, u, k, x, height, out):  # type: ignore[no-untyped-def]
-    """Write tip and top of a polyline at u = x on its segment k; beyond its ends go straight."""
+def _write_pose(
+    tip: FloatArray, axis: FloatArray, u: FloatArray, k: int, x: float, height: float,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Write tip and top at u = x on segment k of a polyline; its ends continue straight."""
     share = (x - u[k]) / (u[k + 1] - u[k])
     size = 0.0
     for i in range(3):
@@ -38,27 +43,31 @@ def pose_at(tip, axis, u, k, x, height, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def spacings(tip, axis, u, tolerance, height, longest, finest):  # type: ignore[no-untyped-def]
+def knot_spacings(
+    tip: FloatArray, axis: FloatArray, u: FloatArray, tolerance: FloatArray, height: float,
+    longest: float, finest: float,
+) -> FloatArray:  # fmt: skip
     """
-    Return the spacing of knots wanted at each vertex of a polyline.
+    Return the wanted spacing of knots at each vertex of a polyline.
 
-    It is the longest of the ladder over which the polyline bends by less than ``BEND``
-    tolerances, and changes by ``GROWTH`` along u at most.
+    It is the longest spacing over which the second difference of the polyline stays below ``BEND``
+    tolerances. Along u it changes at most by ``GROWTH``.
 
     Parameters
     ----------
     tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        The polyline [m, -, m].
+        Vertices of the polyline: tip [m], tool axis [-] and parameter [m].
     tolerance : ndarray, shape (n - 1, 2)
         Contour and orientation tolerance of its segments [m].
     height : float
         Flank height [m].
     longest, finest : float
-        Bounds of the spacing [m].
+        Longest and shortest spacing [m].
 
     Returns
     -------
     ndarray, shape (n,)
+        Spacing in u at the vertices [m].
 
     """
     n = len(u)
@@ -75,11 +84,11 @@ def spacings(tip, axis, u, tolerance, height, longest, finest):  # type: ignore[
                 back += 1
             while forth < n - 2 and u[forth + 1] < u[j] + d:
                 forth += 1
-            if wanted[j] == d:  # longer ones have been refused
+            if wanted[j] == d:  # longer spacings have been rejected
                 k = min(j, n - 2)
-                pose_at(tip, axis, u, back, u[j] - d, height, before)
-                pose_at(tip, axis, u, k, u[j], height, here)
-                pose_at(tip, axis, u, forth, u[j] + d, height, after)
+                _write_pose(tip, axis, u, back, u[j] - d, height, before)
+                _write_pose(tip, axis, u, k, u[j], height, here)
+                _write_pose(tip, axis, u, forth, u[j] + d, height, after)
                 bottom, top = 0.0, 0.0
                 for i in range(3):
                     bottom += (before[i] - 2.0 * here[i] + after[i]) ** 2
@@ -96,11 +105,33 @@ def spacings(tip, axis, u, tolerance, height, longest, finest):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def march(u, wanted, start, end, factor, finest, most):  # type: ignore[no-untyped-def]
+def place_knots(
+    u: FloatArray, wanted: FloatArray, start: float, end: float, factor: float, finest: float,
+    most: int,
+) -> FloatArray:  # fmt: skip
     """
-    Return knots from ``start`` to at most ``end``, as far apart as wanted, ``most`` spans at most.
+    Place knots one after the other, with the wanted spacing.
 
-    Long segments have wanted spacings at their ends only; between, they grow from both.
+    Inside a long segment the spacing grows from both ends.
+
+    Parameters
+    ----------
+    u, wanted : ndarray, shape (n,)
+        Parameters of the vertices, and wanted spacing there [m].
+    start, end : float
+        First knot, and the parameter at which the knots may end [m].
+    factor : float
+        Factor on the wanted spacing [-].
+    finest : float
+        Shortest spacing [m].
+    most : int
+        Largest number of spans.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Knots in rising order [m].
+
     """
     knots = np.empty(most + 1)
     knots[0] = start
@@ -112,7 +143,7 @@ def march(u, wanted, start, end, factor, finest, most):  # type: ignore[no-untyp
             k += 1
         d = min(wanted[k] + GROWTH * max(0.0, x - u[k]),
                 wanted[k + 1] + GROWTH * max(0.0, u[k + 1] - x))  # fmt: skip
-        # the spacing must suit the end of the span as well
+        # The spacing must also fit the end of the span.
         j = k + 1
         while j < n and u[j] < x + d:
             d = min(d, wanted[j] + GROWTH * (u[j] - x))
@@ -123,24 +154,38 @@ def march(u, wanted, start, end, factor, finest, most):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def samples(tip, axis, u, tolerance, knots, height):  # type: ignore[no-untyped-def]
+def sample_points(
+    tip: FloatArray, axis: FloatArray, u: FloatArray, tolerance: FloatArray, knots: FloatArray,
+    height: float,
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """
-    Return points on a polyline between the first and the last knot.
+    Return sample points of a polyline between the first and the last knot.
+
+    Parameters
+    ----------
+    tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
+        Vertices of the polyline: tip [m], tool axis [-] and parameter [m].
+    tolerance : ndarray, shape (n - 1, 2)
+        Contour and orientation tolerance of its segments [m].
+    knots : ndarray, shape (k,)
+        Knots in rising order [m].
+    height : float
+        Flank height [m].
 
     Returns
     -------
     x : ndarray, shape (m,)
-        Their parameters.
+        Parameters of the samples [m].
     span : ndarray of int, shape (m,)
-        The spans between knots in which they lie.
+        Span between knots that contains each sample.
     point : ndarray, shape (m, 6)
-        Tip and top [m].
+        Tip and top of the polyline [m].
     tool : ndarray, shape (m, 3)
         Tool axis [-].
     allowed : ndarray, shape (m, 2)
-        Tolerances there [m].
+        Contour and orientation tolerance at the samples [m].
     weight : ndarray, shape (m,)
-        Weights of Simpson's rule (trapezoids on short segments) [m].
+        Weights of Simpson's rule, or of the trapezoidal rule on short segments [m].
 
     """
     spans = len(knots) - 1
@@ -161,7 +206,7 @@ def samples(tip, axis, u, tolerance, knots, height):  # type: ignore[no-untyped-
         while position < b:
             while s < spans - 1 and knots[s + 1] <= position:
                 s += 1
-            # long segments are looked at span by span, short ones as a whole
+            # Long segments are sampled span by span, short segments as a whole.
             end = b
             if b - a > knots[s + 1] - knots[s]:
                 end = min(b, knots[s + 1])
@@ -173,14 +218,14 @@ def samples(tip, axis, u, tolerance, knots, height):  # type: ignore[no-untyped-
             pieces = max(1, 2 * pairs)
             for p in range(pieces + 1):
                 if p == 0 and count > 0:
-                    at = count - 1  # the point before is this one
+                    at = count - 1  # the last point of the part before
                     for i in range(2):
                         allowed[at, i] = min(allowed[at, i], tolerance[k, i])
                 else:
                     at = count
                     count += 1
                     x[at] = position + step * p / pieces if p < pieces else end
-                    pose_at(tip, axis, u, k, x[at], height, point[at])
+                    _write_pose(tip, axis, u, k, x[at], height, point[at])
                     for i in range(3):
                         tool[at, i] = (point[at, 3 + i] - point[at, i]) / height
                     allowed[at, 0], allowed[at, 1] = tolerance[k, 0], tolerance[k, 1]

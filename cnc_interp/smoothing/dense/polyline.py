@@ -1,4 +1,4 @@
-"""The polyline that a curve follows: vertices, what is left of the tolerances, feed and rows."""
+"""The polyline that a curve follows: vertices, used tolerance, feed and program rows."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.smoothing.dense.certificate import piece
+from cnc_interp.core.bezier import quintic_part
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between, turned_by
 
-#: Largest turn between two vertices: on so short an arc, chord and great circle are in step [rad].
+#: Largest turn between two vertices [rad]; on so short an arc, chord and great circle agree.
 TURN = 0.03
-#: Feeds that differ by less are one: inverse-time words are rounded.
+#: Feeds with a smaller relative difference are equal, because inverse-time words are rounded [-].
 SAME_FEED = 1e-3
 
 
 @dataclass
 class Polyline:
     """
-    Vertices of a chain of blocks; segment k leads from vertex k to k + 1.
+    A polyline of n vertices; segment k connects the vertices k and k + 1.
 
     Parameters
     ----------
     tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        Poses and the parameter [m, -, m].
+        Tip [m], tool axis [-] and curve parameter [m].
     vertex : ndarray of int, shape (n,)
-        Index in the skeleton, or -1 where a rotating block was cut.
+        Index of the skeleton vertex, or -1 where a turning block was divided.
     used : ndarray, shape (n - 1, 2)
         Deviation of the segments from the program [m].
     feed : ndarray, shape (n - 1,)
@@ -48,7 +48,22 @@ class Polyline:
 
     @staticmethod
     def at(tip: FloatArray, axis: FloatArray, vertex: int) -> Polyline:
-        """Return a polyline of one vertex."""
+        """
+        Return a polyline with one vertex.
+
+        Parameters
+        ----------
+        tip, axis : ndarray, shape (3,)
+            Tip [m] and unit tool axis [-].
+        vertex : int
+            Index of the skeleton vertex, or -1.
+
+        Returns
+        -------
+        Polyline
+            One vertex and no segment; its curve parameter is 0.
+
+        """
         return Polyline(
             tip[None].copy(), axis[None].copy(), np.zeros(1), np.array([vertex]),
             np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64),
@@ -65,7 +80,30 @@ class Polyline:
         line: IntArray,
         height: float,
     ) -> Polyline:
-        """Return the polyline with further vertices and the segments that lead to them."""
+        """
+        Return the polyline with k more vertices and the segments that end there.
+
+        Parameters
+        ----------
+        tip, axis : ndarray, shape (k, 3)
+            Tip [m] and unit tool axis [-] of the new vertices.
+        vertex : ndarray of int, shape (k,)
+            Indices of the skeleton vertices.
+        used : ndarray, shape (k, 2)
+            Deviation of the new segments from the program [m].
+        feed : ndarray, shape (k,)
+            Programmed speed of the tip [m/s].
+        row, line : ndarray of int, shape (k,)
+            Row and line of the program.
+        height : float
+            Flank height [m].
+
+        Returns
+        -------
+        Polyline
+            The longer polyline. Blocks with a large turn are divided.
+
+        """
         begin, begin_axis = np.vstack([self.tip[-1:], tip]), np.vstack([self.axis[-1:], axis])
         rotation = rotations_between(begin_axis[:-1], begin_axis[1:])
         counts = np.maximum(np.ceil(norm(rotation) / TURN), 1.0).astype(np.int64)
@@ -85,7 +123,7 @@ class Polyline:
         step = np.diff(all_tip[m:], axis=0)
         top = step + height * np.diff(all_axis[m:], axis=0)
         du = np.sqrt(0.5 * (dot(step, step) + dot(top, top)))
-        u = np.cumsum(np.concatenate([self.u[-1:], du]))  # one after another, however they come
+        u = np.cumsum(np.concatenate([self.u[-1:], du]))  # the same bits for any batches
         return Polyline(
             all_tip, all_axis, np.concatenate([self.u, u[1:]]),
             np.concatenate([self.vertex, vertex]), np.vstack([self.used, used]),
@@ -94,23 +132,37 @@ class Polyline:
         )  # fmt: skip
 
     def part(self, first: int, last: int) -> Polyline:
-        """Return the vertices first ... last."""
+        """Return the polyline of the vertices first ... last."""
         columns = [getattr(self, field.name) for field in fields(self)]
         return Polyline(
             *(c[first : last + 1] for c in columns[:4]), *(c[first:last] for c in columns[4:])
         )
 
     def upto(self, vertex: int) -> Polyline:
-        """Return the polyline up to a vertex, or its first one if it starts behind that."""
+        """Return the polyline up to a skeleton vertex, or its first vertex if it starts later."""
         found = np.flatnonzero(self.vertex == vertex)
         return self.part(0, int(found[0]) if len(found) else 0)
 
     def line_jet(self, k: int, end: bool, height: float) -> FloatArray:
         """
-        Return how tip and top move along segment k at one of its ends, shape (4, 6).
+        Return the motion of tip and top on segment k at one of its ends.
 
-        Value and three derivatives by u, divided by their factorials: the tip goes straight, the
-        top on an arc, T = p + h o with o_u = w x o.
+        The tip moves straight. The top T = p + h o moves on an arc with o_u = w x o.
+
+        Parameters
+        ----------
+        k : int
+            Index of the segment.
+        end : bool
+            Whether the motion at the end of the segment is wanted.
+        height : float
+            Flank height [m].
+
+        Returns
+        -------
+        ndarray, shape (4, 6)
+            Value and three derivatives by u, divided by factorials of their order.
+
         """
         du = self.u[k + 1] - self.u[k]
         at = k + 1 if end else k
@@ -129,29 +181,33 @@ class Polyline:
 
 
 @njit(cache=True, nogil=True)
-def pieces(points, knots, u, feed, row):  # type: ignore[no-untyped-def]
+def pieces(
+    points: FloatArray, knots: FloatArray, u: FloatArray, feed: FloatArray, row: IntArray
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
     """
-    Cut spans where the programmed feed changes.
+    Divide the spans of a curve where the programmed feed changes.
 
     Parameters
     ----------
     points : ndarray, shape (n, 6, d)
-        Bezier points of spans.
-    knots : ndarray
-        Parameters of their ends, at least n + 1.
-    u, feed, row
-        The polyline.
+        Bezier points of the spans [m].
+    knots : ndarray, shape (n + 1 or more,)
+        Curve parameters at the ends of the spans [m].
+    u : ndarray, shape (k + 1,)
+        Curve parameters of the polyline vertices [m].
+    feed, row : ndarray, shape (k,)
+        Programmed speed [m/s] and program row of its segments.
 
     Returns
     -------
     source : ndarray of int, shape (m,)
-        Span that each piece belongs to.
+        Span of each piece.
     cut : ndarray, shape (m, 6, d)
-        Bezier points.
+        Bezier points of the pieces [m].
     speed : ndarray, shape (m,)
-        Programmed speed [m/s].
+        Programmed speed of the pieces [m/s].
     segment : ndarray of int, shape (m, 2)
-        Segments of the polyline in the middle of both halves.
+        Polyline segments in the middle of the first and second half.
 
     """
     n = len(points)
@@ -161,7 +217,7 @@ def pieces(points, knots, u, feed, row):  # type: ignore[no-untyped-def]
     count, k = 0, 0
     for s in range(n):
         start, end = knots[s], knots[s + 1]
-        least_piece = 1e-9 * (end - start)  # a knot may lie on a vertex but for rounding
+        least_piece = 1e-9 * (end - start)  # a knot may differ from a vertex by rounding
         while k < len(feed) - 1 and u[k + 1] <= start + least_piece:
             k += 1
         a = start
@@ -179,7 +235,8 @@ def pieces(points, knots, u, feed, row):  # type: ignore[no-untyped-def]
             if end - b < least_piece or k == len(feed) - 1:
                 b = end
             source[count], speed[count] = s, least
-            piece(points[s], (a - start) / (end - start), (b - start) / (end - start), cut[count])
+            left, right = (a - start) / (end - start), (b - start) / (end - start)
+            quintic_part(points[s], left, right, cut[count])
             for half in range(2):
                 x = a + (0.25 + 0.5 * half) * (b - a)
                 j = k

@@ -1,230 +1,303 @@
-"""
-What a polyline of tiny blocks looks like at the scale of the tolerance: its vertices and corners.
-
-CAM output holds repeated points, steps of 0.1 um and round-off. The skeleton keeps a vertex more
-than half a tolerance from the last one kept, and those that a chord would miss by more than a
-tenth; how far the dropped ones lie from their chord is carried on, so that nothing is lost.
-A corner is where chords of at least three tolerances turn; on shorter ones angles are noise.
-"""
+"""The skeleton of the program: its significant vertices, built while blocks arrive."""
 
 from __future__ import annotations
 
-from math import acos, sqrt
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numba import njit
 
-#: Shortest step of the skeleton, and farthest dropped vertex, in tolerances.
-STEP, DROP = 0.5, 0.1
-#: Rows dropped in a line at most.
-MOST_DROPPED = 512
-#: Chords between which a corner is measured, in tolerances; and the way along u within which
-#: such a chord is looked for.
-CHORD, REACH = 3.0, 6.0
-#: Two poses that differ less are one [m].
-SAME = 1e-9
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.dense import thinning
+from cnc_interp.smoothing.machine_traits import MachineTraits
+from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
 
-
-@njit(cache=True, nogil=True)
-def missed(tip, top, a, b, j):  # type: ignore[no-untyped-def]
-    """Return how far the pose j lies from the chord a - b, tip and top at the same place [m]."""
-    along, square = 0.0, 0.0
-    for i in range(3):
-        d, e = tip[b, i] - tip[a, i], top[b, i] - top[a, i]
-        along += d * (tip[j, i] - tip[a, i]) + e * (top[j, i] - top[a, i])
-        square += d * d + e * e
-    share = 0.0
-    if square > 0.0:
-        share = min(1.0, max(0.0, along / square))
-    off, off_top = 0.0, 0.0
-    for i in range(3):
-        off += (tip[j, i] - tip[a, i] - share * (tip[b, i] - tip[a, i])) ** 2
-        off_top += (top[j, i] - top[a, i] - share * (top[b, i] - top[a, i])) ** 2
-    return sqrt(off), sqrt(off_top)
+#: A tip that moves less than this does not move [m].
+STANDSTILL = 1e-9
+#: Poses with a smaller difference are one pose [m].
+REPEATED = 1e-10
+#: Kinds of segments: short enough for a curve, too long, or never part of a curve.
+SHORT, LONG, FIXED = 0, 1, 2
+#: A block longer than this is too long in any case, in tolerances: a curve would not be straight.
+LONGEST = 500.0
+#: Smallest movement of the tip on a curve, as part of the movement of the top [-].
+LEAST_TIP = 0.02
 
 
-@njit(cache=True, nogil=True)
-def distance(points, a, b):  # type: ignore[no-untyped-def]
-    """Return the distance of two points [m]."""
-    return sqrt(
-        (points[b, 0] - points[a, 0]) ** 2
-        + (points[b, 1] - points[a, 1]) ** 2
-        + (points[b, 2] - points[a, 2]) ** 2
-    )
-
-
-@njit(cache=True, nogil=True)
-def thin(tip, top, tolerance, must):  # type: ignore[no-untyped-def]
+@dataclass
+class Skeleton:
     """
-    Choose the vertices of the skeleton.
+    The vertices of the skeleton, one row each. The segment of a row ends at its vertex.
 
     Parameters
     ----------
-    tip, top : ndarray, shape (n, 3)
-        Poses; row 0 is the last one kept [m].
-    tolerance : ndarray, shape (n, 2)
-        Contour and orientation tolerance of the rows [m].
-    must : ndarray of bool, shape (n,)
-        Rows that are kept whatever they are.
-
-    Returns
-    -------
-    kept : ndarray of int, shape (m,)
-        The rows kept after row 0, as far as that can be told.
-    used : ndarray, shape (m, 2)
-        How far what was dropped lies from the chord to that row [m].
+    blocks : Blocks
+        Programmed data at the vertices. Feeds are those of all dropped rows together.
+    top : ndarray, shape (n, 3)
+        Top points: points on the tool axis at flank height [m].
+    row : ndarray of int, shape (n,)
+        Program rows.
+    used : ndarray, shape (n, 2)
+        Contour and orientation deviation of the segment from the rows it replaces [m].
+    feed : ndarray, shape (n,)
+        Programmed speed of the tip on the segment [m/s].
+    turning : ndarray of bool, shape (n,)
+        Whether the tool turns on the segment.
+    kind : ndarray of int, shape (n,)
+        Kind of the segment: SHORT, LONG or FIXED.
+    stop, closed : ndarray of bool, shape (n,)
+        Whether the tool rests at the vertex, and whether the program ends every curve there.
+    corner : ndarray of bool, shape (n,)
+        Whether a corner ends curves there.
+    u : ndarray, shape (n,)
+        Curve parameter: distance along tip and top, root mean square of both [m].
+    turn : ndarray, shape (n,)
+        Turn of the path at the vertex, if already known [rad].
 
     """
-    n = len(tip)
-    kept, used = np.empty(n, dtype=np.int64), np.zeros((n, 2))
-    count, k, i = 0, 0, 1
-    while i < n:
-        far = (
-            distance(tip, k, i) > STEP * tolerance[i, 0]
-            or distance(top, k, i) > STEP * tolerance[i, 1]
+
+    blocks: Blocks
+    top: FloatArray
+    row: IntArray
+    used: FloatArray
+    feed: FloatArray
+    turning: BoolArray
+    kind: IntArray
+    stop: BoolArray
+    closed: BoolArray
+    corner: BoolArray
+    u: FloatArray
+    turn: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of vertices."""
+        return len(self.row)
+
+    def join(self, other: Skeleton) -> Skeleton:
+        """Return the skeleton with more vertices at its end."""
+        return Skeleton(
+            Blocks.concatenate([self.blocks, other.blocks]),
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)[1:]
+            ),
         )
-        if not (far or must[i] or i - k >= MOST_DROPPED):
-            i += 1
-            continue
-        while True:
-            worst, at, off, off_top = 0.0, 0, 0.0, 0.0
-            for j in range(k + 1, i):
-                bottom, upper = missed(tip, top, k, i, j)
-                off, off_top = max(off, bottom), max(off_top, upper)
-                share = max(bottom / tolerance[j, 0], upper / tolerance[j, 1])
-                if share > worst:
-                    worst, at = share, j
-            if worst <= DROP:
-                break
-            i = at
-        kept[count] = i
-        used[count, 0], used[count, 1] = off, off_top
-        count += 1
-        k = i
-        i += 1
-    return kept[:count].copy(), used[:count].copy()
+
+    def after(self, first: int) -> Skeleton:
+        """Return the skeleton without its first vertices."""
+        return Skeleton(*(getattr(self, field.name)[first:] for field in fields(self)))
+
+    @property
+    def ends(self) -> BoolArray:
+        """Return whether a curve must end at each vertex, shape (n,)."""
+        return self.closed | self.corner
+
+    @property
+    def tolerance(self) -> FloatArray:
+        """Return contour and orientation tolerance of each segment, shape (n, 2) [m]."""
+        return np.stack([self.blocks.contour_tolerance, self.blocks.orientation_tolerance], axis=1)
 
 
-@njit(cache=True, nogil=True)
-def turn_at(points, j, back, forth):  # type: ignore[no-untyped-def]
-    """Return the angle between the chords back - j and j - forth [rad]."""
-    dot, a, b = 0.0, 0.0, 0.0
-    for i in range(3):
-        x, y = points[j, i] - points[back, i], points[forth, i] - points[j, i]
-        dot += x * y
-        a += x * x
-        b += y * y
-    return acos(min(1.0, max(-1.0, dot / sqrt(a * b)))) if a > 0.0 and b > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True)
-def chord_from(points, u, j, step, first, last, least, reach):  # type: ignore[no-untyped-def]
-    """Return the nearest vertex in a direction that is ``least`` away; -1 if none is in reach."""
-    k = j + step
-    while first <= k <= last:
-        if distance(points, j, k) >= least:
-            return k
-        if abs(u[k] - u[j]) >= reach:
-            return -1
-        k += step
-    return -1
-
-
-@njit(cache=True, nogil=True)
-def turns(tip, top, u, closed, tolerance, first, last):  # type: ignore[no-untyped-def]
+class SkeletonBuilder:
     """
-    Return by how much tip or top turn at the vertices first ... last - 1 [rad].
+    Reduce a stream of blocks to its skeleton.
 
     Parameters
     ----------
-    tip, top, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        The skeleton [m].
-    closed : ndarray of bool, shape (n,)
-        Vertices beyond which no chord may reach.
-    tolerance : ndarray, shape (n, 2)
-        Contour and orientation tolerance at the vertices [m].
-    first, last : int
-        The vertices asked for.
+    settings : Settings
+        Choices of the user.
+    machine : MachineTraits
+        Properties of the machine that the smoothing needs.
+    row : int
+        Program row of the first block.
+    joined : bool
+        Whether the first block stays a line.
 
     """
-    n = len(u)
-    found = np.zeros(last - first)
-    for j in range(first, last):
-        if closed[j]:
-            continue
-        low = j
-        while low > 0 and not closed[low] and u[j] - u[low] < REACH * tolerance[j].max():
-            low -= 1
-        high = j
-        while high < n - 1 and not closed[high] and u[high] - u[j] < REACH * tolerance[j].max():
-            high += 1
-        for c in range(2):
-            points = tip if c == 0 else top
-            least = CHORD * tolerance[j, c]
-            reach = REACH * tolerance[j].max()
-            back = chord_from(points, u, j, -1, low, high, least, reach)
-            forth = chord_from(points, u, j, 1, low, high, least, reach)
-            if back >= 0 and forth >= 0:
-                found[j - first] = max(found[j - first], turn_at(points, j, back, forth))
-    return found
 
+    def __init__(self, settings: Settings, machine: MachineTraits, row: int, joined: bool):
+        self._longest_block, self._height = settings.longest_block, settings.flank_height
+        self._pole, self._pole_cone = machine.pole, machine.pole_cone
+        self._raw: Blocks | None = None  # blocks from the last vertex of the skeleton on
+        self._row = row  # program row of the first of them
+        self._joined = joined
+        self.skeleton: Skeleton | None = None
 
-@njit(cache=True, nogil=True)
-def corners(turn, u, closed, tolerance, least, first, last):  # type: ignore[no-untyped-def]
-    """Tell which of the vertices first ... last - 1 turn most around, and by more than least."""
-    found = np.zeros(last - first, dtype=np.bool_)
-    n = len(u)
-    for j in range(first, last):
-        if turn[j] <= least:
-            continue
-        reach = CHORD * tolerance[j].max()
-        largest = True
-        k = j - 1
-        while k >= 0 and not closed[k] and u[j] - u[k] <= reach:
-            largest &= turn[k] < turn[j]
-            k -= 1
-        k = j + 1
-        while k < n and not closed[k] and u[k] - u[j] <= reach:
-            largest &= turn[k] <= turn[j]
-            k += 1
-        found[j - first] = largest
-    return found
+    def push(self, blocks: Blocks | None, final: bool, joined: bool = False) -> None:
+        """
+        Add blocks, and add their significant vertices to the skeleton.
 
+        Parameters
+        ----------
+        blocks : Blocks or None
+            The next rows of the program.
+        final : bool
+            Whether these are the last rows.
+        joined : bool
+            Whether the last block stays a line, because a native spline follows.
 
-@njit(cache=True, nogil=True)
-def straight_from(tip, top, tolerance, a, step, last, most, share):  # type: ignore[no-untyped-def]
-    """
-    Return the vertex up to which a chord from vertex a stays near all vertices between.
+        """
+        known = [part for part in (self._raw, blocks) if part is not None]
+        if not known:
+            return
+        raw = Blocks.concatenate(known)
+        height, n = self._height, len(raw)
+        tolerance = np.stack([raw.contour_tolerance, raw.orientation_tolerance], axis=1)
+        top = raw.tip + height * raw.axis
+        if self.skeleton is None:
+            self.skeleton = self._start(raw, top)
+        kind, stop, closed = self._marks(raw, top, final, joined)
+        must = stop | closed | (kind != SHORT)
+        must[:-1] |= kind[1:] != SHORT
+        # The kind of a vertex is known only when the block after it is known.
+        m = n if final else n - 1
+        kept, used = thinning.select_vertices(raw.tip[:m], top[:m], tolerance[:m], must[:m])
+        self._raw = raw
+        if len(kept):
+            self._append(raw, top, kept, used, kind, stop, closed)
+            self._raw = raw[int(kept[-1]) :]
+            self._row += int(kept[-1])
 
-    Parameters
-    ----------
-    tip, top : ndarray, shape (n, 3)
-        The skeleton [m].
-    tolerance : ndarray, shape (2,)
-        Tolerances [m].
-    a, step, last : int
-        Start, direction (+1 or -1), and the last vertex that may be taken.
-    most : float
-        Once the chord is this long it is enough [m].
-    share : float
-        Tolerances that vertices may lie off.
+    def _start(self, raw: Blocks, top: FloatArray) -> Skeleton:
+        """Return the skeleton of the start pose, where the tool rests."""
+        yes, no = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
+        return Skeleton(
+            raw[:1], top[:1], np.array([self._row]), np.zeros((1, 2)), np.full(1, np.inf),
+            no, np.full(1, FIXED), yes, yes.copy(), no.copy(), np.zeros(1), np.zeros(1),
+        )  # fmt: skip
 
-    Returns
-    -------
-    vertex : int
-    off, off_top : float
-        How far the vertices between lie off [m].
+    def _marks(
+        self, raw: Blocks, top: FloatArray, final: bool, joined: bool
+    ) -> tuple[IntArray, BoolArray, BoolArray]:
+        """Return kind, stop and closed of the rows, shape (n,) each; row 0 has no own kind."""
+        height = self._height
+        length = norm(np.diff(raw.tip, axis=0))
+        turn = norm(rotations_between(raw.axis[:-1], raw.axis[1:]))
+        reversed_axis = dot(raw.axis[:-1], raw.axis[1:]) < -0.99
+        words = np.isfinite(raw.rotary).all(axis=1)
+        rotary = np.where(words[:, None], raw.rotary, 0.0)
+        spins = words[1:] & words[:-1] & (np.abs(np.diff(rotary, axis=0)).max(axis=1) > 1e-9)
+        tolerance = raw.orientation_tolerance[1:]
+        resting = length < STANDSTILL
+        resting &= (height * turn > thinning.DROP * tolerance) | (spins & (turn < 1e-12))
+        n = len(raw)
+        near, at_pole = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        if self._pole is not None:
+            angle = angles_between(
+                raw.axis, np.broadcast_to(np.asarray(self._pole), raw.axis.shape)
+            )
+            angle = np.minimum(angle, np.pi - angle)
+            near = angle < self._pole_cone + 1.5 * raw.orientation_tolerance / height
+            at_pole = angle < self._pole_cone
+        kind = np.full(n, SHORT)
+        narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
+        kind[1:][length > np.minimum(self._longest_block, LONGEST * narrow)] = LONG
+        fixed = resting | raw.rapid[1:] | reversed_axis | ((near[1:] | near[:-1]) & (turn > 0.0))
+        kind[1:][fixed] = FIXED
+        if self._joined and self.skeleton is not None and len(self.skeleton) == 1:
+            kind[1:2] = FIXED
+        if joined:
+            kind[1:][-1:] = FIXED
+        stop = raw.exact_stop.copy()
+        stop[1:][resting] = True
+        stop[:-1][resting] = True
+        stop[1:] |= at_pole[1:] & (turn > 0.0)
+        stop[:-1] |= at_pole[:-1] & (turn > 0.0)
+        closed = kind == FIXED
+        closed[:-1] |= kind[1:] == FIXED
+        for name in ('contour_tolerance', 'orientation_tolerance'):
+            column = getattr(raw, name)
+            closed[1:-1] |= column[1:-1] != column[2:]
+        if final:
+            stop[-1] = True
+        return kind, stop, closed | stop
 
-    """
-    best, best_off, best_top = a + step, 0.0, 0.0
-    k = a + step
-    while distance(tip, a, k) < most and k != last:
-        k += step
-        off, off_top = 0.0, 0.0
-        for j in range(min(a, k) + 1, max(a, k)):
-            bottom, upper = missed(tip, top, a, k, j)
-            off, off_top = max(off, bottom), max(off_top, upper)
-        if off > share * tolerance[0] or off_top > share * tolerance[1]:
-            break
-        best, best_off, best_top = k, off, off_top
-    return best, best_off, best_top
+    def _append(
+        self,
+        raw: Blocks,
+        top: FloatArray,
+        kept: IntArray,
+        used: FloatArray,
+        kind: IntArray,
+        stop: BoolArray,
+        closed: BoolArray,
+    ) -> None:
+        """Add the selected vertices to the skeleton."""
+        assert self.skeleton is not None
+        skeleton = self.skeleton
+        # The block after row 0 may have changed its marks.
+        skeleton.stop[-1] |= stop[0]
+        skeleton.closed[-1] |= closed[0] | stop[0]
+        # The marks of a repeated point belong to the point before it.
+        before = np.concatenate([[0], kept[:-1]])
+        step = np.abs(raw.tip[kept] - raw.tip[before]).max(axis=1)
+        step = np.maximum(step, np.abs(top[kept] - top[before]).max(axis=1))
+        repeated = (step < REPEATED) & (kind[kept] != FIXED)
+        feed = self._feeds(raw, before, kept)
+        if repeated.any():
+            for k in np.flatnonzero(repeated)[::-1]:
+                if k == 0:
+                    skeleton.stop[-1] |= stop[kept[0]]
+                    skeleton.closed[-1] |= closed[kept[0]]
+                else:
+                    stop[kept[k - 1]] |= stop[kept[k]]
+                    closed[kept[k - 1]] |= closed[kept[k]]
+            kept, before, used, feed = (x[~repeated] for x in (kept, before, used, feed))
+            if not len(kept):
+                return
+        tip_step, top_step = raw.tip[kept] - raw.tip[before], top[kept] - top[before]
+        length, top_length = norm(tip_step), norm(top_step)
+        kind, stop, closed = kind[kept], stop[kept], closed[kept]
+        # Small steps with the tip at rest may add up to a rotation.
+        slow = (kind == SHORT) & (length < LEAST_TIP * top_length)
+        resting = slow & (length < STANDSTILL) & (top_length > STANDSTILL)
+        kind = np.where(slow, FIXED, kind)
+        closed = closed | slow
+        stop = stop | resting
+        if slow[0]:
+            skeleton.closed[-1] = True
+        if resting[0]:
+            skeleton.stop[-1] = True
+        closed[:-1] |= slow[1:]
+        stop[:-1] |= resting[1:]
+        moving = length >= STANDSTILL
+        timed = np.isfinite(raw.duration[kept])
+        turning = norm(rotations_between(raw.axis[before], raw.axis[kept])) > 0.0
+        blocks = Blocks(
+            tip=raw.tip[kept], axis=raw.axis[kept], rotary=raw.rotary[kept],
+            feedrate=np.where(moving & timed, feed, raw.feedrate[kept]),
+            duration=np.where(moving, np.nan, raw.duration[kept]),
+            rapid=raw.rapid[kept], exact_stop=raw.exact_stop[kept],
+            contour_tolerance=raw.contour_tolerance[kept],
+            orientation_tolerance=raw.orientation_tolerance[kept],
+            line_number=raw.line_number[kept],
+        )  # fmt: skip
+        du = np.sqrt(0.5 * (length**2 + top_length**2))
+        u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]
+        nothing = np.zeros(len(kept))
+        more = Skeleton(
+            blocks, top[kept], self._row + kept, used, feed, turning, kind, stop, closed | stop,
+            np.zeros(len(kept), dtype=bool), u, nothing,
+        )  # fmt: skip
+        self.skeleton = skeleton.join(more)
+
+    def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
+        """
+        Return distance / time of the rows between vertices, shape (m,) [m/s].
+
+        If all feeds are equal, the result is exactly F. It is never above F of the last row,
+        because only that row may be longer than the tolerance.
+        """
+        length = np.concatenate([[0.0], norm(np.diff(raw.tip, axis=0))])
+        timed = np.isfinite(raw.duration)
+        feed = np.where(timed, length / np.where(timed, raw.duration, 1.0), raw.feedrate)
+        time = np.where(timed, raw.duration, length / np.where(raw.feedrate > 0, raw.feedrate, 1))
+        last = int(kept[-1]) + 1
+        way = np.add.reduceat(length[:last], before + 1)
+        spent = np.add.reduceat(time[:last], before + 1)
+        low = np.minimum.reduceat(feed[:last], before + 1)
+        high = np.maximum.reduceat(feed[:last], before + 1)
+        mean = way / np.where(spent > 0.0, spent, 1.0)
+        mean = np.minimum(mean, np.where(length[kept] > 0.0, feed[kept], np.inf))
+        return np.asarray(np.where((low == high) | (spent <= 0.0), feed[kept], mean))

@@ -1,1 +1,1 @@
-"""Native 5-axis B-splines: their spans and their connection."""
+"""Native 5-axis B-splines: their spans, and the smooth connection of spans and lines."""

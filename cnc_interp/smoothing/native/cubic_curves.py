@@ -1,10 +1,10 @@
 """
-Smooth segments -> pairs of cubic B-splines with one parameter, as native programs have them.
+Corners and splines as pairs of cubic B-splines with one parameter, the form of native programs.
 
-A corner's axis is the direction of top(f(u)) + E(u) - bottom(u): with one knot vector for both
-curves neither f nor E can be said. Instead the second point is followed, with more knots, by the
-cubic spline that interpolates it and has its derivative at both ends, so that o_s meets the
-neighbours; knots are added until the stated tolerance holds.
+On a corner the tool axis is the direction of top(f(u)) + E(u) - bottom(u). Two curves with one
+knot vector cannot express f and E. Instead a cubic spline with more knots interpolates
+the second point of the tool axis. It has the derivative of that point at both ends, so o_s agrees
+with the neighbours. Knots are added until the given tolerance holds.
 """
 
 from __future__ import annotations
@@ -15,31 +15,32 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.bezier import cubic_spans
+from cnc_interp.core.bezier import bezier_values
+from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
 from cnc_interp.smoothing.native.joining import Jets, span_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, PathSegments, corner_jets, spline_jets
 
-#: Most knot intervals of one segment, and points in each at which it is compared.
+#: Most knot intervals of one segment, and points per interval at which the distance is measured.
 MOST_INTERVALS, PROBES = 512, 8
 
 
 @dataclass(frozen=True)
 class CubicCurve:
     """
-    One segment as control points, row by row as in Blocks.
+    One segment as control points, one row each as in Blocks.
 
     Parameters
     ----------
     bottom, top : ndarray, shape (n, 3)
         Control points of tip and second point [m].
     knot_interval : ndarray, shape (n,)
-        Of each control point, 0 in the first and in the last two rows [m].
+        Knot interval of each control point [m]; 0 in the first and in the last two rows.
     late : int
-        First row whose interval lies in the second half of the segment.
+        First row whose knot interval lies in the second half of the segment.
     deviation : float
-        Largest distance found of tip and of point at flank height from the segment [m].
+        Largest distance of tip and point at flank height from the segment [m].
 
     """
 
@@ -50,12 +51,12 @@ class CubicCurve:
     deviation: float
 
     def jets(self, at_end: bool) -> Jets:
-        """Return the jets at one end of the pair of curves, in the direction of motion."""
+        """Return the jets at the start or the end of the curves, in the direction of motion."""
         step = self.knot_interval[1:4] if not at_end else self.knot_interval[-3:-6:-1]
         ends = np.cumsum(np.concatenate([step, np.zeros(3)]))[:3]
         knots = np.concatenate([np.zeros(3), ends])[None]
         bottom, top = (
-            cubic_spans((points[:4] if not at_end else points[:-5:-1])[None], knots)
+            cubic_bezier_points((points[:4] if not at_end else points[:-5:-1])[None], knots)
             for points in (self.bottom, self.top)
         )
         jets = span_jets(bottom, top, np.zeros((1, 4, 3)))
@@ -66,25 +67,30 @@ def cubic_curve(
     segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
 ) -> CubicCurve:
     """
-    Follow one corner or spline by a pair of cubic B-splines with one parameter.
+    Approximate one corner or spline by a pair of cubic B-splines with one parameter.
 
     Parameters
     ----------
     segments : PathSegments
         The path.
     i : int
-        Which segment.
+        Index of the segment.
     height : float
-        Flank height, at which the deviation of the tool axis counts [m].
+        Flank height, at which the deviation of the tool axis is measured [m].
     tolerance : float
-        Largest distance from the segment [m].
+        Largest accepted distance from the segment [m].
     constant_height : bool
-        Whether the second point is that at flank height, or that of the segment's own top curve.
+        Whether the second point is at flank height. Otherwise it is on the segment's top curve.
+
+    Returns
+    -------
+    CubicCurve
+        Control points and the deviation reached.
 
     Raises
     ------
     BlockError
-        If more than MOST_INTERVALS knot intervals would be needed.
+        If more than MOST_INTERVALS knot intervals are necessary.
 
     """
     count = 2 if segments.kind[i] == CORNER else 1
@@ -107,13 +113,13 @@ def cubic_curve(
         count *= 2
     raise BlockError(
         f'no cubic spline with {MOST_INTERVALS} knot intervals follows this curve within '
-        f'{tolerance * 1e6:g} um; allow more (--fit-tolerance)',
+        f'{tolerance * 1e6:g} um; allow a larger deviation (--fit-tolerance)',
         int(segments.line_number[i]),
     )
 
 
 def _clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
-    """Interpolate by a cubic spline with given derivatives at both ends."""
+    """Interpolate values by a cubic spline with given derivatives at both ends."""
     if len(sites) == 2:  # one cubic: its Bezier points
         points = np.stack(
             [values[0], values[0] + rate[0] / 3.0, values[1] - rate[1] / 3.0, values[1]]
@@ -125,7 +131,7 @@ def _clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline
 def _points(
     segments: PathSegments, i: int, u: FloatArray, height: float, constant_height: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return tip and second point and their derivatives at u, shape (n, 6) each."""
+    """Return tip and second point at u, and their derivatives by u, shape (n, 6) each [m]."""
     values, rates = np.empty((len(u), 6)), np.empty((len(u), 6))
     for k, x in enumerate(u):
         tip, axis = segment_jets(segments, i, float(x))
@@ -135,25 +141,22 @@ def _points(
             rates[k, 3 + c] = tip[c][1] + height * axis[c][1]
     if not constant_height:
         connection = segments.connection[i]
-        values[:, 3:] = _bezier(segments.top[i], u) + _bezier(connection, u)
+        values[:, 3:] = _on_curve(segments.top[i], u) + _on_curve(connection, u)
         degrees = len(segments.top[i]) - 1, len(connection) - 1
-        rates[:, 3:] = degrees[0] * _bezier(np.diff(segments.top[i], axis=0), u)
-        rates[:, 3:] += degrees[1] * _bezier(np.diff(connection, axis=0), u)
+        rates[:, 3:] = degrees[0] * _on_curve(np.diff(segments.top[i], axis=0), u)
+        rates[:, 3:] += degrees[1] * _on_curve(np.diff(connection, axis=0), u)
     return values, rates
 
 
-def _bezier(points: FloatArray, u: FloatArray) -> FloatArray:
-    """Return points of one Bezier curve, shape (n, 3)."""
-    level = np.repeat(points[None], len(u), axis=0)
-    while level.shape[1] > 1:
-        level = level[:, :-1] + u[:, None, None] * np.diff(level, axis=1)
-    return level[:, 0]
+def _on_curve(points: FloatArray, u: FloatArray) -> FloatArray:
+    """Return points of one Bezier curve at the parameters u, shape (n, 3) [m]."""
+    return bezier_values(points.T[None], u[:, None])
 
 
 def segment_jets(
     segments: PathSegments, i: int, u: float
 ) -> tuple[tuple[tuple[float, ...], ...], ...]:
-    """Return the vector jets, in u, of tip and tool axis of one corner or spline."""
+    """Return the jets in u of tip and tool axis on one corner or spline."""
     bottom, top, connection = segments.bottom[i], segments.top[i], segments.connection[i]
     if segments.kind[i] == CORNER:
         found = corner_jets(bottom, top, connection, segments.parametrization[i], u, u)
@@ -165,7 +168,7 @@ def segment_jets(
 def _distance(
     spline: BSpline, segments: PathSegments, i: int, u: FloatArray, height: float
 ) -> float:
-    """Return the largest distance of tip, and of point at flank height, at the same u [m]."""
+    """Return the largest distance of tip and of point at flank height at the same u [m]."""
     wanted, _ = _points(segments, i, u, height, True)
     found = spline(u)
     tool = found[:, 3:] - found[:, :3]

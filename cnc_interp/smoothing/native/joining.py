@@ -1,17 +1,17 @@
 """
-The general connection of two 5-axis portions [B2013, section 2.6 and Fig. 4].
+The general connection of two 5-axis path portions [B2013, section 2.6 and Fig. 4].
 
-Two portions meet in one point with one tool axis. By the arc length s of the tip, the second one
-begins with other p_s, p_ss, o_s, o_ss than the first one ends with, and each jump would bring the
-feed down. Here a polynomial span takes up the jets of its neighbours:
+Two portions meet at one point with one tool axis. With the arc length s of the tip, the second one
+may begin with other p_s, p_ss, o_s, o_ss than the first one has at its end. Each jump would reduce
+the feed. Here a polynomial span is changed until it begins with the derivatives of its neighbour:
 
-* the tip's two inner Bezier points next to the join are moved so that p_s and p_ss go on;
-* the orientation goes on by the connection E of ``connection.py``, a polynomial added to the top
-  curve, zero at both ends. With rho the length of the tool vector D = top - bottom, E', E'' (and
-  E''' with the septic) are what (rho o)', ''  and ''' of the neighbour exceed those of D by.
+* The two inner Bezier points of the tip next to the join move until p_s and p_ss agree.
+* The tool axis gets the connection E of ``connection.py``: a polynomial that is added to the top
+  curve and is zero at both ends. Let D = top - bottom be the tool vector and rho its length. Then
+  E' and E'' (and E''' with the septic) are the differences of (rho o) and D in these derivatives.
 
-The length rho needs no continuity and follows D. All of it is linear in the jumps, so the
-deviation from the programmed curves is bounded by the polynomials' coefficients.
+The length rho need not be continuous, so it follows D. Everything is linear in the jumps. The
+deviation from the programmed curves is therefore bounded by coefficients of the polynomials.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from math import comb
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.bezier import derivatives
+from cnc_interp.core.bezier import start_derivatives
 from cnc_interp.smoothing.corners.connection import hermite
 from cnc_interp.smoothing.orientation import cross, dot, norm
 
@@ -30,7 +30,7 @@ from cnc_interp.smoothing.orientation import cross, dot, norm
 @dataclass(frozen=True)
 class Jets:
     """
-    Tip and tool axis with their derivatives by the tip's arc length, at n places.
+    Tip and tool axis at n places, with their derivatives by the arc length of the tip.
 
     Parameters
     ----------
@@ -45,16 +45,27 @@ class Jets:
     axis: FloatArray
 
     def backwards(self) -> Jets:
-        """Return the jets of the same path run the other way."""
+        """Return the jets of the same path in the opposite direction."""
         sign = np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
         return Jets(sign * self.tip, sign * self.axis)
 
     def jumps(self, other: Jets, height: float) -> FloatArray:
         """
-        Return how far two jets differ, shape (2, n).
+        Return the differences of two sets of jets.
 
-        First the angle between both directions of motion, of the tip or of the point at flank
-        height [rad], then the difference of their second derivatives [1/m].
+        Parameters
+        ----------
+        other : Jets
+            Jets at the same n places.
+        height : float
+            Flank height [m].
+
+        Returns
+        -------
+        ndarray, shape (2, n)
+            Difference of first derivatives, of tip or point at flank height [-], and of second
+            derivatives [1/m].
+
         """
         found = []
         for order in (1, 2):
@@ -70,9 +81,14 @@ def line_jets(tip: FloatArray, direction: FloatArray, axis: FloatArray, rate: Fl
     Parameters
     ----------
     tip, direction, axis : ndarray, shape (n, 3)
-        Place [m], unit direction of motion and tool axis there [-].
+        Point [m], unit direction of motion [-] and unit tool axis [-].
     rate : ndarray, shape (n, 3)
         Rotation vector per metre of path [rad/m].
+
+    Returns
+    -------
+    Jets
+        Jets at the n points.
 
     """
     turn, square = cross(rate, axis), dot(rate, rate)[:, None]
@@ -85,18 +101,24 @@ def line_jets(tip: FloatArray, direction: FloatArray, axis: FloatArray, rate: Fl
 
 def span_jets(bottom: FloatArray, top: FloatArray, connection: FloatArray) -> Jets:
     """
-    Return the jets at the beginning of polynomial spans [B2013, Eq. 5, B.3-B.5].
+    Return the jets at the start of polynomial spans [B2013, Eq. 5, B.3-B.5].
 
     Parameters
     ----------
     bottom, top, connection : ndarray, shape (n, k, 3)
-        Bezier points of tip, second point and connection E, each of its own degree [m]. Reversed
-        points give the jets at the other end, seen inward.
+        Bezier points of tip, second point and connection E, of any degree each [m]. Reversed
+        points give the jets at the other end, in the opposite direction.
+
+    Returns
+    -------
+    Jets
+        Jets at the start of the n spans.
 
     """
-    p, d = derivatives(bottom), derivatives(top) - derivatives(bottom) + derivatives(connection)
+    p = start_derivatives(bottom)
+    d = start_derivatives(top) - start_derivatives(bottom) + start_derivatives(connection)
     s1, s2, s3 = arc_length(p)
-    # unit vector o of D: rho' = D' . o, then order by order
+    # Unit vector o of D: rho' = D' . o, then order by order.
     d0 = top[:, 0] - bottom[:, 0] + connection[:, 0]
     rho = norm(d0)[:, None]
     o = d0 / rho
@@ -113,7 +135,20 @@ def span_jets(bottom: FloatArray, top: FloatArray, connection: FloatArray) -> Je
 
 
 def arc_length(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return s', s'', s''', shape (n, 1), of curves with derivatives p, shape (3, n, 3)."""
+    """
+    Return the derivatives of the arc length by the curve parameter.
+
+    Parameters
+    ----------
+    p : ndarray, shape (3, n, 3)
+        C', C'' and C''' of n curves [m].
+
+    Returns
+    -------
+    s1, s2, s3 : ndarray, shape (n, 1)
+        s', s'' and s''' [m].
+
+    """
     s1 = norm(p[0])[:, None]
     s2 = dot(p[0], p[1])[:, None] / s1
     s3 = (dot(p[1], p[1]) + dot(p[0], p[2]))[:, None] / s1 - s2**2 / s1
@@ -123,7 +158,7 @@ def arc_length(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _by_arc_length(
     x: FloatArray, s1: FloatArray, s2: FloatArray, s3: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Turn derivatives by u, shape (3, n, 3), into derivatives by s."""
+    """Convert derivatives by u, shape (3, n, 3), to derivatives by s."""
     x_s = x[0] / s1
     x_ss = (x[1] - x_s * s2) / s1**2
     return x_s, x_ss, (x[2] - 3.0 * x_ss * s1 * s2 - x_s * s3) / s1**3
@@ -132,16 +167,16 @@ def _by_arc_length(
 @dataclass(frozen=True)
 class Connected:
     """
-    Spans that take up the jets of their neighbours.
+    Spans that begin and end with the derivatives of their neighbours.
 
     Parameters
     ----------
     bottom : ndarray, shape (n, 6, 3)
         Bezier points of the tip [m].
     connection : ndarray, shape (n, points, 3)
-        Bezier points of E, added to the top curve [m].
+        Bezier points of the connection E, which is added to the top curve [m].
     deviation : ndarray, shape (n, 2)
-        Bounds on how far tip and point at flank height lie from the given spans [m].
+        Bounds of the distance of tip and point at flank height from the given spans [m].
 
     """
 
@@ -159,23 +194,23 @@ def connected(
     points: int = 6,
 ) -> Connected:
     """
-    Connect spans to their neighbours.
+    Change spans so that they begin and end with the derivatives of their neighbours.
 
     Parameters
     ----------
     bottom, top : ndarray, shape (n, 6, 3)
         Quintic Bezier points of tip and second point [m].
     first, last : Jets or None
-        How the path arrives at u = 0 and how it goes on at u = 1; None where the span is free.
+        Jets of the path before u = 0 and after u = 1; None where no condition is imposed.
     height : float
-        Flank height, at which the orientation deviation counts [m].
+        Flank height, at which the orientation deviation is measured [m].
     points : int
-        6 for the quintic E (tip and axis C2 by arc length), 8 for the septic (axis C3).
+        6 for a quintic E (tip and axis C2 in arc length), 8 for a septic E (axis C3).
 
     Returns
     -------
     Connected
-        The same ends, the neighbours' derivatives, and bounds on the deviation.
+        Spans with the same ends and the new derivatives, and bounds of their deviation.
 
     """
     n = len(bottom)
@@ -190,7 +225,7 @@ def connected(
         if jets is not None:
             inward = (moved, top) if side == 0 else (moved[:, ::-1], top[:, ::-1])
             lacking[side] = _lacking(*inward, jets)
-    # What moving the tip does to D far from a join is not E's affair: E acts at the joins only.
+    # A moved tip changes D also far from a join. E need not correct that, only the join.
     connection = hermite(lacking[0], lacking[1], points)
     tip = _largest(moved - bottom)
     tool = tip + _largest(connection)
@@ -200,7 +235,7 @@ def connected(
 
 
 def _largest(points: FloatArray) -> FloatArray:
-    """Bound the length of Bezier curves by the largest values of the Bernstein polynomials."""
+    """Bound the length of curves, shape (n,), by the maxima of the Bernstein polynomials [m]."""
     k, degree = np.arange(points.shape[1]), points.shape[1] - 1
     share = k / degree
     weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
@@ -209,7 +244,7 @@ def _largest(points: FloatArray) -> FloatArray:
 
 def _take_up_tip(bottom: FloatArray, jets: Jets) -> None:
     """Move the second and third Bezier point so that p_s and p_ss are those of the jets."""
-    p = derivatives(bottom)
+    p = start_derivatives(bottom)
     tangent = jets.tip[1]
     speed = dot(p[0], tangent)[:, None]
     second = speed**2 * jets.tip[2] + dot(p[1], tangent)[:, None] * tangent
@@ -218,9 +253,9 @@ def _take_up_tip(bottom: FloatArray, jets: Jets) -> None:
 
 
 def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
-    """Return what D lacks to go on as the jets' axis: (rho o - D)', '' and ''', (3, n, 3)."""
-    p = derivatives(bottom)
-    d1, d2, d3 = derivatives(top) - p
+    """Return (rho o - D) in the first three derivatives by u, shape (3, n, 3) [m]."""
+    p = start_derivatives(bottom)
+    d1, d2, d3 = start_derivatives(top) - p
     s1, s2, s3 = arc_length(p)
     o, o_s, o_ss, o_sss = jets.axis
     o1 = o_s * s1
@@ -241,10 +276,21 @@ def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
 
 def shortest_tool(bottom: FloatArray, top: FloatArray) -> FloatArray:
     """
-    Bound the length of the tool vector of spans from below, shape (n,) [m].
+    Return a lower bound of the length of the tool vector D on spans.
 
-    Every point of D lies in the hull of its Bezier points, so along any direction it reaches at
-    least as far as the nearest of them; the direction is that of their mean.
+    D lies in the hull of its Bezier points. In the direction of their mean, its component is at
+    least that of the nearest Bezier point.
+
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (n, k, 3)
+        Bezier points of tip and second point [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Lower bound of |D| [m].
+
     """
     tool = top - bottom
     mean = tool.sum(axis=1)

@@ -1,11 +1,11 @@
 """
-One native 5-axis B-spline, control points in, smooth segments out, however they arrive.
+One native 5-axis B-spline: from control points to smooth segments, in any batches.
 
-Each span of the pair of cubic B-splines becomes a SPLINE segment, exactly. Where the curve meets
-a line, or itself at a repeated knot, the two sides' jets are compared: a span takes up what the
-other side ends with by the general connection of ``joining.py``, within a share of the tolerances,
-in a piece at its end that is halved until the deviation is small enough. Where the path turns too
-sharply for that the tool rests.
+Each span of the pair of cubic B-splines becomes exactly one SPLINE segment. The curve may meet a
+line, or its own next span at a repeated knot. There the jets of both sides are compared. If they
+differ, the span takes the derivatives of the other side by the general connection of
+``joining.py``. It may use a share of the tolerances. If the deviation is too large, the span is
+halved, so that only its end changes. If the path turns too sharply, the tool rests.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.bezier import cubic_spans, divided, elevated
+from cnc_interp.core.bezier import divided, elevated
+from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
@@ -23,23 +24,37 @@ from cnc_interp.smoothing.native.joining import Jets, connected, shortest_tool, 
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
-#: Jets that differ less go on as they are: directions [rad], second derivatives [1/m].
+#: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
 SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
-#: The tool rests where its path turns by more than this at a join [rad].
+#: Above this angle between the directions at a join, the tool rests [rad].
 SHARPEST = 0.1
-#: Share of the tolerances that joins may use [-]; both ends of a span may use it at one place.
+#: Share of the tolerances for one join [-]. Two joins of a span may act at the same place.
 JOIN_SHARE = 0.45
-#: The piece that takes a join up is halved at most this often.
+#: Largest number of times that a span is halved for a join.
 MOST_HALVINGS = 12
-#: The tip stands still where its speed falls under this share of the span's polygon [-].
+#: The tip stands still if its speed is below this share of the polygon length of the span [-].
 STANDSTILL_SHARE = 1e-6
-#: A curve begins where the block before it ended [m], [-].
+#: Largest difference between the start of a curve and the end of the block before it [m], [-].
 SAME_POSE = 1e-9
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A polynomial piece of the curve: Bezier points (1, 6, 3), deviation (2,), run row."""
+    """
+    One polynomial piece of the curve.
+
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (1, 6, 3)
+        Bezier points of tip and second point [m].
+    connection : ndarray, shape (1, m, 3)
+        Bezier points of the connection E [m].
+    deviation : ndarray, shape (2,)
+        Bounds of contour and orientation deviation [m].
+    row : int
+        Number of the span in the curve.
+
+    """
 
     bottom: FloatArray
     top: FloatArray
@@ -48,14 +63,14 @@ class Piece:
     row: int
 
     def jets(self, at_end: bool) -> Jets:
-        """Return the jets where the piece begins or ends, in the direction of motion."""
+        """Return the jets at the start or the end of the piece, in the direction of motion."""
         if not at_end:
             return span_jets(self.bottom, self.top, self.connection)
         inward = (self.bottom[:, ::-1], self.top[:, ::-1], self.connection[:, ::-1])
         return span_jets(*inward).backwards()
 
     def halves(self) -> tuple[Piece, Piece]:
-        """Divide an unconnected piece in the middle."""
+        """Divide a piece without a connection in the middle."""
         first, last = zip(divided(self.bottom), divided(self.top), strict=True)
         return (
             replace(self, bottom=first[0], top=first[1]),
@@ -63,14 +78,15 @@ class Piece:
         )
 
 
-def absorbed(
+def _absorbed(
     piece: Piece, first: Jets | None, last: Jets | None, tolerance: FloatArray, height: float,
     halvings: int = MOST_HALVINGS,
 ) -> list[Piece] | None:  # fmt: skip
     """
-    Make a piece take up the jets of its neighbours within tolerances, shape (2,) [m].
+    Change a piece so that it takes the derivatives of its neighbours within tolerances.
 
-    Returns the piece, or the shorter ones that it was divided into; None where nothing fits.
+    Returns the changed piece, or the shorter ones it was divided into. Returns None if the
+    tolerances, shape (2,) [m], cannot be kept.
     """
     if first is None and last is None:
         return [piece]
@@ -86,20 +102,20 @@ def absorbed(
         return None
     left, right = piece.halves()
     parts = [
-        absorbed(left, first, None, tolerance, height, halvings - 1),
-        absorbed(right, None, last, tolerance, height, halvings - 1),
+        _absorbed(left, first, None, tolerance, height, halvings - 1),
+        _absorbed(right, None, last, tolerance, height, halvings - 1),
     ]
     return None if None in parts else [piece for part in parts for piece in part or ()]
 
 
 def _same(a: Jets, b: Jets, height: float) -> bool:
-    """Tell whether two sides of a join go on as they are."""
+    """Tell whether both sides of a join have equal derivatives."""
     angle, bend = (float(x[0]) for x in a.jumps(b, height))
     return angle <= SAME_DIRECTION and bend <= SAME_BEND
 
 
 def _gentle(a: Jets, b: Jets) -> bool:
-    """Tell whether the tip turns little enough at a join to be led through it."""
+    """Tell whether the path turns little enough at a join to pass it without rest."""
     return float(norm(a.tip[1] - b.tip[1])[0]) <= SHARPEST
 
 
@@ -110,11 +126,11 @@ class SplineRun:
     Parameters
     ----------
     row : int
-        Row of the program of its first control point.
+        Program row of its first control point.
     pose : Blocks
-        One row: where the tool is when the curve begins.
+        One row: the pose of the tool where the curve begins.
     before : Jets or None
-        How the path arrives there, None at rest.
+        Jets of the path before the curve; None if the tool rests there.
     style : Style
         Flank height, and the degree of the connections.
 
@@ -122,29 +138,39 @@ class SplineRun:
 
     def __init__(self, row: int, pose: Blocks, before: Jets | None, style: Style):
         self._first_row, self._pose, self._before = row, pose, before
-        self._style, self._room = style, style.room(1)
-        self._rows: Blocks | None = None  # control points that may still act on spans
-        self._offset = 0  # run row of the first of them
-        self._next = 1  # run row of the next span
-        # The last span, whose end is not settled yet, and what it takes up at its beginning.
+        self._style, self._room = style, style.empty_curves(1)
+        self._rows: Blocks | None = None  # control points that later spans may need
+        self._offset = 0  # number in the curve of the first of them
+        self._next = 1  # number in the curve of the next span
+        # The last span, whose end is still open, and the jets that it takes at its start.
         self._held: tuple[Piece, Jets | None] | None = None
-        #: Whether the path goes on into the curve without rest; None until that is known.
+        #: Whether the path continues into the curve without rest; None if not known yet.
         self.flows: bool | None = None
 
     @property
     def last_row(self) -> Blocks:
-        """The last control point known, as one row."""
+        """Return the last control point known, as one row."""
         return self._rows_known()[-1:]
 
     def push(self, rows: Blocks) -> PathSegments | None:
         """
-        Take further control points and return the segments that are final.
+        Add control points and return the segments that are final.
+
+        Parameters
+        ----------
+        rows : Blocks
+            The next control points of the curve, one per row.
+
+        Returns
+        -------
+        PathSegments or None
+            Segments that later control points cannot change.
 
         Raises
         ------
         BlockError
             If the curve does not begin at the tool, the tip stands still in it, or its knots
-            tear it.
+            interrupt it.
 
         """
         if self._rows is None:
@@ -160,7 +186,17 @@ class SplineRun:
 
     def finish(self, after: Jets | None) -> PathSegments | None:
         """
-        Return the rest of the curve; ``after`` is how the path goes on, None for a rest.
+        Return the remaining segments of the curve.
+
+        Parameters
+        ----------
+        after : Jets or None
+            Jets of the path after the curve; None if the tool rests there.
+
+        Returns
+        -------
+        PathSegments or None
+            All segments that were not returned before.
 
         Raises
         ------
@@ -173,29 +209,42 @@ class SplineRun:
         count = self._offset + len(rows)
         if count < 4 or self._held is None:
             raise BlockError(
-                f'a cubic B-spline needs at least 4 control points, the start included, not '
-                f'{count}',
+                f'a cubic B-spline needs at least 4 control points, the start included; '
+                f'this one has {count}: add control points',
                 line,
             )
         if rows.knot_interval[-2:].any():
-            raise BlockError('the last two knot intervals of a spline must be 0', line)
+            raise BlockError(
+                'the last two knot intervals of a spline must be 0; '
+                'write PL=0 in its last two blocks',
+                line,
+            )
         pieces: list[tuple[Piece, bool]] = []
         self._settle(after, pieces, stop=True)
         return self._segments(pieces, end=True)
 
     def _check_begin(self, rows: Blocks) -> None:
+        """Raise BlockError if the curve does not start at the tool or its knots do not fit."""
         line = int(rows.line_number[0])
         gap = max(
             float(np.abs(rows.tip[0] - self._pose.tip[0]).max()),
             float(np.abs(rows.axis[0] - self._pose.axis[0]).max()),
         )
         if gap > SAME_POSE:
-            raise BlockError('the spline does not begin where the tool is', line)
+            raise BlockError(
+                f'the spline begins {gap:.3g} (m, or length of the unit tool axis) away from the '
+                'tool; its first control point must be the end of the block before',
+                line,
+            )
         if rows.knot_interval[0] != 0.0 or (len(rows) > 1 and rows.knot_interval[1] == 0.0):
-            raise BlockError('the knots of a spline must begin with one interval', line)
+            raise BlockError(
+                'the first knot interval of a spline must be 0 and the second one must not; '
+                'correct PL in its first two blocks',
+                line,
+            )
 
     def _spans(self) -> list[Piece]:
-        """Return the spans whose control points and knots are all known."""
+        """Return the new spans whose control points and knots are all known."""
         rows = self._rows_known()
         count = self._offset + len(rows)
         numbers = np.arange(self._next, count - 2)
@@ -204,7 +253,7 @@ class SplineRun:
         self._next = count - 2
         interval = rows.knot_interval
         numbers = numbers[interval[numbers - self._offset] > 0.0]
-        # Span j lies between t_(j+2) and t_(j+3); its control points are j-1 ... j+2.
+        # Span j lies between the knots t_(j+2) and t_(j+3). Its control points are j-1 ... j+2.
         own = numbers - self._offset
         padded = np.concatenate([np.zeros(2), interval])
         step = [padded[own + 2 + shift] for shift in (-2, -1, 0, 1, 2)]
@@ -216,8 +265,8 @@ class SplineRun:
             ], axis=1,
         )  # fmt: skip
         acting = own[:, None] + np.arange(-1, 3)
-        bottom = elevated(cubic_spans(rows.tip[acting], knots), 5)
-        top = elevated(cubic_spans(rows.top[acting], knots), 5)
+        bottom = elevated(cubic_bezier_points(rows.tip[acting], knots), 5)
+        top = elevated(cubic_bezier_points(rows.top[acting], knots), 5)
         self._check_spans(bottom, top, rows, own)
         free = self._room.connection
         return [
@@ -228,15 +277,12 @@ class SplineRun:
     def _check_spans(
         self, bottom: FloatArray, top: FloatArray, rows: Blocks, own: IntArray
     ) -> None:
-        """Refuse spans along which neither path length nor tool axis is defined."""
+        """Raise BlockError for spans on which path length or tool axis is undefined."""
         steps = np.diff(bottom, axis=1)
         size = norm(steps).sum(axis=1)
         slowest = np.full(len(bottom), np.inf)
         for u in np.linspace(0.0, 1.0, 9):
-            inner = steps
-            while inner.shape[1] > 1:
-                inner = (1.0 - u) * inner[:, :-1] + u * inner[:, 1:]
-            slowest = np.minimum(slowest, norm(inner[:, 0]))
+            slowest = np.minimum(slowest, norm(divided(steps, float(u))[0][:, -1]))
         bad = np.flatnonzero(slowest <= STANDSTILL_SHARE * size)
         if len(bad):
             raise BlockError(
@@ -247,21 +293,24 @@ class SplineRun:
         bad = np.flatnonzero(shortest_tool(bottom, top) <= 1e-300)
         if len(bad):
             raise BlockError(
-                'the two curves of this spline come too close to each other to give a tool axis',
+                'the two curves of this spline come too close to each other to give a tool axis; '
+                'move their control points apart',
                 int(rows.line_number[own[bad[0]]]),
             )
 
     def _meet(self, piece: Piece, done: list[tuple[Piece, bool]]) -> None:
-        """Let the next span follow the one held back."""
+        """Add the next span, and close the end of the span before it."""
         taken = None
         if self._held is None:
             self.flows, taken = self._opening(piece, self._before)
-        elif piece.row - self._held[0].row == 1:  # a simple knot: C2 as it is
+        elif piece.row - self._held[0].row == 1:  # a simple knot, where the curve is C2
             self._settle(None, done, stop=False)
         elif piece.row - self._held[0].row > 3:
             line = self._rows_known().line_number[piece.row - self._offset]
             raise BlockError(
-                'more than two knot intervals of 0 in a row tear the spline', int(line)
+                'three or more knot intervals of 0 in a row interrupt the spline; end it there '
+                'and begin another one',
+                int(line),
             )
         else:
             flows, taken = self._opening(piece, self._held[0].jets(at_end=True))
@@ -269,41 +318,43 @@ class SplineRun:
         self._held = piece, taken
 
     def _opening(self, piece: Piece, before: Jets | None) -> tuple[bool, Jets | None]:
-        """Tell whether the path flows into a piece, and what the piece takes up for that."""
+        """Tell whether the path continues into a piece, and return the jets that it takes."""
         if before is None:
             return False, None
         start = piece.jets(at_end=False)
         if _same(start, before, self._style.height):
             return True, None
-        fits = _gentle(start, before) and self._absorbed(piece, before, None) is not None
+        fits = _gentle(start, before) and self._absorb(piece, before, None) is not None
         return fits, before if fits else None
 
     def _settle(self, after: Jets | None, done: list[tuple[Piece, bool]], stop: bool) -> None:
-        """Finish the span held back; ``stop`` says whether the tool rests where none follows."""
+        """Close the end of the last span; ``stop`` tells whether the tool rests at a free end."""
         assert self._held is not None
         piece, taken = self._held
         if after is not None:
             end = piece.jets(at_end=True)
             same = _same(end, after, self._style.height)
-            fits = _gentle(end, after) and self._absorbed(piece, None, after) is not None
+            fits = _gentle(end, after) and self._absorb(piece, None, after) is not None
             stop = not (same or fits)
             after = after if fits and not same else None
-        made = self._absorbed(piece, taken, after)
-        assert made is not None  # each end fits by itself, and halving parts them
+        made = self._absorb(piece, taken, after)
+        assert made is not None  # each end fits alone, and halving separates the ends
         done += [(part, False) for part in made[:-1]]
         done.append((made[-1], stop))
 
-    def _absorbed(self, piece: Piece, first: Jets | None, last: Jets | None) -> list[Piece] | None:
+    def _absorb(self, piece: Piece, first: Jets | None, last: Jets | None) -> list[Piece] | None:
+        """Change a piece within the share of its tolerances (function ``_absorbed``)."""
         rows, i = self._rows_known(), piece.row - self._offset
         both = (rows.contour_tolerance[i], rows.orientation_tolerance[i])
-        return absorbed(piece, first, last, JOIN_SHARE * np.array(both), self._style.height)
+        return _absorbed(piece, first, last, JOIN_SHARE * np.array(both), self._style.height)
 
     def _rows_known(self) -> Blocks:
+        """Return the control points that are kept."""
         assert self._rows is not None
         return self._rows
 
     def _forget(self) -> None:
-        """Drop control points that no span to come needs."""
+        """Drop control points that no later span needs."""
         needed = self._next if self._held is None else min(self._held[0].row, self._next)
         drop = max(0, needed - 3 - self._offset)
         if drop and self._rows is not None:
@@ -313,7 +364,7 @@ class SplineRun:
     def _segments(
         self, pieces: list[tuple[Piece, bool]], end: bool = False
     ) -> PathSegments | None:
-        """Turn pieces into segments; the last one of the curve ends in its last row."""
+        """Convert pieces to segments; with ``end``, the last one ends in the last row."""
         if not pieces:
             return None
         rows, n = self._rows_known(), len(pieces)

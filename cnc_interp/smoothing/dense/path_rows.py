@@ -1,4 +1,4 @@
-"""Rows: what the compressor makes of the blocks - some stay lines, some become curves."""
+"""Rows: the output of the compressor; each row is a line or a part of a curve."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from cnc_interp.program.blocks import Blocks
 @dataclass(frozen=True)
 class Spans:
     """
-    Spans of curves in path order, quintic Bezier curves over [0, 1] each.
+    Spans of curves in path order; each is a quintic Bezier curve over [0, 1].
 
     Parameters
     ----------
     bottom, top : ndarray, shape (n, 6, 3)
-        Bezier points of the tool tip and of a point on the tool axis [m].
+        Bezier points of the tool tip, and of a second point on the tool axis [m].
     feed : ndarray, shape (n, 2)
         Programmed ds/dt in the first and second half [m/s].
     block : ndarray of int, shape (n, 2)
-        Rows of the program in the middle of the first and second half.
+        Program rows in the middle of the first and second half.
     line_number : ndarray of int, shape (n,)
-        Line of the program in the middle of the second half.
+        Program line in the middle of the second half.
     deviation : ndarray, shape (n, 2)
-        Bound of the contour and orientation deviation from the program [m].
+        Bounds of contour and orientation deviation from the program [m].
 
     """
 
@@ -38,22 +38,22 @@ class Spans:
     deviation: FloatArray
 
     def __len__(self) -> int:
-        """Count the spans."""
+        """Return the number of spans."""
         return len(self.bottom)
 
     def __getitem__(self, rows: slice) -> Spans:
-        """Take some of the spans."""
+        """Return a slice of the spans."""
         return Spans(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @staticmethod
     def concatenate(parts: list[Spans]) -> Spans:
-        """Join batches end to end."""
+        """Join batches of spans in order."""
         names = [field.name for field in fields(Spans)]
         return Spans(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
     @staticmethod
     def none() -> Spans:
-        """Return no spans."""
+        """Return an empty batch of spans."""
         whole, real = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))
         points = np.zeros((0, 6, 3))
         return Spans(points, points, real, whole, whole[:, 0], real)
@@ -62,24 +62,24 @@ class Spans:
 @dataclass(frozen=True)
 class Rows:
     """
-    Lines and curves that stand for blocks; row 0 of a program is the start pose.
+    Lines and curves that replace the blocks. Row 0 of a program is the start pose.
 
     Parameters
     ----------
     blocks : Blocks
-        The end pose of each row and what the program says about it; tolerances are what is left.
+        End pose and programmed data of each row. Tolerances are reduced by ``used``.
     row : ndarray of int, shape (n,)
-        Row of the program at the end of which, or inside of which, the row ends.
+        Program row in which, or at whose end, the row ends.
     used : ndarray, shape (n, 2)
-        Contour and orientation deviation of a line from the blocks it stands for [m].
+        Contour and orientation deviation of a line from the blocks that it replaces [m].
     smooth : ndarray of bool, shape (n,)
-        True where a curve joins a line or a curve smoothly at the start of the row.
+        Whether a curve joins the previous row smoothly at the start of this row.
     leads : ndarray of bool, shape (n,)
-        True for lines at whose end a curve begins smoothly.
+        Whether the row is a line at whose end a curve begins smoothly.
     count : ndarray of int, shape (n,)
-        Spans of the row; none for lines.
+        Number of spans of the row; 0 for a line.
     spans : Spans
-        The spans of all rows.
+        Spans of all rows.
 
     """
 
@@ -92,11 +92,11 @@ class Rows:
     spans: Spans
 
     def __len__(self) -> int:
-        """Count the rows."""
+        """Return the number of rows."""
         return len(self.row)
 
     def __getitem__(self, rows: slice) -> Rows:
-        """Take a slice of rows."""
+        """Return a slice of the rows with their spans."""
         first, last, _ = rows.indices(len(self))
         ends = np.concatenate([[0], np.cumsum(self.count)])
         return Rows(
@@ -106,7 +106,7 @@ class Rows:
 
     @staticmethod
     def concatenate(parts: list[Rows]) -> Rows:
-        """Join batches end to end."""
+        """Join batches of rows in order."""
         return Rows(
             blocks=Blocks.concatenate([part.blocks for part in parts]),
             row=np.concatenate([part.row for part in parts]),
@@ -119,7 +119,7 @@ class Rows:
 
     @staticmethod
     def plain(blocks: Blocks, first: int) -> Rows:
-        """Return blocks as they are; ``first`` is the row of the first one in the program."""
+        """Return blocks as unchanged lines; ``first`` is the program row of the first block."""
         n = len(blocks)
         no = np.zeros(n, dtype=bool)
         return Rows(
@@ -129,7 +129,26 @@ class Rows:
 
     @staticmethod
     def line(block: Blocks, row: int, used: FloatArray, smooth: bool, leads: bool) -> Rows:
-        """Return one line; ``block`` is its only row."""
+        """
+        Return one line.
+
+        Parameters
+        ----------
+        block : Blocks
+            One row: end pose and programmed data of the line.
+        row : int
+            Program row at whose end the line ends.
+        used : ndarray, shape (2,)
+            Contour and orientation deviation of the line from the program [m].
+        smooth, leads : bool
+            Whether a curve joins smoothly at the start, and at the end.
+
+        Returns
+        -------
+        Rows
+            One row.
+
+        """
         return Rows(
             block, np.array([row]), used[None].copy(), np.array([smooth]), np.array([leads]),
             np.zeros(1, dtype=np.int64), Spans.none(),
@@ -137,7 +156,7 @@ class Rows:
 
     @staticmethod
     def curve(block: Blocks, spans: Spans, smooth: bool) -> Rows:
-        """Return one piece of a curve; ``block`` tells where it ends."""
+        """Return one part of a curve; ``block`` has its end pose."""
         return Rows(
             block, spans.block[-1:, 1].copy(), np.zeros((1, 2)), np.array([smooth]),
             np.zeros(1, dtype=bool), np.array([len(spans)]), spans,
@@ -145,7 +164,7 @@ class Rows:
 
     @staticmethod
     def none() -> Rows:
-        """Return no rows."""
+        """Return an empty batch of rows."""
         real, no = np.zeros(0), np.zeros(0, dtype=bool)
         lines = np.zeros(0, dtype=np.int64)
         points = np.zeros((0, 3))

@@ -1,0 +1,354 @@
+"""
+B-splines: conversion to Bezier pieces, and the corner spline of [B2013].
+
+Three kinds occur. Native programs have cubic B-splines with any knots. The compressor fits quintic
+B-splines. A corner is a cubic B-spline of five control points with the knots
+(0 0 0 0 .5 1 1 1 1) [B2013, section 2.2]. The first two are converted to Bezier pieces, which
+``bezier.py`` evaluates. The corner spline has fixed knots, so its two pieces are written out here
+in powers of u [B2013, Eq. A.2]; this is faster than the general conversion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.jet import Jet
+
+
+def cubic_bezier_points(points: FloatArray, knots: FloatArray) -> FloatArray:
+    """
+    Convert spans of cubic B-splines to Bezier pieces.
+
+    Bezier point b_i is the blossom of the span with i arguments at its right end.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 4, d)
+        The four control points that act on each span [m].
+    knots : ndarray, shape (n, 6)
+        The six knots around each span; the span lies between the third and the fourth.
+
+    Returns
+    -------
+    ndarray, shape (n, 4, d)
+        Bezier points of the spans [m].
+
+    """
+    left, right = knots[:, 2], knots[:, 3]
+    found = []
+    for count in range(4):
+        level = [points[:, i] for i in range(4)]
+        for degree in range(1, 4):  # de Boor's scheme with another argument on each level
+            x = right if degree <= count else left
+            level = [
+                _between(level[i], level[i + 1], x, knots[:, i + degree - 1], knots[:, i + 3])
+                for i in range(4 - degree)
+            ]
+        found.append(level[0])
+    return np.stack(found, axis=1)
+
+
+def _between(
+    a: FloatArray, b: FloatArray, x: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Return the affine combination of a and b, shape (n, d), for x between two knots."""
+    share = ((x - low) / (high - low))[:, None]
+    return np.asarray((1.0 - share) * a + share * b)
+
+
+@njit(cache=True, nogil=True)
+def clamped_knots(knots: FloatArray) -> FloatArray:
+    """
+    Return the full knot vector of a clamped quintic B-spline.
+
+    Parameters
+    ----------
+    knots : ndarray, shape (n,)
+        Knots with single ends.
+
+    Returns
+    -------
+    ndarray, shape (n + 10,)
+        The same knots, with the first and the last one repeated six times.
+
+    """
+    n = len(knots)
+    full = np.empty(n + 10)
+    full[:5] = knots[0]
+    full[5 : 5 + n] = knots
+    full[5 + n :] = knots[n - 1]
+    return full
+
+
+@njit(cache=True, nogil=True)
+def quintic_bezier_matrices(full: FloatArray, spans: int) -> FloatArray:
+    """
+    Return the matrices that convert control points of a quintic B-spline to Bezier points.
+
+    Parameters
+    ----------
+    full : ndarray, shape (spans + 11 or more,)
+        Full knot vector.
+    spans : int
+        Number of spans, counted from the first one.
+
+    Returns
+    -------
+    ndarray, shape (spans, 6, 6)
+        Row k of a matrix has the weights of six control points in Bezier point k.
+
+    """
+    matrices = np.zeros((spans, 6, 6))
+    d = np.empty((6, 6))
+    for s in range(spans):
+        a, b = full[s + 5], full[s + 6]
+        for k in range(6):  # Bezier point k is the blossom with k arguments b, the others a
+            d[:] = 0.0
+            for j in range(6):
+                d[j, j] = 1.0
+            for r in range(1, 6):
+                x = b if r <= k else a
+                for j in range(5, r - 1, -1):
+                    low, high = full[s + j], full[s + j + 6 - r]
+                    share = (x - low) / (high - low)
+                    for i in range(6):
+                        d[j, i] = (1.0 - share) * d[j - 1, i] + share * d[j, i]
+            matrices[s, k] = d[5]
+    return matrices
+
+
+@njit(cache=True, nogil=True)
+def quintic_bezier_points(
+    coefficients: FloatArray, matrices: FloatArray, spans: int
+) -> FloatArray:
+    """
+    Convert the first spans of a quintic B-spline to Bezier pieces.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n + 5, d)
+        Control points of n spans [m].
+    matrices : ndarray, shape (n, 6, 6)
+        Output of ``quintic_bezier_matrices``.
+    spans : int
+        Number of spans to convert, at most n.
+
+    Returns
+    -------
+    ndarray, shape (spans, 6, d)
+        Bezier points [m].
+
+    """
+    points = np.zeros((spans, 6, coefficients.shape[1]))
+    for s in range(spans):
+        for k in range(6):
+            for i in range(6):
+                for c in range(coefficients.shape[1]):
+                    points[s, k, c] += matrices[s, k, i] * coefficients[s + i, c]
+    return points
+
+
+@njit(cache=True, nogil=True)
+def quintic_basis(
+    matrices: FloatArray, knots: FloatArray, x: FloatArray, span: IntArray
+) -> FloatArray:
+    """
+    Evaluate the six basis functions of a quintic B-spline that are not zero.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (n, 6, 6)
+        Output of ``quintic_bezier_matrices``.
+    knots : ndarray, shape (n + 1,)
+        Knots with single ends.
+    x : ndarray, shape (m,)
+        Parameters.
+    span : ndarray of int, shape (m,)
+        Span that contains each parameter.
+
+    Returns
+    -------
+    ndarray, shape (m, 6)
+        Values of the basis functions of control points span ... span + 5 [-].
+
+    """
+    basis = np.zeros((len(x), 6))
+    for m in range(len(x)):
+        s = span[m]
+        t = (x[m] - knots[s]) / (knots[s + 1] - knots[s])
+        v = 1.0 - t
+        weight = (v**5, 5.0 * t * v**4, 10.0 * t * t * v**3, 10.0 * t**3 * v * v,
+                  5.0 * t**4 * v, t**5)  # fmt: skip
+        for k in range(6):
+            for i in range(6):
+                basis[m, i] += weight[k] * matrices[s, k, i]
+    return basis
+
+
+@njit(cache=True, nogil=True)
+def quintic_end_coefficients(
+    jet: FloatArray, full: FloatArray, known: int, at_end: bool
+) -> FloatArray:
+    """
+    Return the first or last control points of a clamped quintic B-spline from its derivatives.
+
+    Parameters
+    ----------
+    jet : ndarray, shape (known, d)
+        Value and derivatives at the end, each divided by the factorial of its order.
+    full : ndarray, shape (n,)
+        Full knot vector.
+    known : int
+        Number of control points to compute, at most 6.
+    at_end : bool
+        Whether the last control points are computed. They are then counted from the end.
+
+    Returns
+    -------
+    ndarray, shape (known, d)
+        Control points, in the unit of the value.
+
+    """
+    choose = (1.0, 5.0, 10.0, 10.0, 5.0, 1.0)
+    found = np.zeros((known, jet.shape[1]))
+    symmetric = np.zeros(6)
+    symmetric[0] = 1.0
+    last = len(full) - 1
+    for i in range(known):
+        if i > 0:
+            step = full[last - 5 - i] - full[last] if at_end else full[5 + i] - full[0]
+            for k in range(i, 0, -1):
+                symmetric[k] += step * symmetric[k - 1]
+        for k in range(i + 1):
+            found[i] += symmetric[k] / choose[k] * jet[k]
+    return found
+
+
+def corner_spline_points(points: FloatArray, u: FloatArray | float) -> FloatArray:
+    """
+    Return points of corner splines [B2013, Eq. 1 and A.2].
+
+    Parameters
+    ----------
+    points : ndarray, shape (..., 5, 3)
+        Control points [m].
+    u : float or ndarray, shape (...)
+        Parameters in [0, 1].
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Points of the curves at u [m].
+
+    """
+    if np.ndim(u) == 0:
+        places = range(4) if u <= 0.5 else range(4, 0, -1)
+        weights = _corner_basis(min(float(u), 1.0 - float(u)))
+        return sum_of(w * points[..., i, :] for w, i in zip(weights, places, strict=True))
+    late = (np.asarray(u) > 0.5)[..., None]
+    weights = _corner_basis(np.minimum(u, 1.0 - np.asarray(u)))
+    return sum_of(
+        w[..., None] * np.where(late, points[..., 4 - i, :], points[..., i, :])
+        for i, w in enumerate(weights)
+    )
+
+
+def _corner_basis(x: Any) -> tuple[Any, Any, Any, Any]:
+    """Return the four basis functions that are not zero at x in [0, 0.5] [B2013, Eq. A.2]."""
+    return (
+        (1.0 - 2.0 * x) ** 3,
+        2.0 * x * (3.0 + x * (7.0 * x - 9.0)),
+        2.0 * x * x * (3.0 - 4.0 * x),
+        2.0 * x**3,
+    )
+
+
+def sum_of(terms: Iterable[FloatArray]) -> FloatArray:
+    """
+    Add arrays in the given order, so that the result is the same bit for bit.
+
+    Parameters
+    ----------
+    terms : iterable of ndarray, shape (...)
+        At least one array; all have the same shape.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        The sum.
+
+    """
+    first, *rest = terms
+    for term in rest:
+        first = first + term
+    return first
+
+
+def corner_end_derivatives(points: FloatArray) -> FloatArray:
+    """
+    Return C', C'' and C''' of corner splines at u = 0 [B2013, Eq. A.2].
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 5, 3)
+        Control points [m]. Reversed control points give the other end, seen from there.
+
+    Returns
+    -------
+    ndarray, shape (3, n, 3)
+        The three derivatives by u [m].
+
+    """
+    p0, p1, p2, p3 = (points[:, i] for i in range(4))
+    return np.stack(
+        [
+            6.0 * (p1 - p0),
+            24.0 * p0 - 36.0 * p1 + 12.0 * p2,
+            -48.0 * p0 + 84.0 * p1 - 48.0 * p2 + 12.0 * p3,
+        ]
+    )
+
+
+@njit(cache=True, nogil=True, inline='always')
+def corner_spline_jet(points: FloatArray, i: int, u: float, second_half: bool) -> Jet:
+    """
+    Return the jet in u of one coordinate of a corner spline [B2013, Eq. 1 and A.2].
+
+    Parameters
+    ----------
+    points : ndarray, shape (5 or more, d)
+        Control points; the first five are used [m].
+    i : int
+        Index of the coordinate.
+    u : float
+        Parameter in [0, 1].
+    second_half : bool
+        Whether the polynomial piece over [0.5, 1] is used. At u = 0.5 both pieces are possible.
+
+    Returns
+    -------
+    Jet
+        Taylor coefficients of the coordinate at u [m].
+
+    """
+    if second_half:  # the reversed control points give the same curve backwards
+        p0, p1, p2, p3 = points[4, i], points[3, i], points[2, i], points[1, i]
+        x, sign = 1.0 - u, -1.0
+    else:
+        p0, p1, p2, p3 = points[0, i], points[1, i], points[2, i], points[3, i]
+        x, sign = u, 1.0
+    # (1-2x)^3 p0 + 2x(3 - 9x + 7x^2) p1 + 2x^2(3 - 4x) p2 + 2x^3 p3, in powers of x
+    a1 = 6.0 * (p1 - p0)
+    a2 = 12.0 * p0 - 18.0 * p1 + 6.0 * p2
+    a3 = -8.0 * p0 + 14.0 * p1 - 8.0 * p2 + 2.0 * p3
+    return (
+        p0 + x * (a1 + x * (a2 + x * a3)),
+        sign * (a1 + x * (2.0 * a2 + 3.0 * x * a3)),
+        a2 + 3.0 * x * a3,
+        sign * a3,
+    )

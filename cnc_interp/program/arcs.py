@@ -1,12 +1,12 @@
 """
-Arcs and helices: what G2 and G3 mean, for many blocks at once.
+Arcs and helices of G2 and G3, for many blocks at once.
 
-An arc is a centre, a normal and a sweep (positive: counter-clockwise about the normal). Its point
-at share u, with v the start seen from the centre and r the distance from the axis,
+An arc has a centre c, a unit normal n and a sweep (positive: counter-clockwise about the normal).
+With the vector v from the centre to the start and the distance r from the axis, its point at u is
 
     p(u) = c + (n . v) n + r(u) / r(0) Rot(n, u sweep) v_across + u rise n
 
-where r runs linearly from the start's to the end's radius: programs round both to their digits.
+r changes linearly from the radius at the start to that at the end, because programs round both.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import MM
 
-#: Plane -> first axis, second axis, normal axis; G2 is clockwise seen against the normal.
+#: Plane to first axis, second axis and normal axis; G2 is clockwise seen against the normal.
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
-#: Start and end may differ in radius by this, and beyond by a share of the radius up to the most.
+#: Allowed difference of the radii at start and end: least [m], part of the radius [-], most [m].
 RADIUS_ERROR, RADIUS_SHARE, RADIUS_MOST = 0.0127 * MM, 1e-3, 0.5 * MM
 _SAME_POINT = 1e-12
-#: Beyond this a centre is a slip of the pen, and its square may be no number [m].
+#: A centre farther away than this is an error of the program [m].
 _FARTHEST_CENTRE = 1e6
 
 
 @dataclass(frozen=True)
 class Arcs:
     """
-    Arcs of blocks in program coordinates.
+    The arcs of n blocks in program coordinates.
 
     Parameters
     ----------
     centre : ndarray, shape (n, 3)
-        A point on the axis, at the height of the start [m].
+        Point on the axis, at the height of the start [m].
     sweep : ndarray, shape (n,)
-        Signed angle, counter-clockwise positive [rad].
+        Signed angle, positive counter-clockwise [rad].
     fault : ndarray of int, shape (n,)
-        0 where the arc exists, else a key of ``FAULTS``.
+        0 if the arc exists, else a key of ``FAULTS``.
     mismatch : ndarray, shape (n,)
-        Difference of both radii, or chord beyond the diameter [m].
+        Difference of both radii, or excess of the chord over the diameter [m].
 
     """
 
@@ -55,9 +55,9 @@ FAULTS = {
     1: 'an arc needs its centre (I, J, K in the plane) or its radius (R)',
     2: 'radius and centre in one arc; keep one of them',
     3: 'start and end differ in their distance from the centre; correct I, J, K',
-    4: 'the radius is smaller than half the way from start to end; correct R',
+    4: 'the radius is smaller than half the distance from start to end; correct R',
     5: 'a full circle cannot be given by its radius; give I, J, K',
-    6: 'the centre is where the arc starts; correct I, J, K',
+    6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
 }
 
@@ -73,24 +73,29 @@ def arcs_of(
     turns: FloatArray | float = 1.0,
 ) -> Arcs:
     """
-    Find centre and sweep of arcs.
+    Compute centre and sweep of arcs.
 
     Parameters
     ----------
     plane : {'G17', 'G18', 'G19'}
-        Their plane.
+        Plane of the arcs.
     counter_clockwise : ndarray of bool, shape (n,)
-        G3.
+        True for G3, False for G2.
     start, end : ndarray, shape (n, 3)
-        Program coordinates [m].
+        Start and end in program coordinates [m].
     offset : ndarray, shape (n, 3)
-        I, J, K, NaN where the block has none [m].
+        I, J, K [m], NaN if the block has none.
     radius : ndarray, shape (n,)
-        R, negative for the long way round, NaN where the block has none [m].
+        R [m], negative for the longer arc, NaN if the block has none.
     absolute : bool or ndarray of bool, shape (n, 3)
-        True where I, J, K are coordinates of the centre (G90.1).
+        Whether I, J, K are coordinates of the centre (G90.1).
     turns : float or ndarray, shape (n,)
-        Turns begun, 1 for an ordinary arc (P) [-].
+        Number of turns begun (P), 1 for an ordinary arc [-].
+
+    Returns
+    -------
+    Arcs
+        Centre, sweep and fault of each arc.
 
     """
     a, b, normal = PLANES[plane]
@@ -106,7 +111,7 @@ def arcs_of(
     relative = np.where(np.isfinite(relative), relative, 0.0)
     half = 0.5 * np.hypot(chord[:, a], chord[:, b])
     fault = np.where(by_radius & (half <= _SAME_POINT), 5, fault)
-    # By the radius: the centre lies beside the chord's middle, left of it for the short way of G3.
+    # With a radius: the centre is beside the middle of the chord; left of it for a short G3 arc.
     with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
         short = half - np.abs(radius)
         height = np.sqrt(np.maximum(radius**2 - half**2, 0.0))
@@ -117,7 +122,7 @@ def arcs_of(
     relative[:, a] = np.where(by_radius, np.nan_to_num(centre_a), relative[:, a])
     relative[:, b] = np.where(by_radius, np.nan_to_num(centre_b), relative[:, b])
     relative[:, normal] = 0.0
-    # By the centre: both radii must agree.
+    # With a centre: the radii at start and end must agree.
     first = np.hypot(relative[:, a], relative[:, b])
     second = np.hypot(chord[:, a] - relative[:, a], chord[:, b] - relative[:, b])
     gap = np.abs(second - first)
@@ -128,7 +133,7 @@ def arcs_of(
     finish = np.arctan2(chord[:, b] - relative[:, b], chord[:, a] - relative[:, a])
     sign = np.where(counter_clockwise, 1.0, -1.0)
     sweep = np.mod(sign * (finish - begin), 2.0 * np.pi)
-    # Rounding may make of a full circle nothing, and of nothing a full circle.
+    # Rounding may turn a full circle into a sweep of zero, and a sweep of zero into a full circle.
     closed = half <= _SAME_POINT
     sweep = np.where(closed | (sweep <= 0.0), 2.0 * np.pi, sweep)
     sweep = sign * (sweep + 2.0 * np.pi * (turns - 1.0))
@@ -137,7 +142,20 @@ def arcs_of(
 
 
 def allowed_mismatch(radius: FloatArray) -> FloatArray:
-    """Return by how much the rounding of a program may spoil a radius [m]."""
+    """
+    Return the largest accepted rounding error of a radius.
+
+    Parameters
+    ----------
+    radius : ndarray, shape (n,)
+        Radii [m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Accepted differences [m].
+
+    """
     return np.asarray(np.clip(RADIUS_SHARE * radius, RADIUS_ERROR, RADIUS_MOST))
 
 
@@ -150,14 +168,14 @@ def points_on(
     u: FloatArray,
 ) -> FloatArray:
     """
-    Evaluate arcs.
+    Return points on arcs.
 
     Parameters
     ----------
     start, end, centre, normal : ndarray, shape (n, 3)
-        Of each arc [m]; the normal is a unit vector.
+        Start, end and centre [m] and unit normal [-] of each arc.
     sweep, u : ndarray, shape (n,)
-        Signed angle [rad], and the share of it at which to evaluate [-].
+        Signed angle [rad], and parameter in [0, 1] [-].
 
     Returns
     -------
@@ -180,7 +198,22 @@ def points_on(
 def lengths(
     start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray
 ) -> FloatArray:
-    """Return the length of arcs and helices, shape (n,) [m]."""
+    """
+    Return the lengths of arcs and helices.
+
+    Parameters
+    ----------
+    start, end, centre, normal : ndarray, shape (n, 3)
+        Start, end and centre [m] and unit normal [-] of each arc.
+    sweep : ndarray, shape (n,)
+        Signed angle [rad].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Lengths [m].
+
+    """
     rise = np.sum((end - start) * normal, axis=1)
     arm, other = start - centre, end - centre
     radius = 0.5 * sum(

@@ -1,4 +1,4 @@
-"""Codes that take the axis words of their block for themselves: offsets and reference points."""
+"""Codes with their own meaning of axis words: offsets and reference points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cnc_interp.program.words import BlockWords
 
 class AxisCodes:
     """
-    G10, G28, G28.1, G30, G30.1, G52, G92 to G92.3.
+    The codes G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class AxisCodes:
         self._references = {code: dict(points.get(code, {})) for code in ('G28', 'G30')}
 
     def execute(self, code: str, words: BlockWords) -> None:
-        """Carry a code out; its words are taken out."""
+        """Execute a code and remove its words from the block."""
         mover, values = self._mover, words.values
         frames = mover.frames
         if code == 'G10':
@@ -38,7 +38,7 @@ class AxisCodes:
             letters = ('X', 'Y', 'Z', *mover.rotary_letters)
             self._references[code[:3]] = dict(zip(letters, machine.tolist(), strict=False))
         elif code == 'G52':
-            # The frame moves, the tool does not.
+            # The frame moves; the tool does not.
             for i, value in self._offset_words(values).items():
                 frames.local[i] = value
         elif code == 'G92':
@@ -58,17 +58,17 @@ class AxisCodes:
         frames.update()
 
     def _offset_words(self, values: dict[str, float]) -> dict[int, float]:
-        """Take axis words out as offsets by axis number [m, rad]."""
+        """Remove axis words and return them as offsets by axis number [m, rad]."""
         found = {}
         for i, letter in enumerate(('X', 'Y', 'Z', *self._mover.rotary_letters)):
             if letter in values:
                 found[i] = values.pop(letter) * (self._mover.unit if i < 3 else DEG)
                 if not abs(found[i]) <= FARTHEST:
-                    raise self.fault('an offset beyond 100,000 mm', letter)
+                    raise self.fault('an offset beyond 100,000 mm; correct it', letter)
         return found
 
     def _write_offset(self, words: BlockWords) -> None:
-        """G10 L2 and L20: set a work offset."""
+        """Process G10 L2 and L20: set a work offset."""
         kind, index = words.values.pop('L', 0.0), words.values.pop('P', 0.0)
         if kind not in (2.0, 20.0) or index not in range(10) or 'R' in words.values:
             raise self.fault('only G10 L2 and L20 with P0 to P9 are supported', 'G10')
@@ -82,7 +82,7 @@ class AxisCodes:
         mover.frames.set_work(int(index), self._offset_words(words.values), position)
 
     def _reference(self, code: str, words: BlockWords) -> None:
-        """G28 and G30: by rapid through the point of the block to the reference point."""
+        """Process G28 and G30: rapid over the point of the block to the reference point."""
         mover = self._mover
         mover.refuse_machine_words()
         letters = ('X', 'Y', 'Z', *mover.rotary_letters)

@@ -1,9 +1,9 @@
 """
-CL data (APT cutter location files) -> targets: GOTO points with tool axis vectors.
+CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors.
 
-A statement is a major word, a slash and minor words; ``$`` at the end of a line continues it,
-``$$`` begins a comment. The tool axis turns on the great circle between two points. After CIRCLE
-the points that lie on the circle are reached along it, up to a full turn.
+A statement is a major word, a slash and minor words. ``$`` at the end of a line continues the
+statement, ``$$`` begins a comment. The tool axis turns on the great circle between two points.
+After CIRCLE, points that lie on the circle are reached along it, up to one full turn.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ _STATEMENT = re.compile(r'([A-Z][A-Z0-9]*)\s*(?:/\s*(.*)|(.*))')
 _NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_PER_MIN'
 
 
-#: Directions that differ less are the same [rad].
+#: Directions with a smaller difference are equal [rad].
 _SAME_ANGLE = 1e-9
 
 
 @dataclass
 class _Circle:
-    """A circle that the tool is on: angle turned so far, and rise per angle on its first arc."""
+    """A circle that the tool follows; with the turn so far [rad], and the rise per angle."""
 
     centre: FloatArray
     normal: FloatArray
@@ -53,25 +53,38 @@ class _Circle:
     pitch: float = 0.0
 
     def across(self, point: FloatArray) -> FloatArray:
-        """Return how a point lies from the axis, shape (3,) [m]."""
+        """
+        Return the vector from the circle axis to a point.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            The point [m].
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Vector normal to the axis [m].
+
+        """
         arm = point - self.centre
         return np.asarray(arm - (arm @ self.normal) * self.normal)
 
 
 class ClReader:
     """
-    State of a CL file; ``blocks`` runs it over the statements.
+    A reader of CL data; ``blocks`` runs it.
 
     Parameters
     ----------
     geometry : RotaryGeometry
-        Of the machine; CL data name no rotary axes, so only its presence matters here.
+        Of the machine. CL data have no rotary words, so only the number of axes matters.
     settings : Settings
         Tolerances, and the feedrate of files without FEDRAT.
     source : Source
-        The text.
+        The text of the program.
     notices : Notices
-        Collects what is harmless.
+        Collects notices about harmless words.
 
     """
 
@@ -92,11 +105,11 @@ class ClReader:
 
     @property
     def share(self) -> float:
-        """Share of the text that has been read, 0 to 1."""
+        """Return the part of the text that has been read, 0 to 1."""
         return self.source.share(self.place)
 
     def blocks(self) -> Iterator[Blocks]:
-        """Read all statements up to FINI and hand out the blocks, batch by batch."""
+        """Read all statements up to FINI, and yield the blocks in batches."""
         if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
         for line_number, statement in self._statements(self._lines()):
@@ -112,7 +125,7 @@ class ClReader:
         yield from self.targets.finish()
 
     def _lines(self) -> Iterator[str]:
-        """Read the lines of the source, window by window."""
+        """Yield the lines of the text."""
         while text := self.source.lines(self.place):
             yield from text.decode('utf-8', 'replace').splitlines()
             offset = self.place.offset + len(text)
@@ -142,12 +155,15 @@ class ClReader:
             raise self._fault('the file ends inside a continued statement ($)')
 
     def _fault(self, message: str, word: str = '') -> ProgramError:
+        """Return an error with file and line."""
         return ProgramError(message, self.source.name, self.line_number, word[:40])
 
     def _notice(self, key: str, text: str) -> None:
+        """Record a notice once."""
         self.notices.once(key, self.line_number, f'{key}: {text}')
 
     def _goto(self, words: tuple[str | None, ...]) -> None:
+        """Process the numbers of a GOTO statement."""
         unit = self.unit
         x, y, z = (float(word or nan) * unit for word in words[:3])
         if words[3] is not None:
@@ -155,7 +171,7 @@ class ClReader:
         self._go(x, y, z)
 
     def _go(self, x: float, y: float, z: float) -> None:
-        """Move to a point [m]."""
+        """Add a target at a point [m]."""
         if not max(abs(x), abs(y), abs(z)) <= _FARTHEST:
             raise self._fault('a coordinate beyond 100,000 mm; correct it or UNITS', 'GOTO')
         arc = NO_ARC if self._circle is None else self._arc_to(self._circle, np.array([x, y, z]))
@@ -177,6 +193,7 @@ class ClReader:
         )  # fmt: skip
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
+        """Return three numbers as a unit vector; raise if they are far from one."""
         i, j, k = numbers
         what = 'normal' if word == 'CIRCLE' else 'tool axis'
         length = sqrt(i * i + j * j + k * k)
@@ -188,6 +205,7 @@ class ClReader:
         return i / length, j / length, k / length
 
     def _other(self, statement: str) -> None:
+        """Process a statement other than GOTO with numbers."""
         match = _STATEMENT.fullmatch(statement)
         if match is None:
             raise self._fault('not a CL statement; write MAJOR/minor', statement.split()[0])
@@ -220,7 +238,10 @@ class ClReader:
         elif major == 'GODLTA':
             delta = self._numbers(minor, 3, 'write GODLTA/dx,dy,dz')
             if self.targets.empty:
-                raise self._fault('an incremental move before the first point', 'GODLTA')
+                raise self._fault(
+                    'an incremental move before the first point; write FROM or GOTO first',
+                    'GODLTA',
+                )
             self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
         elif major == 'CIRCLE':
             self._begin_circle(minor)
@@ -240,13 +261,13 @@ class ClReader:
             raise self._fault(cl_words.UNKNOWN, major)
 
     def _moves(self, minor: str) -> bool:
-        """Tell whether the numbers of a shift are more than zeros."""
+        """Tell whether a shift is not zero."""
         if not _NUMBERS.fullmatch(minor):
             return True
         return any(float(word) for word in minor.split(','))
 
     def _numbers(self, minor: str, count: int, remedy: str) -> list[float]:
-        """Return the numbers of a statement."""
+        """Return the numbers of a statement; raise if their count is wrong."""
         words = minor.split(',') if _NUMBERS.fullmatch(minor) else []
         if len(words) != count:
             raise self._fault(remedy, minor)
@@ -255,28 +276,34 @@ class ClReader:
     # --- circles -------------------------------------------------------------------------------
 
     def _begin_circle(self, minor: str) -> None:
-        """CIRCLE/x,y,z,i,j,k,r: counter-clockwise about i,j,k to the points that follow."""
+        """Process CIRCLE/x,y,z,i,j,k,r: counter-clockwise about i,j,k through the next points."""
         remedy = f'only CIRCLE/x,y,z,i,j,k,r is supported; {cl_words.LINEAR}'
         numbers = self._numbers(minor, 7, remedy)
         if self.targets.empty:
-            raise self._fault('a circle before the first point', 'CIRCLE')
+            raise self._fault('a circle before the first point; write FROM or GOTO', 'CIRCLE')
         if not max(map(abs, numbers)) * self.unit <= _FARTHEST or not numbers[6] > 0.0:
-            raise self._fault('a circle beyond 100,000 mm, or of no radius', 'CIRCLE')
+            raise self._fault(
+                'a circle beyond 100,000 mm, or with a radius of zero; correct it', 'CIRCLE'
+            )
         centre, radius = np.array(numbers[:3]) * self.unit, numbers[6] * self.unit
         circle = _Circle(centre, np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), radius)
         away = circle.across(np.array(self._point))
         off = abs(float(np.linalg.norm(away)) - radius)
         if not off <= arcs.allowed_mismatch(np.array(radius)):
-            raise self._fault(f'the tool is {off / self.unit:.4g} off this circle', 'CIRCLE')
+            raise self._fault(
+                f'the tool is {off / self.unit:.4g} away from this circle; correct the circle or '
+                'the point before',
+                'CIRCLE',
+            )
         self._circle = circle
 
     def _leave_circle(self) -> None:
-        """Go straight to the points to come, if one was reached along the circle."""
+        """Leave the circle if at least one point was reached along it."""
         if self._circle is not None and self._circle.turned > 0.0:
             self._circle = None
 
     def _arc_to(self, circle: _Circle, end: FloatArray) -> tuple[float, ...]:
-        """Return the arc to a point; none, and the circle is left, where it is not on it."""
+        """Return the arc to a point; if the point is not on the circle, leave the circle."""
         first, start = circle.turned == 0.0, np.array(self._point)
         before, after = circle.across(start), circle.across(end)
         off = abs(float(np.linalg.norm(after)) - circle.radius)
@@ -288,7 +315,9 @@ class ClReader:
         rise = float((end - start) @ circle.normal)
         if first:
             if not off <= allowed:
-                raise self._fault(f'this point is {off / self.unit:.4g} off its circle', 'GOTO')
+                raise self._fault(
+                    f'this point is {off / self.unit:.4g} away from its circle; correct it', 'GOTO'
+                )
             circle.pitch = rise / angle
         elif (
             off > allowed
@@ -301,15 +330,15 @@ class ClReader:
         return (*circle.centre, *circle.normal, angle)
 
     def _from(self, minor: str) -> None:
-        """Take FROM as the start pose; later ones only repeat where the tool is."""
+        """Process FROM: it sets the start pose; later ones repeat the position of the tool."""
         match = _GOTO.fullmatch('GOTO/' + minor)
         if match is None:
-            raise self._fault('expected three or six numbers', f'FROM/{minor}')
+            raise self._fault('expected three numbers, or six with the tool axis', f'FROM/{minor}')
         if self.targets.empty:
             self._goto(match.groups())
 
     def _feed(self, minor: str, statement: str) -> None:
-        """FEDRAT/value[,unit] in either order."""
+        """Process FEDRAT/value[,unit], in either order."""
         words = minor.replace(',', ' ').split()
         numbers = [word for word in words if re.fullmatch(_NUMBER, word)]
         units = [word for word in words if word not in numbers]

@@ -1,4 +1,4 @@
-"""The words of CL data: which are supported, which are harmless, and why others are refused."""
+"""The words of CL data: supported, harmless, and refused with a reason."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import codes
 from cnc_interp.program.columns import AT_M0, AT_M1
 
-#: Words that are text to the end of their line.
+#: Words that are followed by text to the end of the line.
 TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')
-#: Words that say nothing about motion, not worth telling.
+#: Words without effect on the motion, ignored without a notice.
 SILENT = {'MACHIN', 'MULTAX', 'INTOL', 'OUTTOL', 'TOLER', 'CUTTER', 'NOPOST', 'CLPRNT', 'END'}
-#: Words that do not move the tool, told of once.
+#: Words that do not move the tool; they give one notice.
 HARMLESS = {
     'AUTOPS', 'AUXFUN', 'CAMERA', 'CLAMP', 'CLEARP', 'COOLNT', 'DISPLY', 'LEADER', 'LINTOL',
     'LOAD', 'LOADTL', 'MAXDP', 'MCHTOL', 'MFG', 'NUMPTS', 'OPSKIP', 'OPTOOL', 'PAINT', 'PLABEL',
     'PLOT', 'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
     'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TURRET',
 }  # fmt: skip
-#: Words that rest, how (see ``TargetColumns.stop_here``), and what is told of them.
+#: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
 STOPS = {
     'STOP': (AT_M0, codes.STOP_M['M0']),
     'OPSTOP': (AT_M1, codes.STOP_M['M1']),
@@ -44,7 +44,7 @@ REFUSED = {
         ('GO', 'GOFWD', 'GOBACK', 'GOLFT', 'GORGT', 'GOUP', 'GODOWN', 'INDIRV', 'INDIRP', 'TLON',
          'TLLFT', 'TLRGT', 'PSIS', 'DNTCUT'), _DRIVEN),
 }  # fmt: skip
-#: Words that are refused unless they switch off or are all zero.
+#: Words that are refused unless they switch something off or contain only zeros.
 OFF_ONLY = {
     'CUTCOM': 'cutter compensation is not supported; output the tool centre',
     'CYCLE': f'drilling cycles are not supported; {LINEAR}',
@@ -53,6 +53,6 @@ OFF_ONLY = {
     'TRACUT': _FRAME,
 }
 OFF = {'', 'OFF', 'NOMORE'}
-UNKNOWN = 'unknown word; put it behind $$ if it does not move the tool'
+UNKNOWN = 'unknown word; write $$ before it if it does not move the tool'
 LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
 FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}

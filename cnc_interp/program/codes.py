@@ -1,11 +1,11 @@
-"""What each code means to the reader: a setting, harmless, or refused by name."""
+"""The meaning of each code: a setting, harmless, or refused with a reason."""
 
 from __future__ import annotations
 
 from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import job
 
-# Codes of one modal group set the same attribute of the reader, so two of them contradict.
+# Codes of one modal group set the same attribute, so two of them in one block contradict.
 SETTINGS: dict[str, tuple[str, object]] = {
     'G0': ('motion', 0),
     'G1': ('motion', 1),
@@ -30,16 +30,16 @@ SETTINGS: dict[str, tuple[str, object]] = {
     'G9': ('stop_once', True),
 }
 
-# How tool-tip programming (TCP) is switched; the words of several controls.
+# Words that switch tool-tip programming (TCP), of several controls.
 TCP_ON = {'M428', 'M128', 'G43.4', 'G43.5', 'G234', 'TRAORI', '#TRAFO ON'}
 TCP_OFF = {'M429', 'M129', 'G49', 'TRAFOOF', '#TRAFO OFF'}
-# A plain tool length takes the place of a tool-tip mode that is itself a kind of tool length.
+# Tool-tip modes that are a kind of tool length; a plain tool length (G43) ends them.
 TCP_BY_LENGTH = {'G43.4', 'G43.5', 'G234'}
 LENGTH = {'G43', 'G44', 'G43.1', 'G49'}
 TCP_ON_WORDS = 'M428, M128, G43.4, G43.5, G234, TRAORI or #TRAFO ON'
 
 WORK_OFFSETS = set(job.WORK_OFFSETS)
-#: Codes that take the axis words of their block for themselves.
+#: Codes with their own meaning of the axis words in their block.
 TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
 }  # fmt: skip
@@ -90,10 +90,10 @@ REFUSED_G: dict[str, str] = {
     'G111': f'polar coordinates are not supported; {_LINEAR}',
 }
 
-NOT_YET = 'nobody is waited for before the first motion'
+NOT_YET = 'ignored before the first motion'
 DWELL = 'exact stop; the dwell time is not kept'
-_WAITS = 'waits for cycle_start; a plan rests there and goes on'
-STOP_M = {'M0': _WAITS, 'M1': f'with optional_stop on {_WAITS}', 'M60': _WAITS}
+_WAITS = 'waits for cycle start; a plan stops there and continues'
+STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}
 END_M = {'M2', 'M30'}
 REFUSED_M: dict[str, str] = {
     **dict.fromkeys(('M96', 'M97'), 'these subprogram calls are not supported; call with M98'),
@@ -105,7 +105,7 @@ _SIEMENS_CYCLE = 'cycles are not supported in this form; post the cycle as G0 an
 _LOOP = (
     'loops are supported as WHILE [...] DO1 ... END1 or O1 WHILE [...]; post with plain numbers'
 )
-# By the beginning of the word; the first that fits is taken.
+# Reasons by the beginning of the word; the first match counts.
 REFUSED_KEYS: dict[str, str] = {
     'CYCLE': _SIEMENS_CYCLE,
     'MCALL': _SIEMENS_CYCLE,
@@ -143,14 +143,14 @@ HARMLESS_KEYS = {
     'COMPSURF', 'DYNNORM', 'DYNROUGH', 'DYNSEMIFIN', 'DYNFINISH', 'DYNPOS', 'UPATH', 'SPATH',
     'FGROUP', 'WALIMON', 'WALIMOF', 'ORIEULER', 'ORIRPY', 'ORISOF', 'ORISON',
 }  # fmt: skip
-# On linear blocks ORICURVE runs from one direction to the other like ORIVECT.
+# On linear blocks ORICURVE turns from one direction to the other like ORIVECT.
 INTERPOLATION_KEYS = {
     'ORIVECT': True, 'ORIPLANE': True, 'ORICURVE': True, 'ORIAXES': False, 'ORIMKS': False,
 }  # fmt: skip
 
 
 def refused_key(key: str) -> str:
-    """Say why a word of several letters is refused, empty if it is not."""
+    """Return the reason why a word of several letters is refused; empty if it is not."""
     if key == 'ROT' or key == 'AROT' or key == 'CYCLE832' or key == 'CYCLE800':
         return ''
     return next((why for head, why in REFUSED_KEYS.items() if key.startswith(head)), '')

@@ -1,10 +1,10 @@
 """
-Targets -> Blocks: the readers' motion targets, collected in growing columns, made into blocks.
+Motion targets to blocks: rows of numbers are collected and converted in batches.
 
-Readers append rows of numbers, one per motion statement. Whenever a batch is full its rows are
-turned into blocks together (axis positions into poses, arcs into chords, merging of repeated
-points, subdivision), so the working memory does not depend on the program's length and no row is
-looked at in Python twice.
+A reader appends one row of numbers per motion statement. When a batch is full, its rows become
+blocks together. Axis positions become poses, arcs become chords, repeated points are merged, and
+curved motion is divided. So the memory does not depend on the length of the program, and Python
+does not process single rows.
 """
 
 from __future__ import annotations
@@ -41,32 +41,32 @@ POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
 NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
 CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
 CENTRE, NORMAL, SWEEP, WIDTH = slice(19, 22), slice(22, 25), 25, 26
-#: Values of EXACT_STOP beyond 0 and 1; where several meet in one place the largest rules.
+#: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
 AT_M1, AT_M0 = 2.0, 3.0
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
-#: The columns of a line that is no arc.
+#: The arc columns of a line that is not an arc.
 NO_ARC = (nan,) * 7
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
 _SAME = 1e-12  # [m], [-], [rad]
 _ANTIPARALLEL = 1e-4  # [rad]
-#: Share of the tolerances for the departure of chords and great circles from what is programmed.
+#: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
 CHORD_SHARE = 0.1
 _MOST_TURN = 500.0 * 360.0 * DEG
 
 
 class TargetColumns:
     """
-    Growing columns of motion targets, turned into blocks batch by batch.
+    Growing columns of motion targets that are converted to blocks in batches.
 
     Parameters
     ----------
     geometry : RotaryGeometry
-        Gives the poses of axis positions.
+        Kinematics of the machine.
     settings : Settings
-        Flank height, for the subdivision.
+        Flank height, for the division of curved motion.
     source : str
-        File name for errors.
+        File name for error messages.
 
     """
 
@@ -74,24 +74,24 @@ class TargetColumns:
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
         self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
-        self._before: FloatArray | None = None  # the last target already made into blocks
+        self._before: FloatArray | None = None  # the last target that became a block
         self._parts: list[Blocks] = []
-        self._curve: Blocks | None = None  # added last, waits for a stop at its end
+        self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
 
     def add(self, row: tuple[float, ...]) -> None:
         """
-        Append one target.
+        Add one target.
 
         Parameters
         ----------
         row : tuple of 26 floats
-            Point: tool tip, or axis positions less those of the workpiece zero [m]; tool axis,
-            NaN where the rotary words give it; rotary positions [rad]; 1 if the program has named
-            rotary words so far; 1 for orientation on the great circle, 0 for linear rotary axes;
-            feedrate [m/s]; duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and
-            orientation tolerance [m]; line number; 1 if the point is axis positions; feedrate of
-            rotary axes [rad/s]; centre [m], normal and sweep [rad] of an arc, else NaN.
+            Point: tool tip, or axis positions minus those of the workpiece zero [m]; tool axis
+            [-], NaN if rotary words give it; rotary positions [rad]; 1 if the program has used
+            rotary words; 1 for the great circle, 0 for linear rotary axes; feedrate [m/s];
+            duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance [m]; line
+            number; 1 if the point is axis positions; feedrate of rotary axes [rad/s]; centre [m],
+            normal [-] and sweep [rad] of an arc, NaN without.
 
         """
         if len(self._rows) >= self._full:
@@ -99,33 +99,49 @@ class TargetColumns:
         self._rows.extend(row)
 
     def extend(self, rows: FloatArray) -> None:
-        """Append targets, shape (n, 26)."""
+        """
+        Add many targets.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (n, 26)
+            Targets with the columns of ``add``.
+
+        """
         if len(self._rows) >= self._full:
             self._convert(last=False)
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
     def stop_here(self, kind: float = 1.0) -> None:
-        """Make the tool come to rest at the end of the last target; AT_M0 and AT_M1 wait there."""
+        """Stop at the end of the last target; AT_M0 and AT_M1 also wait for the operator."""
         if self._rows:
             at = EXACT_STOP - WIDTH
             self._rows[at] = max(self._rows[at], kind)
 
     def stand_at(self, rotary: FloatArray) -> None:
-        """Say where the rotary axes stand at the last target, which a tool direction gave."""
+        """
+        Set the rotary positions of the last target, whose tool axis came from a direction.
+
+        Parameters
+        ----------
+        rotary : ndarray, shape (2,)
+            Positions of the rotary axes [rad].
+
+        """
         if self._rows:
             last = len(self._rows) - WIDTH
             self._rows[last + ROTARY.start : last + ROTARY.stop] = array('d', rotary)
 
     def add_curve(self, curve: Blocks, end: tuple[float, ...]) -> None:
         """
-        Append a native spline; it begins at the last target.
+        Add a native spline that begins at the last target.
 
         Parameters
         ----------
         curve : Blocks
-            Its control points.
+            Control points of the spline, one per row.
         end : tuple of 26 floats
-            Target at its end, as for ``add``: the next motion starts there.
+            Target at the end of the spline, as for ``add``; the next motion starts there.
 
         """
         self._convert(last=True)
@@ -134,21 +150,21 @@ class TargetColumns:
 
     @property
     def stands(self) -> bool:
-        """True before the first motion: no target is known but the start pose."""
+        """Whether no motion is known yet: at most the start pose."""
         return self._before is None and self._curve is None and len(self._rows) <= WIDTH
 
     @property
     def empty(self) -> bool:
-        """True before the first target."""
+        """Whether there is no target yet."""
         return not self._rows
 
     def take(self) -> list[Blocks]:
-        """Hand over the blocks that are final."""
+        """Return the blocks that are final, and forget them."""
         parts, self._parts = self._parts, []
         return parts
 
     def finish(self) -> list[Blocks]:
-        """Close the program with a stop and hand over the last blocks."""
+        """End the program with a stop, and return the last blocks."""
         if self.empty:
             raise ProgramError('no motion found; is this a part program?', self._source)
         self.stop_here()
@@ -156,7 +172,7 @@ class TargetColumns:
         return self.take()
 
     def _convert(self, last: bool) -> None:
-        """Turn the collected rows into blocks; the last one waits for rows that repeat it."""
+        """Convert the collected rows to blocks; the last row waits for rows that repeat it."""
         rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, WIDTH).copy()
         by_rotary = np.isnan(rows[:, AXIS.start])
         if by_rotary.any():
@@ -176,7 +192,7 @@ class TargetColumns:
                 self._parts.append(self._blocks(before[part], rows[part]))
 
     def _beginning(self, row: FloatArray) -> Blocks:
-        """Return the start pose, or the curve that ends in this row."""
+        """Return the start pose, or the spline that ends in this row."""
         if self._curve is None:
             return self._start_pose(row)
         curve, self._curve = self._curve, None
@@ -186,6 +202,7 @@ class TargetColumns:
         return replace(curve, exact_stop=stop, program_stop=waits)
 
     def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
+        """Return the blocks of the motions between the rows."""
         moves = Moves(self._geometry, self._zero, before, rows)
         counts = self._piece_counts(moves)
         row, piece = ragged(counts)
@@ -197,7 +214,7 @@ class TargetColumns:
         on_circle = end[:, GREAT_CIRCLE] != 0.0
         rotary[on_circle | (end[:, NAMED] == 0.0)] = nan
         curved = np.isfinite(end[:, SWEEP]) & (counts[row] > 1)
-        # What the chords take of the tolerance is not there for the smoothing.
+        # Chords have used a part of the tolerance; the rest remains for the smoothing.
         share = np.where(curved, 1.0 - CHORD_SHARE, 1.0)
         feedrate, duration = moves.speeds()
         return Blocks(
@@ -215,6 +232,7 @@ class TargetColumns:
         )
 
     def _piece_counts(self, moves: Moves) -> IntArray:
+        """Return the number of pieces of each motion, shape (n,)."""
         rows = moves.rows
         counts = np.ones(len(rows), dtype=np.int64)
         on_circle = rows[:, GREAT_CIRCLE] != 0.0
@@ -256,14 +274,14 @@ class TargetColumns:
         return counts
 
     def _start_pose(self, row: FloatArray) -> Blocks:
-        """Row 0: where the tool stands; it has no motion, so neither feed nor duration."""
+        """Return row 0, the start pose. It has no motion, so no feedrate and no duration."""
         here = Moves(self._geometry, self._zero, row, row)
         tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
         rotary = row[:, ROTARY].copy()
         if np.isfinite(rotary).all():
             axis = self._geometry.tool_axis(rotary)
             if np.abs(axis - row[:, AXIS]).max() > _SAME:
-                rotary[:] = nan  # a tool direction rules
+                rotary[:] = nan  # the tool axis came from a direction
         return Blocks(
             tip=tip,
             axis=row[:, AXIS].copy(),
@@ -279,22 +297,22 @@ class TargetColumns:
 
 
 def _waits(rows: FloatArray) -> IntArray:
-    """Return whether the operator is waited for behind targets, shape (n,)."""
+    """Return whether the program waits for the operator after each target, shape (n,)."""
     return np.asarray(_WAITS[rows[:, EXACT_STOP].astype(np.int64)])
 
 
 class Moves:
     """
-    Motions between consecutive targets, evaluated anywhere.
+    Motions between consecutive targets, which can be evaluated at any parameter.
 
     Parameters
     ----------
     geometry : RotaryGeometry
-        Gives the poses of axis positions.
+        Kinematics of the machine.
     zero : ndarray, shape (3,)
-        Axis positions of the workpiece zero, the rotary axes at zero [m].
+        Axis positions of the workpiece zero, with the rotary axes at zero [m].
     before, rows : ndarray, shape (n, 26)
-        Targets at the beginning and at the end of each motion.
+        Targets at the start and at the end of each motion.
 
     """
 
@@ -306,12 +324,12 @@ class Moves:
         self.axis_before = before[:, AXIS]
         self._start = self._starts()
         self._arc = np.isfinite(rows[:, SWEEP])
-        # Axis positions differ from tool tips only where the rotary axes are off zero.
+        # Axis positions and tool tips are equal while the rotary axes are at zero.
         turned = (np.abs(rows[:, ROTARY]) > 0.0) | (np.abs(before[:, ROTARY]) > 0.0)
         self._by_axes = (rows[:, AXES] != 0.0) & turned.any(axis=1)
 
     def _starts(self) -> FloatArray:
-        """Points at the beginning of the motions, in the terms of their ends."""
+        """Return the start points of the motions, in the same coordinates as their ends."""
         points = self._before[:, POINT].copy()
         was, now = self._before[:, AXES] != 0.0, self.rows[:, AXES] != 0.0
         to_tips, to_axes = was & ~now, ~was & now
@@ -323,16 +341,46 @@ class Moves:
         return points
 
     def _tips(self, points: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Tool tips of axis positions."""
+        """Return the tool tips of axis positions, shape (n, 3) [m]."""
         return self._geometry.forward(np.concatenate([points + self._zero, rotary], axis=1))[0]
 
     def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
-        """Return rotary positions at shares of motions, shape (m, 2) [rad]."""
+        """
+        Return rotary positions on motions.
+
+        Parameters
+        ----------
+        row : ndarray of int, shape (m,)
+            Indices of the motions.
+        u : ndarray, shape (m,)
+            Parameters in [0, 1].
+
+        Returns
+        -------
+        ndarray, shape (m, 2)
+            Rotary positions [rad].
+
+        """
         at = self._before[row, ROTARY] + u[:, None] * self.sweep[row]
         return np.where((u == 1.0)[:, None], self.rows[row, ROTARY], at)
 
     def poses(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return tool tips [m] and tool axes, shape (m, 3), at shares of motions."""
+        """
+        Return poses on motions.
+
+        Parameters
+        ----------
+        row : ndarray of int, shape (m,)
+            Indices of the motions.
+        u : ndarray, shape (m,)
+            Parameters in [0, 1].
+
+        Returns
+        -------
+        tip, axis : ndarray, shape (m, 3)
+            Tool tips [m] and unit tool axes [-].
+
+        """
         end = self.rows[row]
         start = self._start[row]
         point = start + u[:, None] * (end[:, POINT] - start)
@@ -359,9 +407,9 @@ class Moves:
         return point, axis
 
     def curved(self) -> BoolArray:
-        """Tell which motions are not along one line and one great circle, shape (n,)."""
+        """Return which motions are not on one line and one great circle, shape (n,)."""
         turns = (np.abs(self.sweep).max(axis=1) > _SAME) & (self.rows[:, GREAT_CIRCLE] == 0.0)
-        # A rotation with the tip at rest is left whole: it is a motion of the rotary axes alone.
+        # A rotation with the tip at rest stays whole, because only the rotary axes move.
         travels = np.abs(self.rows[:, POINT] - self._start).max(axis=1) > _SAME
         moved = turns & self._by_axes & ~travels
         if moved.any():
@@ -374,10 +422,16 @@ class Moves:
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """
-        Return feedrate and duration, shape (n,) [m/s, s], one of them NaN.
+        Return feedrate and duration of the motions; one of both is NaN.
 
-        Where axis positions are programmed and rotary axes turn, F is the speed of X Y Z, or of
-        the rotary axes where they turn alone; the tip's speed follows from it.
+        If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
+        rotary axes turn alone, F is their speed. The duration follows from it.
+
+        Returns
+        -------
+        feedrate, duration : ndarray, shape (n,)
+            Speed of the tip [m/s], and time [s].
+
         """
         feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
         turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > _SAME)
@@ -397,7 +451,7 @@ class Moves:
 
 
 def _portions(before: FloatArray, rows: FloatArray) -> list[slice]:
-    """Cut a batch where the blocks of its portions would become too many."""
+    """Divide a batch into parts that do not give too many blocks each."""
     turned = np.nan_to_num(np.abs(rows[:, SWEEP]))
     turned += np.nan_to_num(np.abs(rows[:, ROTARY] - before[:, ROTARY])).sum(axis=1)
     portion = np.floor(np.cumsum(turned) / _MOST_TURN)
@@ -406,8 +460,8 @@ def _portions(before: FloatArray, rows: FloatArray) -> list[slice]:
 
 
 def _merge_repeated(rows: FloatArray) -> FloatArray:
-    """Drop rows that move nothing; an exact stop asked for there passes to the row before."""
-    # Row 0 is new: it begins the program, or it was held back by the batch before.
+    """Drop rows without motion; their exact stops are moved to the row before."""
+    # Row 0 is always kept: it begins the program, or the batch before held it back.
     same = np.zeros(len(rows), dtype=np.bool_)
     same[1:] = _moves_nothing(rows[:-1], rows[1:])
     if not same.any():
@@ -419,11 +473,12 @@ def _merge_repeated(rows: FloatArray) -> FloatArray:
 
 
 def _moves_nothing(rows: FloatArray, following: FloatArray) -> BoolArray:
+    """Return which following rows do not move from the row before, shape (n,)."""
     change = np.abs(following[:, : ROTARY.stop] - rows[:, : ROTARY.stop])
     still = (change[:, POINT].max(axis=1) <= _SAME) & (change[:, AXIS].max(axis=1) <= _SAME)
     on_circle = following[:, GREAT_CIRCLE] != 0.0
     still &= on_circle | ~(change[:, ROTARY].max(axis=1) > _SAME)
     still &= np.isnan(following[:, SWEEP])
-    # Tool tips and axis positions are the same numbers at most by chance.
+    # Equal numbers mean nothing if one row has tool tips and the other axis positions.
     same_terms = following[:, AXES] == rows[:, AXES]
     return np.asarray(still & (same_terms | (np.abs(rows[:, ROTARY]).max(axis=1) == 0.0)))

@@ -1,7 +1,7 @@
 """
-Where the reader of a program is: its line, and the subprograms that called it.
+The position of the reader in a program: its line, and the active subprogram calls.
 
-Jumps backwards and calls are counted, so that a program without end is refused.
+Backward jumps and calls are counted, so that an endless program is refused.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _SUBPROGRAM_SUFFIXES = ('.ngc', '.nc', '.tap', '.NC', '.TAP', '')
 
 @dataclass
 class Loop:
-    """A loop that is running: its label, where it begins, the rounds it still has."""
+    """A running loop: its label, its first line, and the rounds that remain."""
 
     label: str
     begin: Place
@@ -29,7 +29,7 @@ class Loop:
 
 @dataclass
 class _Call:
-    """A subprogram that is running: where its caller goes on, and how often it is repeated."""
+    """A running subprogram: where the caller continues, and the rounds that remain."""
 
     source: Source
     back: Place
@@ -42,16 +42,16 @@ class _Call:
 
 class Cursor:
     """
-    A place in a program and its subprograms.
+    A position in a program and its subprograms.
 
     Parameters
     ----------
     source : Source
-        The program.
+        The main program.
     variables : ProgramVariables
-        For conditions and arguments.
+        Variables for conditions and arguments.
     most_jumps : int
-        Backward jumps after which the program counts as endless.
+        Number of backward jumps after which the program is refused as endless.
 
     """
 
@@ -65,14 +65,14 @@ class Cursor:
         self.row, self.window, self._window_of = 0, source.window(source.start), source
 
     def go(self, place: Place) -> None:
-        """Go on at a place of the present source."""
+        """Continue at a place of the present text."""
         row = self.window.row_of(place) if self._window_of is self.source else None
         if row is None:
             self.window, self._window_of, row = self.source.window(place), self.source, 0
         self.row, self.jumped = row, True
 
     def here(self) -> bool:
-        """Load the next lines; False at the end of the program."""
+        """Load the next lines; return False at the end of the program."""
         while not self.ended:
             if self.row < len(self.window):
                 return True
@@ -87,12 +87,12 @@ class Cursor:
 
     @property
     def line_number(self) -> int:
-        """Number of the present line in its file."""
+        """Return the number of the present line in its file."""
         return self.window.start.line + self.row
 
     @property
     def main_line(self) -> int:
-        """Number of the present line of the main program: the line of a call to another file."""
+        """Return the line in the main program: for another file, that of its call."""
         for call in reversed(self._calls):
             if call.source is self.main and self.source is not self.main:
                 return call.line
@@ -100,30 +100,31 @@ class Cursor:
 
     @property
     def share(self) -> float:
-        """Share of the main program's text that lies behind, 0 to 1."""
+        """Return the part of the main program that has been read, 0 to 1."""
         for call in self._calls:
             if call.source is self.main:
                 return self.main.share(call.back)
         return self.main.share(self.window.place(self.row))
 
     def fault(self, message: str, word: str = '') -> ProgramError:
-        """Make an error that names file and line."""
+        """Return an error with file and line."""
         return ProgramError(message, self.source.name, self.line_number, word[:40])
 
     def close(self) -> None:
-        """Close all files."""
+        """Close all files of the program."""
         for call in self._calls:
             call.source.close()
         self.source.close()
         self.main.close()
 
     def back_or_on(self, place: Place) -> None:
-        """Go to a place; jumps backwards are counted."""
+        """Jump to a place; backward jumps are counted."""
         if place.offset <= self.window.place(self.row).offset:
             self._count_jump()
         self.go(place)
 
     def _count_jump(self) -> None:
+        """Count a backward jump or a call; raise if there are too many."""
         self._jumps_left -= 1
         if self._jumps_left < 0:
             raise self.fault(
@@ -139,12 +140,14 @@ class Cursor:
         arguments: dict[int, float],
         own_variables: bool,
     ) -> None:
-        """Run a subprogram of this file, or of a file of its own beside it."""
+        """Run a subprogram of this file, or of a separate file in the same folder."""
         if rounds < 1:
             self.go(self.window.place(self.row + 1))
             return
         if len(self._calls) >= _DEEPEST_CALL:
-            raise self.fault(f'calls are nested more than {_DEEPEST_CALL} deep', stem)
+            raise self.fault(
+                f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels', stem
+            )
         self._count_jump()
         back, line = self.window.place(self.row + 1), self.line_number
         search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)
@@ -163,18 +166,16 @@ class Cursor:
         self.go(begin)
 
     def _file_beside(self, stem: str) -> Source:
-        """Open a subprogram's own file."""
+        """Open the separate file of a subprogram."""
         folder = Path(self.main.name).parent
         for suffix in _SUBPROGRAM_SUFFIXES:
             path = folder / (stem + suffix)
             if re.fullmatch(r'[\w-]+', stem) and path.is_file():
                 return Source.of_file(path)
-        raise self.fault(
-            f'the subprogram {stem} is neither in this file nor beside it; add it', stem
-        )
+        raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it', stem)
 
     def leave(self) -> None:
-        """Return from a subprogram, or run it once more."""
+        """Return from a subprogram, or begin its next round."""
         call = self._calls[-1]
         if call.rounds > 0:
             call.rounds -= 1
@@ -192,5 +193,5 @@ class Cursor:
 
     @property
     def in_subprogram(self) -> bool:
-        """True inside a subprogram."""
+        """Whether a subprogram is running."""
         return bool(self._calls)

@@ -1,9 +1,9 @@
 """
-Canned cycles: drilling and its kin as rapid and feed moves.
+Canned cycles: drilling, tapping and boring as rapid and feed moves.
 
-G81 drills, G82 rests at the bottom, G83 clears the chips after every peck, G73 breaks them, G84
-and G74 tap (in and out at feed; the spindle is not part of the motion), G85 and G89 bore. Z, R, Q
-and P stay valid for the next holes; G98 retracts to where the cycle began, G99 to R.
+G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
+G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. Z, R, Q and
+P stay valid for the next holes. G98 retracts to the start level of the cycle, G99 to R.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cnc_interp.program.codes import DWELL
 from cnc_interp.program.motion import FARTHEST, Mover
 from cnc_interp.program.words import BlockWords
 
-#: Clearance above the last peck, and retract of G73 [m].
+#: Clearance above the last peck, and retract distance of G73 [m].
 _CLEARANCE = 0.25 * MM
 _MOST_PECKS, _MOST_REPEATS = 10_000, 10_000
 _PECKING = {'G73', 'G83'}
@@ -36,8 +36,8 @@ class CannedCycle:
     code : str
         G73, G74, G81 to G86 or G89.
     start : float
-        Where along the drilling axis the tool stood when it was called, in program coordinates
-        [m].
+        Position of the tool along the drilling axis when the cycle was called, in program
+        coordinates [m].
 
     """
 
@@ -47,7 +47,16 @@ class CannedCycle:
 
     def drill(self, mover: Mover, words: BlockWords, feed_given: bool) -> None:
         """
-        Drill at the position of a block.
+        Drill the holes of one block.
+
+        Parameters
+        ----------
+        mover : Mover
+            Position and settings of the program.
+        words : BlockWords
+            Words of the block; those of the cycle are removed.
+        feed_given : bool
+            Whether the block has an F.
 
         Raises
         ------
@@ -79,7 +88,7 @@ class CannedCycle:
             values.pop(letter, None)
 
     def _hole(self, mover: Mover, hole: FloatArray, axis: int, feed_given: bool) -> None:
-        """Drill one hole at program coordinates, shape (5,)."""
+        """Drill one hole at a position in program coordinates, shape (5,) [m, rad]."""
         depth, retract = (self._sticky['XYZ'[axis]], self._sticky['R'])
         here = mover.here()
         level = float(here[axis])
@@ -93,6 +102,7 @@ class CannedCycle:
         clear = max(self.start, retract) if mover.retract_to_start else retract
 
         def go(along: float, rapid: bool, place: FloatArray) -> None:
+            # Move along the drilling axis above a place.
             target = place.copy()
             target[axis] = along
             rotary = (
@@ -121,7 +131,7 @@ class CannedCycle:
     def _peck(
         self, mover: Mover, retract: float, bottom: float, go: Callable[[float, bool], None]
     ) -> None:
-        """Feed down in steps of Q."""
+        """Feed down in steps of Q, with a retract after each step."""
         step = self._sticky.get('Q', 0.0) * mover.unit
         if not 0.0 < step < FARTHEST:
             raise mover.fault('the cycle needs its peck Q, greater than zero', self.code)

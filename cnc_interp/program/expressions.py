@@ -1,9 +1,9 @@
 """
-Expressions of G-code: the grammar of the rare lines, and what their values are.
+Expressions of G-code: the grammar of lines with expressions, and their values.
 
-One grammar holds the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B and the ``=``,
-names and parentheses of Siemens; where they conflict, the form of the word decides (``X[...]`` or
-``X=...``). Angles are in deg, as on the controls.
+One grammar contains the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B, and the
+``=``, names and parentheses of Siemens. If they conflict, the form of the word decides (``X[...]``
+or ``X=...``). Angles are in deg, as on the controls.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ Node = Any
 
 
 class ExpressionError(Exception):
-    """An expression that cannot be read or has no value; the reader adds file and line."""
+    """An expression cannot be read or has no value; the reader adds file and line."""
 
 
 class Variables(Protocol):
-    """Where an expression finds its variables."""
+    """The variables that an expression can read."""
 
     def number(self, index: int) -> float:
         """Return the value of ``#index``."""
@@ -97,7 +97,7 @@ class Variables(Protocol):
 
 
 class _Nodes(Transformer):  # type: ignore[type-arg]
-    """Parse tree -> nested tuples."""
+    """Converts the parse tree to nested tuples."""
 
     def __default__(self, data: Any, children: list[Any], meta: Any) -> Node:
         return (str(data), *children)
@@ -105,6 +105,7 @@ class _Nodes(Transformer):  # type: ignore[type-arg]
 
 @cache
 def _parser() -> Lark:
+    """Return the parser, which is built once."""
     return Lark(
         _GRAMMAR,
         parser='lalr',
@@ -117,13 +118,20 @@ def _parser() -> Lark:
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
     """
-    Read a line, a row of bracketed values or a condition, all without comments.
+    Parse a line, a row of bracketed values, or a condition; all without comments.
+
+    Parameters
+    ----------
+    text : str
+        The text in upper case.
+    start : {'line', 'values', 'condition'}
+        Kind of the text.
 
     Returns
     -------
     tuple
         Items ``('word', letter, node)``, ``('set_name', name, node)``, ``('set_parameter', index
-        node, node)`` and ``('key', name, *nodes)``; for the other starts, value nodes.
+        node, node)`` and ``('key', name, *nodes)``. For 'values' and 'condition', value nodes.
 
     Raises
     ------
@@ -146,7 +154,19 @@ def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
 
 def evaluate(node: Node, variables: Variables) -> float:
     """
-    Return the value of a node.
+    Return the value of a node of the parse tree.
+
+    Parameters
+    ----------
+    node : tuple
+        The node, from ``parse``.
+    variables : Variables
+        The variables that it can read.
+
+    Returns
+    -------
+    float
+        The value.
 
     Raises
     ------
@@ -159,13 +179,14 @@ def evaluate(node: Node, variables: Variables) -> float:
     except RecursionError:
         raise ExpressionError(_TOO_DEEP) from None
     except (ArithmeticError, ValueError):
-        raise ExpressionError('the expression has no value; see its arguments') from None
+        raise ExpressionError('the expression has no value; correct its arguments') from None
     if not math.isfinite(value):
-        raise ExpressionError('the expression has no finite value')
+        raise ExpressionError('the value of the expression is not finite; correct its arguments')
     return value
 
 
 def _value(node: Node, variables: Variables) -> float:
+    """Return the value of a node, without checks."""
     kind = node[0]
     if kind == 'number':
         return float(node[1])
@@ -188,20 +209,22 @@ def _value(node: Node, variables: Variables) -> float:
 
 
 def _parameter(index: Node, variables: Variables) -> float:
+    """Return the value of a parameter with a name or a number."""
     if index[0] == 'own_name':
         return variables.named(str(index[1]))
     return variables.number(parameter_index(index, variables))
 
 
 def parameter_index(index: Node, variables: Variables) -> int:
-    """Return the number behind a ``#``."""
+    """Return the number of a parameter ``#number``, which may itself be an expression."""
     value = _value(index, variables)
     if not (abs(value - round(value)) < 1e-4 and 0 <= value < 1e6):
-        raise ExpressionError(f'#{value:g} is no parameter; write a whole number behind #')
+        raise ExpressionError(f'#{value:g} is not a parameter; write a whole number after #')
     return round(value)
 
 
 def _call(name: str, arguments: tuple[Node, ...], variables: Variables) -> float:
+    """Return the value of a function call."""
     if name == 'EXISTS' and len(arguments) == 1 and arguments[0][0] == 'parameter':
         index = arguments[0][1]
         return float(index[0] == 'own_name' and variables.exists(str(index[1])))
@@ -234,7 +257,7 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 
 
 def _nearest(x: float) -> float:
-    """Round halves away from zero, as controls do."""
+    """Round to the nearest integer; halves are rounded away from zero, as controls do."""
     return math.copysign(math.floor(abs(x) + 0.5), x)
 
 

@@ -1,9 +1,9 @@
 """
-The statements that decide in which order lines are read: jumps, loops, subprograms.
+Statements that change the order of lines: jumps, loops, subprograms.
 
-The common dialect: O words of LinuxCNC (``o100 sub``, ``call``, ``while``, ``if``, ``do``,
-``repeat``), M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN of Fanuc macro B,
-GOTOF, GOTOB and IF of Siemens.
+O words of LinuxCNC are ``o100 sub``, ``call``, ``while``, ``if``, ``do`` and ``repeat``. Fanuc
+has M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN. Siemens has GOTOF, GOTOB
+and IF.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ _END = re.compile(r'END\s*(\d+)')
 _GOTO = re.compile(r'GOTO([FB]?)(?![A-Z_])\s*(.*)')
 _LABEL = re.compile(r'([A-Z_][A-Z_]\w*)\s*:(?!=)\s*')
 _DEFINITION = re.compile(r'DEF\s+(REAL|INT|BOOL)\s+(.*)')
-#: Letters of G65 arguments -> local variables.
+#: Letters of G65 arguments and the local variables that they set.
 G65_ARGUMENTS = dict(
     zip('ABCIJKDEFHMQRSTUVWXYZ', (*range(1, 10), 11, 13, *range(17, 27)), strict=True)
 )
 
 
 class Flow(Cursor):
-    """The statements that move the reader elsewhere."""
+    """A cursor that executes the statements which move it."""
 
     # --- statements ----------------------------------------------------------------------------
 
     def execute(self, line: str) -> str | None:
         """
-        Carry out a line if it is a statement of flow.
+        Execute a line if it is a flow statement.
 
         Parameters
         ----------
         line : str
-            In upper case, without comments and line number.
+            The line in upper case, without comments and line number.
 
         Returns
         -------
         str or None
-            What of the line remains to be done (after a label or THEN); None if nothing.
+            The rest of the line after a label or THEN; None if nothing is left.
 
         """
         head = line[0]
@@ -75,7 +75,7 @@ class Flow(Cursor):
         return line
 
     def _define(self, names: str) -> None:
-        """DEF REAL A=1, B."""
+        """Process DEF REAL A=1, B: define variables."""
         for name in names.split(','):
             match = re.fullmatch(r'\s*([A-Z_]\w*)\s*(?:=(.*))?', name)
             if match is None:
@@ -83,7 +83,7 @@ class Flow(Cursor):
             self.variables.set_name(match[1], self._condition(match[2]) if match[2] else 0.0)
 
     def _condition(self, text: str) -> float:
-        """Return the value of a condition."""
+        """Return the value of a condition or expression."""
         try:
             (node,) = parse(text, 'condition')
             return evaluate(node, self.variables)
@@ -98,7 +98,7 @@ class Flow(Cursor):
             raise self.fault(str(problem), text[:20]) from None
 
     def _if(self, line: str) -> str | None:
-        """IF [...] GOTO n, IF [...] THEN ..., IF ... GOTOF label."""
+        """Process IF [...] GOTO n, IF [...] THEN ... and IF ... GOTOF label."""
         match = _IF.fullmatch(line)
         if match is None:
             raise self.fault('write IF [...] GOTO number, or IF [...] THEN #1=value', 'IF')
@@ -110,13 +110,13 @@ class Flow(Cursor):
         return None
 
     def _jump(self, way: str, target: str) -> None:
-        """Go to a line number or label."""
+        """Jump to a line number or a label."""
         if re.fullmatch(r'[A-Z_][A-Z_]\w*', target):
             pattern = rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + target.encode() + rb'[ \t]*:'
         else:
             value = self._condition(target.removeprefix('N'))
             if not 0 <= value < 1e9:
-                raise self.fault('no line number', target)
+                raise self.fault('not a line number; write for example GOTO 100', target)
             pattern = rb'(?mi)^[ \t/]*N[ \t]*0*%d(?!\d)' % round(value)
         search = re.compile(pattern)
         after = self.window.place(self.row + 1)
@@ -124,26 +124,28 @@ class Flow(Cursor):
         if place is None and way != 'F':
             place = self.source.find(search, self.source.start)
         if place is None or (way == 'B' and place.offset >= after.offset):
-            raise self.fault('the line to jump to is not there', target or 'GOTO')
+            raise self.fault(
+                'no line with this number or label; correct the jump target', target or 'GOTO'
+            )
         self.loops.clear()
         self.back_or_on(place)
 
     def _skip(self, pattern: bytes, what: str) -> Place:
-        """Return the line after the next one that matches."""
+        """Return the place of the next line that matches; raise if there is none."""
         place = self.source.find(
             re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + pattern), self.window.place(self.row + 1)
         )
         if place is None:
-            raise self.fault(f'{what} is missing', what)
+            raise self.fault(f'{what} is missing; add it', what)
         return place
 
     # --- loops ---------------------------------------------------------------------------------
 
     def _while(self, label: str, condition: str, end: bytes) -> None:
-        """Enter a loop or leave it at its head."""
+        """Enter a loop, or leave it if its condition is false."""
         place = self.window.place(self.row)
         if self.loops and self.loops[-1].label == label and self.loops[-1].begin != place:
-            # The tail of O- DO.
+            # This is the closing WHILE of O- DO.
             if self._condition(condition):
                 self.back_or_on(self.loops[-1].begin)
             else:
@@ -161,15 +163,15 @@ class Flow(Cursor):
         self.go(self.source.after(self._skip(end, f'the end of {label}')))
 
     def _again(self, label: str, word: str) -> None:
-        """At the end of a loop go back to its head."""
+        """Process the end of a loop: jump back to its head."""
         while self.loops and self.loops[-1].label != label:
             self.loops.pop()
         if not self.loops:
-            raise self.fault('this loop was not begun', word)
+            raise self.fault('this loop was not begun; add its first line', word)
         self.back_or_on(self.loops[-1].begin)
 
     def _o_word(self, label: str, word: str, rest: str) -> None:
-        """Carry out an O word of LinuxCNC."""
+        """Execute an O word of LinuxCNC."""
         name = rb'O\s*' + re.escape(label.encode()) + rb'\s*'
         following = self.window.place(self.row + 1)
         if word == 'SUB':
@@ -178,7 +180,10 @@ class Flow(Cursor):
             self._call_o_word(label, rest)
         elif word in ('ENDSUB', 'RETURN'):
             if not self._calls:
-                raise self.fault('this subprogram was not called', f'O{label} {word}')
+                raise self.fault(
+                    'this subprogram was not called; move it after M2, or call it',
+                    f'O{label} {word}',
+                )
             self.leave()
         elif word == 'WHILE':
             self._while(label, rest, name + b'ENDWHILE')
@@ -202,6 +207,7 @@ class Flow(Cursor):
             self._o_if(label, word, rest, name)
 
     def _repeat(self, label: str, rest: str, name: bytes) -> None:
+        """Enter a REPEAT loop with its number of rounds, or skip it."""
         (count, *_) = self._values(rest) or [0.0]
         if count >= 1.0:
             self.loops.append(Loop(label, self.window.place(self.row + 1), round(count) - 1))
@@ -210,10 +216,11 @@ class Flow(Cursor):
             self.go(self.source.after(self._skip(name + b'ENDREPEAT', f'O{label} ENDREPEAT')))
 
     def _end_repeat(self, label: str) -> None:
+        """Process ENDREPEAT: begin the next round, or leave the loop."""
         while self.loops and self.loops[-1].label != label:
             self.loops.pop()
         if not self.loops:
-            raise self.fault('this loop was not begun', f'O{label} ENDREPEAT')
+            raise self.fault('this loop was not begun; add its first line', f'O{label} ENDREPEAT')
         loop = self.loops[-1]
         if loop.rounds > 0:
             loop.rounds -= 1
@@ -223,11 +230,11 @@ class Flow(Cursor):
             self.go(self.window.place(self.row + 1))
 
     def _o_if(self, label: str, word: str, rest: str, name: bytes) -> None:
-        """Enter the branch of an IF whose condition holds, or leave at the end of a branch."""
+        """Enter the branch of an IF whose condition is true; at its end, leave the IF."""
         if word == 'ENDIF':
             self.go(self.window.place(self.row + 1))
             return
-        if word in ('ELSE', 'ELSEIF'):  # the branch before has been executed
+        if word in ('ELSE', 'ELSEIF'):  # the end of the branch that was executed
             end = self._skip(name + b'ENDIF', f'O{label} ENDIF')
             self.go(self.source.after(end))
             return
@@ -245,6 +252,7 @@ class Flow(Cursor):
     # --- subprograms ---------------------------------------------------------------------------
 
     def _call_o_word(self, label: str, rest: str) -> None:
+        """Call a subprogram of LinuxCNC with positional arguments."""
         if label.startswith('<'):
             pattern, stem = re.escape(label.encode()), label[1:-1].lower()
         else:
@@ -256,6 +264,6 @@ class Flow(Cursor):
     def call_number(
         self, number: int, rounds: int, arguments: dict[int, float] | None = None
     ) -> None:
-        """M98 and G65: run the subprogram that begins with an O number."""
+        """Process M98 and G65: run the subprogram that begins with an O number."""
         pattern = rb'[O:]\s*0*%d(?!\d)' % number
         self.call(f'O{number:04d}', pattern, rounds, arguments or {}, arguments is not None)

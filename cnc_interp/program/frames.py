@@ -1,10 +1,10 @@
 """
-From program coordinates to points: work offsets, shifts, rotated frames and tool length.
+Conversion of program coordinates to points: work offsets, shifts, rotated frames, tool length.
 
     point = turn @ program + shift + offsets
 
-A point is the tool tip in W with tool-tip programming on. With it off it is the position of X Y Z
-less that of the workpiece zero, so that both are the same while the rotary axes stand at zero.
+With tool-tip programming on, a point is the tool tip in W. With it off, a point is the position of
+X Y Z minus that of the workpiece zero. Both are equal while the rotary axes are at zero.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ Vector = FloatArray
 
 class Frames:
     """
-    The frames that are active at a moment of the program.
+    The active frames at one moment of the program.
 
     Parameters
     ----------
     setup : JobSetup
-        Work offsets of the operator.
+        Work offsets from the operator.
     zero : ndarray, shape (3,)
-        Machine coordinates of the workpiece zero of the machine file [m].
+        Machine coordinates of the workpiece zero in the machine file [m].
     rotary_letters : tuple of str
         Letters of the rotary axes.
 
@@ -46,7 +46,7 @@ class Frames:
         self.update()
 
     def _measured(self, position: Position) -> Vector:
-        """Turn machine coordinates of a zero into an offset from the machine file's."""
+        """Convert machine coordinates of a zero to an offset from that of the machine file."""
         offset = np.zeros(5)
         for i, letter in enumerate('XYZ'):
             offset[i] = position.get(letter, float(self._zero[i])) - self._zero[i]
@@ -55,7 +55,7 @@ class Frames:
         return offset
 
     def known(self, name: str) -> bool:
-        """Tell whether the operator has set a work offset."""
+        """Tell whether a work offset is set."""
         return name in self._work
 
     def choose(self, name: str) -> None:
@@ -65,21 +65,21 @@ class Frames:
 
     def set_work(self, index: int, words: dict[int, float], program: Vector | None) -> str:
         """
-        Set a work offset (G10 L2, or G10 L20 where the program position is given).
+        Set a work offset by G10 L2, or by G10 L20 if the program position is given.
 
         Parameters
         ----------
         index : int
-            1 for G54 ..., 0 for the active one.
+            1 for G54, 2 for G55, ...; 0 for the active one.
         words : dict
-            Values by axis number [m, rad].
+            Values of the words by axis number [m, rad].
         program : ndarray, shape (5,), optional
-            Where the tool stands in coordinates that keep all but the work offset.
+            Position of the tool with all offsets except the work offset [m, rad].
 
         Returns
         -------
         str
-            The name of the offset.
+            Name of the offset.
 
         """
         name = WORK_OFFSETS[index - 1] if index else (self.work_offset or 'G54')
@@ -92,7 +92,7 @@ class Frames:
         return name
 
     def update(self) -> None:
-        """Add the offsets up."""
+        """Recompute the sum of the offsets."""
         total = self._work.get(self.work_offset or 'G54', np.zeros(5)) + self.local
         if self.g92_on:
             total = total + self.g92
@@ -101,37 +101,71 @@ class Frames:
         self.rotated = bool(np.any(self.turn != np.eye(3)))
 
     def point(self, program: Vector) -> Vector:
-        """Turn program coordinates, shape (3,) or (n, 3), into points [m]."""
+        """
+        Convert program coordinates to points.
+
+        Parameters
+        ----------
+        program : ndarray, shape (3,) or (n, 3)
+            Program coordinates [m].
+
+        Returns
+        -------
+        ndarray, shape (3,) or (n, 3)
+            Points [m].
+
+        """
         turned = program @ self.turn.T if self.rotated else program
         return np.asarray(turned + self.origin)
 
     def program(self, point: Vector) -> Vector:
-        """Turn a point into program coordinates [m]."""
+        """
+        Convert a point to program coordinates.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Point [m].
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Program coordinates [m].
+
+        """
         return np.asarray(self.turn.T @ (point - self.origin))
 
     def machine_point(self, axis: int, coordinate: float) -> float:
-        """Turn a machine coordinate of X Y Z (0, 1, 2) into that of a point [m]."""
+        """Convert a machine coordinate of X, Y or Z (0, 1, 2) to that of a point [m]."""
         return coordinate - float(self._zero[axis])
 
     def reset_frame(self) -> None:
-        """Switch the programmed shift and rotation off."""
+        """Cancel the programmed shift and rotation."""
         self.shift, self.turn = np.zeros(3), np.eye(3)
 
     def rotate(self, angles: dict[str, float]) -> None:
-        """Turn the frame about its own Z, Y and X axes, in this order [rad]."""
+        """Rotate the frame about its own Z, Y and X axes, in this order [rad]."""
         for letter in 'ZYX':
             if letter in angles:
                 self.turn = self.turn @ _rotation('XYZ'.index(letter), angles[letter])
         self.update()
 
     def move(self, shift: Vector) -> None:
-        """Shift the frame along its own axes [m]."""
+        """
+        Shift the frame along its own axes.
+
+        Parameters
+        ----------
+        shift : ndarray, shape (3,)
+            Shift [m].
+
+        """
         self.shift = self.shift + self.turn @ shift
         self.update()
 
 
 def _rotation(axis: int, angle: float) -> FloatArray:
-    """Rotation about a coordinate axis; right angles are exact."""
+    """Return the rotation about a coordinate axis, shape (3, 3); right angles are exact."""
     c, s = np.cos(angle), np.sin(angle)
     c, s = (np.round(v) if abs(v - np.round(v)) < 1e-15 else v for v in (c, s))
     i, j = (axis + 1) % 3, (axis + 2) % 3

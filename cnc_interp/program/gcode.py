@@ -1,8 +1,8 @@
 """
-G-code -> targets: the codes of a program, line by line.
+G-code to motion targets: the codes of a program, line by line.
 
-Runs of plain motion lines, nearly all of a program, go to ``runs.py`` together. Every other line
-is split into words: flow first, then settings, then motion, then stops.
+Nearly all lines of a program are plain motion. ``runs.py`` executes many of them at once. Every
+other line is split into words. Then flow, settings, motion and stops are executed in this order.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ _MACHINE_KEYS = {'SUPA', 'G153'}
 
 class GcodeReader:
     """
-    A G-code program; ``blocks`` runs it.
+    A reader of G-code; ``blocks`` runs it.
 
     Parameters
     ----------
     geometry : RotaryGeometry
-        Names the rotary axes and gives their poses.
+        Names of the rotary axes, and their kinematics.
     settings : Settings
-        The user's choices for reading.
+        Values that the program does not give: tolerances, feedrate, interpolation.
     setup : JobSetup
         Work offsets, tool lengths and reference points.
     source : Source
-        The text.
+        The text of the program.
     notices : Notices
-        Collects what is harmless.
+        Collects notices about harmless words.
 
     """
 
@@ -79,11 +79,11 @@ class GcodeReader:
 
     @property
     def share(self) -> float:
-        """Share of the text that has been read, 0 to 1."""
+        """Return the part of the text that has been read, 0 to 1."""
         return self.flow.share
 
     def blocks(self) -> Iterator[Blocks]:
-        """Read the program and hand out its blocks, batch by batch."""
+        """Read the program and yield its blocks in batches."""
         flow, targets = self.flow, self.mover.targets
         while flow.here():
             window, row = flow.window, flow.row
@@ -100,7 +100,7 @@ class GcodeReader:
         yield from targets.finish()
 
     def _run(self, first: int, end: int) -> None:
-        """Execute lines none of which is rare."""
+        """Execute lines that contain no rare line."""
         window = self.flow.window
         rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
         in_main = self.flow.source is self.flow.main
@@ -117,7 +117,7 @@ class GcodeReader:
         self.flow.row = end
 
     def _line(self, raw: str) -> None:
-        """Execute one line, as the general reader does."""
+        """Execute one line with the general reader."""
         line = without_comments(raw.upper(), self.fault)
         if not line:
             return
@@ -140,6 +140,7 @@ class GcodeReader:
     # --- one block -----------------------------------------------------------------------------
 
     def _execute(self, words: BlockWords) -> None:
+        """Execute the words of one block."""
         values, mover = words.values, self.mover
         for letter in ('N', 'O'):
             values.pop(letter, None)
@@ -160,7 +161,7 @@ class GcodeReader:
             mover.set_feed(f, words.texts['F'])
         taking = [code for code in words.g if code in codes.TAKE_AXES]
         if len(taking) > 1:
-            raise self.fault(f'{taking[0]} stands in the same block; keep one of them', taking[1])
+            raise self.fault(f'{taking[0]} is in the same block; keep one of them', taking[1])
         calling = self._calling(words)
         if 'G4' in taking:
             self._dwell(words)
@@ -182,7 +183,7 @@ class GcodeReader:
             self._return()
 
     def _settings(self, words: BlockWords) -> None:
-        """Apply the G codes of a block."""
+        """Apply the G codes of a block that are settings."""
         mover = self.mover
         was = mover.feed_mode
         set_here: dict[str, str] = {}
@@ -193,7 +194,7 @@ class GcodeReader:
                 attribute, value = codes.SETTINGS[code]
                 if attribute in set_here:
                     raise self.fault(
-                        f'{set_here[attribute]} stands in the same block; keep one of them', code
+                        f'{set_here[attribute]} is in the same block; keep one of them', code
                     )
                 set_here[attribute] = code
                 setattr(mover, attribute, value)
@@ -210,7 +211,7 @@ class GcodeReader:
                     self._cycle = CannedCycle(code, float(mover.here()[along]))
                 self._cycle.code = code
                 if code in ('G74', 'G84'):
-                    self.notice(code, 'feed in, feed out; the spindle is not part of the motion')
+                    self.notice(code, 'feed in, feed out; the spindle is not synchronised')
             elif code == 'G80':
                 self._cycle = None
             elif code in codes.HARMLESS_G:
@@ -220,11 +221,12 @@ class GcodeReader:
         if 'G64' in words.g:
             self._modes.path_tolerance(words)
         if was != mover.feed_mode:
-            # A number that meant mm/min must not be taken for 1/min, nor the reverse.
+            # F in mm/min must not be used as 1/min, or the reverse.
             mover.feedrate, mover.blocks_per_minute = self.settings.feedrate, None
             mover.feed_changed = True
 
     def _machine_function(self, code: str) -> None:
+        """Execute an M code that does not stop, call or end the program."""
         if code in codes.REFUSED_M:
             raise self.fault(codes.REFUSED_M[code], code)
         if code in codes.TCP_ON:
@@ -235,7 +237,7 @@ class GcodeReader:
             self.notice(code, 'passed on, it does not move the tool')
 
     def _program_stop(self, code: str) -> None:
-        """M0, M1, M60: rest behind the motion so far and wait for the operator."""
+        """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
         if self.mover.targets.stands and not self.splines.open:
             self.notice(f'{code} at the start', codes.NOT_YET)
         else:
@@ -245,6 +247,7 @@ class GcodeReader:
     # --- key words and assignments -------------------------------------------------------------
 
     def _key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
+        """Execute a word of several letters."""
         mover = self.mover
         if key in codes.INTERPOLATION_KEYS:
             if self.settings.interpolation == 'auto' and mover.rotary_letters:
@@ -260,7 +263,7 @@ class GcodeReader:
         elif key in _MACHINE_KEYS:
             words.g.append('G53')
         elif key == 'CYCLE832':
-            # High-speed settings: a tolerance, and the smoothing that goes with it.
+            # High-speed settings: a tolerance, and smoothing instead of exact stops.
             tolerance = given[0] if given and given[0] else None
             if tolerance is not None and not 0.0 < tolerance * mover.unit < FARTHEST:
                 raise self.fault('the tolerance must be greater than zero', key)
@@ -270,7 +273,7 @@ class GcodeReader:
             mover.frames.reset_frame()
             mover.frames.update()
         elif key == 'BSPLINE':
-            pass  # opens a curve when the settings of the block hold
+            pass  # the curve is opened after the settings of the block
         elif key in codes.HARMLESS_KEYS:
             self.notice(key, 'passed on, it does not move the tool')
         else:
@@ -280,7 +283,7 @@ class GcodeReader:
             raise self.fault(why or unknown, key)
 
     def _assign(self, words: BlockWords) -> None:
-        """Carry out the assignments of a block; some names are words with a meaning."""
+        """Execute the assignments of a block; some names are words with a meaning."""
         mover = self.mover
         for name, value in words.sets:
             if name in ('A3', 'B3', 'C3', 'RPL') or name in CURVE_WORDS:
@@ -296,7 +299,7 @@ class GcodeReader:
                     self.notice(str(name), "ignored, the command's tolerances are forced")
                 elif name == 'CTOL':
                     mover.contour = value * mover.unit
-                else:  # an angle: the deviation that it makes at flank height
+                else:  # OTOL is an angle; convert it to the deviation at flank height
                     mover.orientation = min(value, 90.0) * DEG * self.settings.flank_height
             elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'):
                 raise self.fault('this word is not supported; give the end point and I, J, K',
@@ -307,13 +310,14 @@ class GcodeReader:
                 self.variables.set_name(name, value)
 
     def _set_number(self, index: int, value: float) -> None:
+        """Set a numbered parameter."""
         try:
             self.variables.set_number(index, value)
         except ExpressionError as problem:
             raise self.fault(str(problem), f'#{index}') from None
 
     def _system_variables(self) -> dict[int, float]:
-        """Positions and the work offset: LinuxCNC's #5420 ..., Fanuc's #5001 ... and #5041 ..."""
+        """Return positions and the work offset: LinuxCNC #5420 ..., Fanuc #5001 ..., #5041 ..."""
         mover = self.mover
         found = {5400: float(self._tool), 5220: 1.0}
         if mover.frames.work_offset:
@@ -329,7 +333,7 @@ class GcodeReader:
     # --- motion --------------------------------------------------------------------------------
 
     def _move(self, words: BlockWords, feed_given: bool) -> None:
-        """Move to the axis words of a block; every other word is harmless or refused."""
+        """Move to the axis words of a block; raise for words without a meaning."""
         mover, values = self.mover, words.values
         machine = 'G53' in words.g
         axes = {'X', 'Y', 'Z', *mover.rotary_letters} & set(values)
@@ -343,7 +347,8 @@ class GcodeReader:
             if letter in 'STDH':
                 self.notice(letter, 'passed on, it does not move the tool')
             elif letter in 'ABCUVW':
-                raise self.fault(f'the machine has no axis {letter}', words.texts[letter])
+                raise self.fault(f'the machine has no axis {letter}; remove the word',
+                                 words.texts[letter])  # fmt: skip
             elif letter == 'L' and len(values) == 1:
                 raise self.fault(
                     f'the subprogram L{values[letter]:g} is not supported; put it into this file',
@@ -353,7 +358,7 @@ class GcodeReader:
                 raise self.fault('this word has no meaning here', words.texts[letter])
 
     def _dwell(self, words: BlockWords) -> None:
-        """G4: its P, X, F, S or U is a time, no motion."""
+        """Process G4: its P, X, F, S or U is a time."""
         for letter in 'PXFSU':
             words.values.pop(letter, None)
         if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):
@@ -364,7 +369,7 @@ class GcodeReader:
     # --- subprograms ---------------------------------------------------------------------------
 
     def _calling(self, words: BlockWords) -> tuple[int, int, dict[int, float] | None] | None:
-        """M98 P and G65 P: which subprogram, how often, with which arguments."""
+        """Return number, rounds and arguments of a subprogram call (M98 P, G65 P), or None."""
         values = words.values
         if 'G65' not in words.g and 'M98' not in words.m:
             return None
@@ -372,7 +377,7 @@ class GcodeReader:
         number, rounds = values.pop('P', inf), values.pop('L', None)
         if number != np.floor(number) or not 0 <= number < 1e8:
             raise self.fault('the number of the subprogram is missing; write P1000', word)
-        if rounds is None:  # Fanuc: P21000 is O1000 twice
+        if rounds is None:  # Fanuc: P21000 calls O1000 twice
             rounds, number = divmod(number, 10000) if number > 9999 else (1, number)
         if not 0 <= rounds <= 9999:
             raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
@@ -386,7 +391,7 @@ class GcodeReader:
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
     def _return(self) -> None:
-        """M99: return from a subprogram; in a main program, its end."""
+        """Process M99: return from a subprogram; in the main program, end it."""
         if self.flow.in_subprogram:
             self.flow.leave()
         else:

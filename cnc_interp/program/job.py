@@ -1,4 +1,4 @@
-"""JobSetup: the operator's settings for a program: work offsets, tools, reference points."""
+"""JobSetup: settings of the operator for a job: work offsets, tools, reference points."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ Position = Mapping[str, float]
 @dataclass(frozen=True)
 class JobSetup:
     """
-    The operator's settings.
+    The settings of the operator for one job.
 
     Parameters
     ----------
     work_offsets : mapping of str to position
-        Machine coordinates of the workpiece zeros G54 ... G59.3 by axis letter [m, rad]. A zero
-        that is not given lies where the machine file puts the workpiece.
+        Machine coordinates of the workpiece zeros G54 to G59.3, by axis letter [m, rad]. If a zero
+        is missing, the machine file gives the workpiece zero.
     tool_lengths : mapping of int to float
-        By tool number [m].
+        Tool lengths by tool number [m].
     reference_points : mapping of str to position
-        Machine coordinates of G28 and G30 by axis letter [m, rad]; zero where not given.
+        Machine coordinates of G28 and G30 by axis letter [m, rad]; missing values are 0.
 
     """
 
@@ -43,12 +43,22 @@ class JobSetup:
     @staticmethod
     def load(path: Path) -> JobSetup:
         """
-        Read a setup from a YAML file, in mm and deg.
+        Read a setup from a YAML file in mm and deg.
+
+        Parameters
+        ----------
+        path : Path
+            The setup file.
+
+        Returns
+        -------
+        JobSetup
+            The settings in SI units.
 
         Raises
         ------
         ProgramError
-            If the file is missing or not YAML, or a key or value is wrong; names the key.
+            If the file is missing or not YAML, or a key or value is wrong.
 
         """
         try:
@@ -74,12 +84,14 @@ class JobSetup:
 
 
 def _mapping(content: Any, what: str, source: str) -> dict[Any, Any]:
+    """Return a mapping of keys to values; raise if the content is not one."""
     if not isinstance(content, dict):
-        raise ProgramError(f'{what}: give keys with values', source)
+        raise ProgramError(f'{what}: must be a mapping; give keys with values', source)
     return content
 
 
 def _number(value: Any, key: str, source: str) -> float:
+    """Return a finite number; raise if the value is not one."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         raise ProgramError(f'{key}: must be a number, not {value!r}', source)
     return float(value)
@@ -88,7 +100,7 @@ def _number(value: Any, key: str, source: str) -> float:
 def _position(
     content: dict[Any, Any], name: Any, known: tuple[str, ...], source: str
 ) -> dict[str, float]:
-    """Read one position by axis letters, in mm and deg."""
+    """Return one position by axis letters [m, rad], from mm and deg."""
     if name not in known:
         raise ProgramError(f'{name}: unknown; known: {", ".join(known)}', source)
     words = _mapping(content[name], str(name), source)
@@ -102,13 +114,15 @@ def _position(
 
 
 def _tool(key: Any, source: str) -> int:
+    """Return a tool number; raise if the key is not a whole number."""
     if isinstance(key, bool) or not isinstance(key, int):
-        raise ProgramError(f'tools.{key}: a tool is a whole number', source)
+        raise ProgramError(f'tools.{key}: the tool number must be a whole number', source)
     return key
 
 
 def _length(tools: dict[Any, Any], key: Any, source: str) -> float:
+    """Return a tool length [m], from mm."""
     words = _mapping(tools[key], f'tools.{key}', source)
     if set(words) != {'length'}:
-        raise ProgramError(f'tools.{key}: give its length, as {{length: 75.0}}', source)
+        raise ProgramError(f'tools.{key}: must have one key, as {{length: 75.0}}', source)
     return _number(words['length'], f'tools.{key}.length', source) * MM

@@ -1,4 +1,4 @@
-"""What codes and key words set: tool length, tool-tip programming, zeros, frames, tolerances."""
+"""Settings that need more than one attribute: tool length, TCP, zeros, frames, tolerances."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cnc_interp.program.words import BlockWords
 
 class Modes:
     """
-    The settings of a program that are more than an attribute.
+    The settings of a program that change more than one attribute.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class Modes:
         self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
 
     def tool_length(self, code: str, words: BlockWords, tool: int) -> None:
-        """G43, G44, G43.1, G49 and the tool-tip modes that are a kind of tool length."""
+        """Process G43, G44, G43.1, G49, and the tool-tip modes that are a kind of tool length."""
         mover, frames = self._mover, self._mover.frames
         named = words.values.pop('H', None)
         number = tool if named is None else round(min(abs(named), 1e6))
@@ -50,18 +50,18 @@ class Modes:
             raise self.fault(
                 'a tool length while tool-tip programming is on; switch it off before', code
             )
-        # The axes stand still; from here on the same position has other program coordinates.
+        # The axes do not move. The same position now has other program coordinates.
         frames.length = length
         frames.update()
 
     def switch_tcp(self, word: str) -> None:
-        """Turn tool-tip programming on by a word of some dialect."""
+        """Switch tool-tip programming on, by a word of any dialect."""
         if not self._mover.rotary_letters:
             raise self.fault('tool-tip programming needs a machine with rotary axes', word)
         self._mover.switch_tcp(word)
 
     def choose_work_offset(self, code: str) -> None:
-        """G54 to G59.3: the first one may be the workpiece zero, others must be known."""
+        """Select G54 to G59.3. The first one may be unknown; it is then the workpiece zero."""
         frames = self._mover.frames
         if not frames.known(code) and frames.work_offset not in ('', code):
             raise self.fault(
@@ -74,9 +74,9 @@ class Modes:
         frames.choose(code)
 
     def path_tolerance(self, words: BlockWords) -> None:
-        """G64 P: both tolerances from here on; without P, the user's."""
+        """Process G64 P: set both tolerances; without P, restore those of the options."""
         tolerance = words.values.pop('P', None)
-        q = words.values.pop('Q', None)  # points are left out within P, whatever Q allows besides
+        q = words.values.pop('Q', None)  # ignored: the compressor stays within P in any case
         if q is not None and (tolerance is None or not q >= 0.0):
             raise self.fault('write G64 P Q: P is the tolerance, Q not below 0', words.texts['Q'])
         if tolerance is not None and not 0.0 < tolerance * self._mover.unit < FARTHEST:
@@ -84,7 +84,7 @@ class Modes:
         self.tolerances('G64 P', tolerance, tolerance)
 
     def tolerances(self, word: str, contour: float | None, orientation: float | None) -> None:
-        """Set tolerances in program units; None restores the user's."""
+        """Set tolerances in program units; None restores the value of the settings."""
         mover, settings = self._mover, self._mover.settings
         if settings.force_tolerances:
             if contour is not None or orientation is not None:
@@ -96,7 +96,7 @@ class Modes:
         )
 
     def turn_frame(self, key: str, words: BlockWords) -> None:
-        """TRANS, ATRANS, ROT, AROT: shift or turn the program's coordinates."""
+        """Process TRANS, ATRANS, ROT and AROT: shift or rotate the program coordinates."""
         mover = self._mover
         frames = mover.frames
         if not key.startswith('A'):

@@ -1,5 +1,5 @@
 """
-The modal state that moves: position, feed, frames; targets from axis words, one block at a time.
+The modal state of a program: position, feed, frames; and the targets of single blocks.
 
 ``runs.py`` does the same for many plain lines at once.
 """
@@ -26,32 +26,32 @@ from cnc_interp.settings.choices import Settings
 
 FARTHEST = 1e5 * MM
 MOST_TURN = 1e3 * 360.0 * DEG
-#: A rotary axis that turns further in one cutting block is told of [rad].
+#: A larger turn of a rotary axis in one cutting block gives a notice [rad].
 LONG_WAY = 180.0 * DEG + 1e-9
 LENGTH_WITH_TCP = (
-    'with tool-tip programming the length of the tool belongs into the machine file '
-    '(tip_to_secondary_pivot_mm); give it length 0 in the setup'
+    'with tool-tip programming the tool length belongs in the machine file '
+    '(tip_to_secondary_pivot_mm); set the length in the setup to 0'
 )
 _NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
-_NO_NEW_F = 'no feedrate (F) since the way it is given has changed (G93, G94, G95); write F'
+_NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
 
 
 class Mover:
     """
-    Position and modal settings of a program.
+    The position and the modal settings of a program.
 
     Parameters
     ----------
     geometry : RotaryGeometry
-        The machine.
+        Axis names and kinematics of the machine.
     settings : Settings
-        The user's choices.
+        Values that the program does not give, and choices of the user.
     setup : JobSetup
         Work offsets, tool lengths and reference points.
     flow : Flow
-        Where the reader is, for line numbers and errors.
+        Position of the reader, for line numbers and errors.
     notices : Notices
-        Collects what is harmless.
+        Collects notices about harmless words.
 
     """
 
@@ -67,7 +67,7 @@ class Mover:
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)
         self.rotary_letters = tuple(geometry.axis_names[3:5])
-        # Modal settings; the names are those of codes.SETTINGS.
+        # Modal settings, with the names of codes.SETTINGS.
         self.motion: int | None = None
         self.plane, self.unit, self.incremental, self.centre_absolute = 'G17', MM, False, False
         self.feed_mode, self.retract_to_start = 'G94', True
@@ -77,32 +77,32 @@ class Mover:
         self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
         self.blocks_per_minute: float | None = None
-        self.feed_changed = False  # from G93, G94, G95 to another of them
+        self.feed_changed = False  # whether the feed mode changed after the last F
         self.spindle_speed = 0.0
         self.contour = settings.contour_tolerance
         self.orientation = settings.orientation_tolerance
-        # Position: a point (see frames.py) [m], rotary axes [rad], whether words named them.
+        # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
         self.zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         self.frames = Frames(setup, self.zero, self.rotary_letters)
         self.point = np.zeros(3)
         self.rotary = np.zeros(2) if self.rotary_letters else np.full(2, nan)
         self.named = 0.0
-        #: The tool axis where direction words gave it last, else None: the rotary words rule.
+        #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
 
     def fault(self, message: str, word: str = '') -> ProgramError:
-        """Make an error at the present line."""
+        """Return an error for the present line."""
         return self.flow.fault(message, word)
 
     def notice(self, key: str, text: str) -> None:
-        """Note something harmless once."""
+        """Record a notice about something harmless, once."""
         self.notices.once(key, self.flow.line_number, f'{key}: {text}')
 
     # --- position ------------------------------------------------------------------------------
 
     @property
     def by_axes(self) -> bool:
-        """True where axis words are axis positions: with rotary axes and without TCP."""
+        """Whether axis words are axis positions: rotary axes exist and TCP is off."""
         return bool(self.rotary_letters) and not self.tcp
 
     def here(self) -> FloatArray:
@@ -111,7 +111,7 @@ class Mover:
         return np.concatenate([self.frames.program(self.point), rotary])
 
     def switch_tcp(self, word: str) -> None:
-        """Turn tool-tip programming on (by a word) or off (empty); nothing moves."""
+        """Switch tool-tip programming on (by a word) or off (empty); the axes do not move."""
         if bool(word) == bool(self.tcp):
             self.tcp = word
             return
@@ -129,12 +129,14 @@ class Mover:
         self.tcp = word
 
     def _rotary_of_vector(self) -> None:
-        """After direction words, find where the rotary axes stand: nearest to the last words."""
+        """Compute the rotary positions after direction words, nearest to the last rotary words."""
         if self.vector is None:
             return
         solutions = self.geometry.rotary_solutions(self.vector)
         if not solutions:
-            raise self.fault('the machine cannot reach the tool axis', 'TRAFOOF')
+            raise self.fault(
+                'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
+            )
         near = [
             pair + 2.0 * pi * np.round((self.rotary - pair) / (2.0 * pi)) for pair in solutions
         ]
@@ -146,16 +148,16 @@ class Mover:
 
     def move(self, words: BlockWords, feed_given: bool, machine: bool = False) -> None:
         """
-        Move to the axis words of a block, if it has any; words not given keep their value.
+        Move to the axis words of a block, if it has any. Missing words keep their value.
 
         Parameters
         ----------
         words : BlockWords
-            Axis words and arc words are taken out.
+            Words of the block; axis words and arc words are removed.
         feed_given : bool
             Whether the block has an F.
         machine : bool
-            True where the words are machine coordinates (G53, SUPA).
+            Whether the words are machine coordinates (G53, SUPA).
 
         """
         arc_words = self._take_arc(words)
@@ -182,6 +184,7 @@ class Mover:
         self.go(point, rotary, vector, arc, feed_given)
 
     def _has_axes(self, words: BlockWords) -> bool:
+        """Tell whether the block has axis words; raise for an axis that does not exist."""
         for letter in 'ABC':
             if letter in words.values and letter not in self.rotary_letters:
                 raise self.fault(
@@ -191,7 +194,20 @@ class Mover:
         return any(letter in words.values for letter in ('X', 'Y', 'Z', *self.rotary_letters))
 
     def target(self, words: BlockWords) -> FloatArray:
-        """Take the axis words out and return program coordinates, shape (5,) [m, rad]."""
+        """
+        Remove the axis words of a block and return its target.
+
+        Parameters
+        ----------
+        words : BlockWords
+            Words of the block; axis words are removed.
+
+        Returns
+        -------
+        ndarray, shape (5,)
+            Program coordinates [m, rad].
+
+        """
         here = self.here()
         target = here.copy()
         for i, letter in enumerate(('X', 'Y', 'Z', *self.rotary_letters)):
@@ -209,7 +225,7 @@ class Mover:
         return target
 
     def _turned(self, here: float, angle: float, way: str) -> float:
-        """Choose whole turns of an absolute rotary word."""
+        """Return the angle of a rotary word [rad], with the whole turns that it means."""
         if way == 'DC' or (self.settings.rotary_sense == 'shortest' and way in ('', 'AC')):
             return angle - 2.0 * pi * round((angle - here) / (2.0 * pi))
         if way == 'ACP':
@@ -219,14 +235,30 @@ class Mover:
         return angle
 
     def refuse_machine_words(self) -> None:
-        """Refuse machine coordinates where X Y Z are tool tips."""
+        """Raise ProgramError for machine coordinates while X Y Z are tool tips."""
         if self.tcp:
-            raise self.fault('machine coordinates need tool-tip programming off (TRAFOOF, G49)')
+            raise self.fault(
+                'machine coordinates while tool-tip programming is on; switch it off before '
+                '(TRAFOOF, G49)'
+            )
         if not self.rotary_letters and not self.zero.any():
             self.notice('machine coordinates', 'on this machine their zero is the workpiece zero')
 
     def machine_target(self, words: BlockWords) -> FloatArray:
-        """Take X Y Z out as machine coordinates and return the point."""
+        """
+        Remove X Y Z as machine coordinates and return their point.
+
+        Parameters
+        ----------
+        words : BlockWords
+            Words of the block; X, Y and Z are removed.
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Point [m].
+
+        """
         point = self.point.copy()
         for i, letter in enumerate('XYZ'):
             if (value := words.values.pop(letter, None)) is not None:
@@ -234,7 +266,7 @@ class Mover:
         return point
 
     def _rotary_target(self, words: BlockWords, target: FloatArray, machine: bool) -> FloatArray:
-        """Return the rotary positions of a target; notes that words have named them."""
+        """Return the rotary positions of a target [rad]; record that words named them."""
         if not self.rotary_letters:
             return self.rotary
         rotary = target[3:] + self.frames.rotary_origin
@@ -256,7 +288,25 @@ class Mover:
         feed_given: bool = True,
         rapid: bool | None = None,
     ) -> None:
-        """Add the target of one block."""
+        """
+        Add the target of one block.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Target point [m].
+        rotary : ndarray, shape (2,)
+            Target of the rotary axes [rad].
+        vector : ndarray, shape (3,), optional
+            Unit tool axis from direction words [-].
+        arc : tuple of 7 floats
+            Centre [m], normal [-] and sweep [rad] of an arc, NaN without.
+        feed_given : bool
+            Whether the block has an F.
+        rapid : bool, optional
+            Whether the motion is a rapid. Without it, the modal motion code decides.
+
+        """
         self.check_point(point)
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
@@ -286,7 +336,15 @@ class Mover:
         )  # fmt: skip
 
     def check_point(self, point: FloatArray) -> None:
-        """Refuse a point that no machine can reach."""
+        """
+        Raise ProgramError for a point that no machine can reach.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Target point [m].
+
+        """
         farthest = int(np.argmax(np.abs(point)))
         if not abs(point[farthest]) <= FARTHEST:
             raise self.fault(
@@ -295,7 +353,17 @@ class Mover:
             )
 
     def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
-        """Tell of rotary words that turn an axis the long way round while cutting."""
+        """
+        Give a notice if rotary words turn an axis by more than 180 deg while cutting.
+
+        Parameters
+        ----------
+        turned : ndarray, shape (2,)
+            Turn of each rotary axis in the block [rad].
+        rapid : bool
+            Whether the motion is a rapid.
+
+        """
         if rapid or not self.rotary_letters or self.targets.empty:
             return
         which = int(np.argmax(turned))
@@ -306,7 +374,7 @@ class Mover:
             )
 
     def feed(self, given: bool) -> tuple[float, float, float]:
-        """Feedrate [m/s], duration [s] and rate of turn [rad/s] of a cutting block."""
+        """Return feedrate [m/s], duration [s] and turn rate [rad/s] of a cutting block."""
         if self.targets.empty:
             return inf, nan, inf
         if self.feed_mode != 'G93':
@@ -315,7 +383,9 @@ class Mover:
             if self.feed_mode == 'G94':
                 return self.feedrate, nan, self.turn_rate
             if not self.spindle_speed > 0.0:
-                raise self.fault('feed per revolution (G95) without a spindle speed S', 'G95')
+                raise self.fault(
+                    'feed per revolution (G95) without a spindle speed; write S first', 'G95'
+                )
             return self.feedrate * self.spindle_speed, nan, self.turn_rate * self.spindle_speed
         if self.blocks_per_minute is None:
             raise self.fault('no F in inverse-time feed (G93); give F in 1/min in each G1 block')
@@ -324,18 +394,18 @@ class Mover:
         return nan, MINUTE / self.blocks_per_minute, nan
 
     def set_feed(self, value: float, word: str) -> None:
-        """Take over an F word."""
+        """Set the feed from an F word."""
         if not 0.0 < value < inf:
             raise self.fault('the feedrate must be greater than zero', word)
         if self.feed_mode == 'G93':
             self.blocks_per_minute = value
-        else:  # G95 counts in m per rev/min, turned into m/s by the spindle speed
+        else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
             self.feedrate, self.turn_rate = value * self.unit / MINUTE, value * DEG / MINUTE
 
     # --- arcs and tool vectors -----------------------------------------------------------------
 
     def _take_arc(self, words: BlockWords) -> BlockWords | None:
-        """Take I J K, R (or CR) and P of an arc out, as words of their own."""
+        """Remove I J K, R (or CR) and P of an arc, and return them as words."""
         if self.motion is None or self.motion < 2:
             return None
         taken = BlockWords()
@@ -346,7 +416,7 @@ class Mover:
         return taken if taken.values or self._has_axes(words) else None
 
     def _arc(self, target: FloatArray, words: BlockWords) -> tuple[float, ...]:
-        """Resolve an arc from the present position to program coordinates."""
+        """Return centre, normal and sweep of an arc from the present position."""
         offset, absolute = np.full((1, 3), nan), np.zeros((1, 3), dtype=bool)
         for i, letter in enumerate('IJK'):
             if letter in words.values:
@@ -355,7 +425,9 @@ class Mover:
                 absolute[0, i] = way == 'AC' or (self.centre_absolute and way != 'IC')
         turns = words.values.get('P', 1.0)
         if not (turns >= 1.0 and turns == round(turns) and turns <= 500.0):
-            raise self.fault('the turns of an arc are a whole number from 1', f'P{turns:g}')
+            raise self.fault(
+                'the number of turns of an arc must be a whole number, 1 to 500', f'P{turns:g}'
+            )
         arcs = arcs_of(
             self.plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
             offset, np.array([words.values.get('R', nan) * self.unit]), absolute, turns,
@@ -367,12 +439,12 @@ class Mover:
         return (*centre, *normal, float(arcs.sweep[0]))
 
     def arc_fault(self, kind: int, mismatch: float) -> ProgramError:
-        """Make the error of an arc that does not exist."""
+        """Return the error for an arc that does not exist."""
         amount = f' (by {mismatch / self.unit:.4g})' if kind in (3, 4) else ''
         return self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
 
     def _take_vector(self, words: BlockWords) -> tuple[float, float, float] | None:
-        """Find the direction words of a block: A3 B3 C3, or I J K with G43.5."""
+        """Return the direction words of a block: A3 B3 C3, or I J K with G43.5."""
         names = {name: value for name, value in words.sets if name in ('A3', 'B3', 'C3')}
         if names:
             return tuple(float(names.get(name, 0.0)) for name in ('A3', 'B3', 'C3'))  # type: ignore[return-value]
@@ -381,7 +453,7 @@ class Mover:
         return None
 
     def _vector_of(self, words: BlockWords, arc_words: BlockWords | None) -> FloatArray | None:
-        """Return the unit tool axis in W that direction words give, None without them."""
+        """Return the unit tool axis in W from direction words; None without them."""
         given = self._take_vector(words)
         if given is None:
             if any(letter in words.values for letter in self.rotary_letters):

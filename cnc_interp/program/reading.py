@@ -1,4 +1,4 @@
-"""Part program -> blocks: finds the dialect, reads the text, hands out blocks and notices."""
+"""Part program to blocks: detects the dialect, reads the text, returns blocks and notices."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ _HEIDENHAIN_LINE = re.compile(r'\s*\d+\s+BEGIN\s+PGM\b', re.IGNORECASE)
 @dataclass(frozen=True)
 class Program:
     """
-    A part program, read.
+    A part program that has been read.
 
     Parameters
     ----------
     blocks : Blocks
-        Row 0 is the start pose, then one row per linear piece of motion.
+        Row 0 is the start pose. Each other row is one linear piece of motion.
     notices : tuple of str
-        Harmless things that were passed on or simplified, each with its first line.
+        Words that were passed on or simplified, each with its first line.
     source : str
         File name, or ``<text>``.
     dialect : {'gcode', 'cl'}
-        How the text was read.
+        Dialect of the text.
 
     """
 
@@ -56,27 +56,27 @@ class Program:
 
 class ProgramStream:
     """
-    A part program that is read while its blocks are taken; its length does not matter.
+    A part program that is read while its blocks are taken, whatever its length.
 
-    Iterating hands out batches of blocks: their first row is the start pose, the others are pieces
-    of motion, in order, as if they were cut out of ``Program.blocks``.
+    Iteration yields batches of blocks in order. The first row of the first batch is the start
+    pose. All batches together are the blocks of ``Program``.
 
     Parameters
     ----------
     source : Source
-        The text.
+        The text of the program.
     geometry : RotaryGeometry
-        The machine.
+        Axis names and kinematics of the machine.
     settings : Settings
-        The user's choices.
+        Values that the program does not give, and choices of the user.
     setup : JobSetup, optional
-        Work offsets, tool lengths and reference points; None: those of the file that the settings
-        name.
+        Work offsets, tool lengths and reference points. Without it, the file that the settings
+        name is read.
 
     Raises
     ------
     ProgramError
-        If the setup file cannot be read. While iterating, as soon as something cannot be read:
+        If the setup file cannot be read. During iteration, as soon as something cannot be read;
         nothing is skipped silently.
 
     """
@@ -100,7 +100,7 @@ class ProgramStream:
             self._reader = GcodeReader(geometry, settings, setup, source, self._notices)
 
     def __iter__(self) -> Iterator[Blocks]:
-        """Read on; the text is closed at the end."""
+        """Yield the blocks in batches; the text is closed at the end."""
         try:
             yield from self._reader.blocks()
         finally:
@@ -108,16 +108,16 @@ class ProgramStream:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Harmless things that were passed on or simplified so far."""
+        """Return the notices so far: words that were passed on or simplified."""
         return self._notices.texts()
 
     @property
     def share(self) -> float:
-        """Share of the text that has been read, 0 to 1."""
+        """Return the part of the text that has been read, 0 to 1."""
         return self._reader.share
 
     def read(self) -> Program:
-        """Read to the end."""
+        """Read the program to its end."""
         blocks = Blocks.concatenate(list(self))
         return Program(blocks, self.notices, self.source, self.dialect)
 
@@ -126,12 +126,29 @@ def open_program(
     path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
 ) -> ProgramStream:
     """
-    Open a part program for reading block by block.
+    Open a part program to read it batch by batch.
+
+    Parameters
+    ----------
+    path : Path
+        File of the program.
+    geometry : RotaryGeometry
+        Axis names and kinematics of the machine.
+    settings : Settings
+        Values that the program does not give, and choices of the user.
+    setup : JobSetup, optional
+        Work offsets, tool lengths and reference points. Without it, the file that the settings
+        name is read.
+
+    Returns
+    -------
+    ProgramStream
+        The program; iterate over it to read it.
 
     Raises
     ------
     ProgramError
-        If the file cannot be opened, or is of an unsupported kind.
+        If the file cannot be opened, or its dialect is not supported.
 
     """
     return ProgramStream(Source.of_file(path), geometry, settings, setup)
@@ -143,10 +160,27 @@ def read_program(
     """
     Read a part program from a file.
 
+    Parameters
+    ----------
+    path : Path
+        File of the program.
+    geometry : RotaryGeometry
+        Axis names and kinematics of the machine.
+    settings : Settings
+        Values that the program does not give, and choices of the user.
+    setup : JobSetup, optional
+        Work offsets, tool lengths and reference points. Without it, the file that the settings
+        name is read.
+
+    Returns
+    -------
+    Program
+        All blocks, and the notices.
+
     Raises
     ------
     ProgramError
-        If the file cannot be opened or its text cannot be read; nothing is skipped silently.
+        If the file cannot be opened or its text cannot be read. Nothing is skipped silently.
 
     """
     return open_program(path, geometry, settings, setup).read()
@@ -162,6 +196,25 @@ def read_text(
     """
     Read a part program from a string.
 
+    Parameters
+    ----------
+    text : str
+        The program.
+    source : str
+        Name for error messages.
+    geometry : RotaryGeometry
+        Axis names and kinematics of the machine.
+    settings : Settings
+        Values that the program does not give, and choices of the user.
+    setup : JobSetup, optional
+        Work offsets, tool lengths and reference points. Without it, the file that the settings
+        name is read.
+
+    Returns
+    -------
+    Program
+        All blocks, and the notices.
+
     Examples
     --------
     >>> program = read_text('G1 X10 F600', '<text>', machine, Settings())
@@ -173,7 +226,7 @@ def read_text(
 
 
 def _dialect(source: Source) -> str:
-    """Tell the dialect from the first line that only one of them can have."""
+    """Return the dialect, from the first line that is possible in only one of them."""
     head = source.lines(source.start).decode('utf-8', 'replace').splitlines()[:_HEAD_LINES]
     for number, line in enumerate(head, start=1):
         if _HEIDENHAIN_LINE.match(line):

@@ -1,4 +1,4 @@
-"""Runs of plain lines -> targets, many at once; the same as ``motion.py`` does one by one."""
+"""Many plain lines to motion targets at once, with the same result as ``motion.py``."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from cnc_interp.program.columns import (
 from cnc_interp.program.motion import FARTHEST, LONG_WAY, MOST_TURN, Mover
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
-#: Runs shorter than this are as quick line by line.
+#: Shorter runs are as fast line by line.
 SHORTEST = 6
 
 
-def filled(values: FloatArray, first: float) -> FloatArray:
-    """Replace each NaN by the number before it, at the beginning by ``first``."""
+def _filled(values: FloatArray, first: float) -> FloatArray:
+    """Replace each NaN by the last number before it; at the beginning, by ``first``."""
     given = np.isfinite(values)
     last = np.maximum.accumulate(np.where(given, np.arange(len(values)), -1))
     return np.where(last >= 0, values[last], first)
@@ -52,16 +52,16 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     Parameters
     ----------
     mover : Mover
-        The state before them; the state behind them afterwards.
+        State of the program. It is updated to the state after the lines.
     code, values : ndarray, shape (n,) and (n, 11)
-        As ``scan.scan_lines`` fills them.
+        Output of ``scan.scan_lines``.
     lines : ndarray of int, shape (n,)
         Line numbers.
 
     Returns
     -------
     bool
-        False if they need to be read one by one: nothing has happened then.
+            False if the lines must be read one by one. Then nothing has changed.
 
     """
     if (
@@ -72,7 +72,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         or mover.feed_mode == 'G95'
     ):
         return False
-    motion = filled(np.where(code >= 0, code, nan), nan if mover.motion is None else mover.motion)
+    motion = _filled(np.where(code >= 0, code, nan), nan if mover.motion is None else mover.motion)
     linear_words, arc_words = values[:, _LINEAR], np.isfinite(values[:, _ARC_WORDS]).any(axis=1)
     on_arc = motion >= 2.0
     rotary_words = np.isfinite(values[:, _ROTARY_WORDS])
@@ -111,7 +111,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         turned = np.abs(np.diff(np.vstack([mover.rotary, rotary[moves]]), axis=0))
         cutting = turned.max(axis=1) * ~rapid
         if cutting.max() > LONG_WAY:
-            return False  # told of line by line
+            return False  # the general reader gives a notice for this
     _leave_behind(mover, motion, values[:, scan.F], points, rotary, named)
     mover.targets.extend(rows)
     return True
@@ -125,7 +125,7 @@ def _leave_behind(
     rotary: FloatArray,
     named: NDArray[np.bool_],
 ) -> None:
-    """Take over the state behind the last line."""
+    """Set the state of the program to that after the last line."""
     if np.isfinite(motion[-1]):
         mover.motion = int(motion[-1])
     given = feed_words[np.isfinite(feed_words)]
@@ -137,12 +137,12 @@ def _leave_behind(
 def _feeds(
     mover: Mover, words: FloatArray, rapid: NDArray[np.bool_], moves: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Feedrate, duration and rate of turn of the moving lines; None where one is missing."""
+    """Return feedrate, duration and turn rate of the moving lines; None if one is missing."""
     given = np.isfinite(words)
     if (words[given] <= 0.0).any():
         return None
     if mover.feed_mode == 'G93':
-        rate = filled(words, mover.blocks_per_minute or nan)[moves]
+        rate = _filled(words, mover.blocks_per_minute or nan)[moves]
         if (np.isnan(rate) & ~rapid).any() or (~given[moves] & ~rapid).any():
             return None
         return (
@@ -150,15 +150,15 @@ def _feeds(
             np.where(rapid, nan, MINUTE / rate),
             np.full(len(rate), inf),
         )
-    feed = filled(words * mover.unit / MINUTE, mover.feedrate or nan)[moves]
-    turn = filled(words * DEG / MINUTE, mover.turn_rate)[moves]
+    feed = _filled(words * mover.unit / MINUTE, mover.feedrate or nan)[moves]
+    turn = _filled(words * DEG / MINUTE, mover.turn_rate)[moves]
     if (np.isnan(feed) & ~rapid).any():
         return None
     return np.where(rapid, inf, feed), np.full(len(feed), nan), np.where(rapid, inf, turn)
 
 
 def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
-    """Program coordinates behind every line, shape (n, 5) [m, rad]."""
+    """Return the program coordinates after every line, shape (n, 5) [m, rad]."""
     here = mover.here()
     program = np.empty((len(values), 5))
     program[:, 3:] = here[3:]
@@ -166,13 +166,13 @@ def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
     for i, column in enumerate(columns):
         words = values[:, column] * (mover.unit if i < 3 else DEG)
         if not mover.incremental:
-            program[:, i] = filled(words, float(here[i]))
+            program[:, i] = _filled(words, float(here[i]))
             if i >= 3 and mover.settings.rotary_sense == 'shortest':
                 steps = np.diff(program[:, i], prepend=here[i])
                 steps -= 2.0 * pi * np.round(steps / (2.0 * pi))
                 program[:, i] = here[i] + np.cumsum(steps)
         else:
-            # The sum runs as it does line by line: from here on, one word after the other.
+            # Add the words one after the other, in the same order as line by line.
             steps = np.where(np.isfinite(words), words, 0.0)
             program[:, i] = np.cumsum(np.concatenate([here[i : i + 1], steps]))[1:]
     return program
@@ -187,7 +187,7 @@ def _arcs(
     rows: FloatArray,
     moves: NDArray[np.bool_],
 ) -> bool:
-    """Fill the arc columns of the rows; False if an arc does not exist."""
+    """Fill the arc columns of the rows; return False if an arc does not exist."""
     before = np.vstack([mover.here(), program[:-1]])
     unit = mover.unit
     arcs = arcs_of(

@@ -1,10 +1,10 @@
 """
-Plain lines of G-code -> columns, at the speed of a compiled loop.
+Plain lines of G-code to columns of numbers, in a compiled loop.
 
-Nearly every line of a program is an optional N, G0 to G3 and numbers behind X Y Z A B C I J K R F.
-Such lines become rows of numbers here, exactly the nearest doubles: up to 15 digits are an integer
-divided by a power of ten, and both are exact. Whatever else stands in a line marks it as rare and
-leaves it to ``words.py``.
+Nearly every line of a program has only an optional N, one of G0 to G3, and numbers after X Y Z A
+B C I J K R F. Such lines become rows of numbers here. Each number is the nearest double: up to 15
+digits are an integer divided by a power of ten, and both are exact. A line with anything else is
+marked as rare, and ``words.py`` reads it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-#: Kinds of lines: nothing to do, plain, and those that need the general reader.
+from cnc_interp.core.arrays import FloatArray, IntArray
+
+#: Kinds of lines: without effect, plain, and those for the general reader.
 EMPTY, PLAIN, RARE = 0, 1, 2
-#: Columns of the values of a plain line.
+#: Letters of the columns of a plain line.
 COLUMNS = 'XYZABCIJKRF'
 X, Y, Z, A, B, C, I, J, K, R, F = range(11)
-#: A line that names no G0 to G3.
+#: Code of a line without G0 to G3.
 NO_CODE = -1
 
 _MOST_DIGITS = 15
@@ -30,20 +32,23 @@ for _letter, _meaning in [*zip(COLUMNS, range(11), strict=True), ('G', _MOTION),
 
 
 @njit(cache=True, nogil=True)
-def scan_lines(text, first, last, kind, code, values):  # type: ignore[no-untyped-def]
+def scan_lines(
+    text: NDArray[np.uint8], first: IntArray, last: IntArray, kind: NDArray[np.int8],
+    code: NDArray[np.int8], values: FloatArray,
+) -> int:  # fmt: skip
     """
-    Read lines of text.
+    Scan lines of G-code.
 
     Parameters
     ----------
     text : ndarray of uint8, shape (n,)
         The text; every line ends with a newline (10).
     first, last : ndarray of int, shape (m,)
-        Where each line begins, and where its newline stands; filled here.
+        Output: offset of the first character and of the newline of each line.
     kind, code : ndarray of int8, shape (m,)
-        EMPTY, PLAIN or RARE; 0 to 3 for G0 to G3, else NO_CODE; filled here.
+        Output: EMPTY, PLAIN or RARE; 0 to 3 for G0 to G3, else NO_CODE.
     values : ndarray, shape (m, 11)
-        Numbers of plain lines, NaN for words that are not there; filled here.
+        Output: numbers of plain lines in mm, deg or mm/min; NaN for missing words.
 
     Returns
     -------
@@ -64,11 +69,11 @@ def scan_lines(text, first, last, kind, code, values):  # type: ignore[no-untype
             if letter == 32 or letter == 9 or letter == 13:
                 at += 1
                 continue
-            if letter == 59:  # ; a comment up to the end of the line
+            if letter == 59:  # ; begins a comment to the end of the line
                 while text[at] != 10:
                     at += 1
                 break
-            if letter == 40:  # ( a comment in parentheses
+            if letter == 40:  # ( begins a comment in parentheses
                 at += 1
                 while text[at] != 41 and text[at] != 40 and text[at] != 10:
                     at += 1
@@ -130,5 +135,20 @@ def scan_lines(text, first, last, kind, code, values):  # type: ignore[no-untype
 
 
 def empty_columns(lines: int) -> tuple[NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]:
-    """Make room for kind, code and values of a number of lines."""
+    """
+    Return empty arrays for ``scan_lines``.
+
+    Parameters
+    ----------
+    lines : int
+        Number of lines m.
+
+    Returns
+    -------
+    kind, code : ndarray of int8, shape (m,)
+        Kind and code of each line.
+    values : ndarray, shape (m, 11)
+        Numbers of each line.
+
+    """
     return np.empty(lines, np.int8), np.empty(lines, np.int8), np.empty((lines, len(COLUMNS)))

@@ -1,10 +1,11 @@
 """
-Native 5-axis B-splines of the Siemens 840D -> spline rows of Blocks [B2013, section 4.1].
+Native 5-axis B-splines of the Siemens 840D: from words to spline rows of Blocks.
 
-``BSPLINE SD=3`` opens a curve; each block then gives one control point of the tool tip (X Y Z),
-one of a second point on the tool axis (XH YH ZH) and a knot interval (PL). Words not given keep
-their value, PL is then 1. The first control point is where the tool is.
-``native_splines.md`` has the whole convention; ``splines.py`` follows the blocks.
+[B2013, section 4.1]. ``BSPLINE SD=3`` opens a curve. Each following block gives a control point of
+the tool tip (X Y Z), a second point on the tool axis (XH YH ZH) and a knot interval (PL).
+A missing coordinate keeps its value; a missing PL is 1. The first control point is the
+position of the tool. ``docs/how_it_works/native_splines.md`` describes the convention, and
+``splines.py`` follows the blocks.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from cnc_interp.program.blocks import Blocks
 
 Point = tuple[float, float, float]
 
-#: Words of curves and of second points, written with an equals sign.
+#: Names of words for curves and second points; they are written with an equals sign.
 CURVE_WORDS = frozenset(('XH', 'YH', 'ZH', 'PL', 'SD', 'PW'))
-#: Two points on the tool axis must be further apart than this [m].
+#: Smallest distance between tip and second point [m].
 _SHORTEST_TOOL = 1e-6
-#: A curve begins where the tool is: its tip [m] and its axis [-], as a program writes them.
+#: Largest difference between the start of a curve and the tool: tip [m] and tool axis [-].
 _SAME, _SAME_AXIS = 1e-9, 1e-6
 _LEAST_POINTS = 4
-#: A knot may be repeated so often that the curve passes through a control point.
+#: A knot that is repeated this often makes the curve pass through a control point.
 _MOST_REPEATED = 3
 
 
 def tool_vector(tip: Point, second: Point) -> Point:
-    """Return the unit vector from the tip to the second point; NaN where there is none."""
+    """Return the unit vector from the tip to the second point; NaN if they are too close."""
     x, y, z = (b - a for a, b in zip(tip, second, strict=True))
     length = sqrt(x * x + y * y + z * z)
     if not (isfinite(length) and length > _SHORTEST_TOOL):
@@ -40,18 +41,18 @@ def tool_vector(tip: Point, second: Point) -> Point:
 
 class Curve:
     """
-    The control points of one curve, collected block by block.
+    The control points of one curve, added block by block.
 
     Parameters
     ----------
     tip, axis : tuple of float
-        Where the tool is: the first control point [m], and the unit tool axis [-].
+        Pose of the tool: the first control point [m] and the unit tool axis [-].
     second : tuple of float or None
-        The second point there where the program has named it [m].
+        Second point at the start if the program has named it [m].
     height : float
-        Distance of the second point from the tip where the program names none [m].
+        Distance of the second point from the tip if the program names none [m].
     source : str
-        File name for errors.
+        File name for error messages.
 
     """
 
@@ -71,19 +72,19 @@ class Curve:
         line_number: int,
     ) -> None:
         """
-        Take a control point.
+        Add a control point.
 
         Parameters
         ----------
         tip, second : tuple of float
-            Control points of the tip and of the second curve; None where the block has no word
-            of the second one [m].
+            Control points of the tip and of the second curve [m]. None if the block has no word
+            of the second curve.
         interval : float
-            Knot interval [-].
+            Knot interval before the control point [-].
         speed_and_tolerances : tuple of float
             Feedrate [m/s], contour and orientation tolerance [m].
         line_number : int
-            Line of the block.
+            Program line of the block.
 
         Raises
         ------
@@ -93,6 +94,7 @@ class Curve:
         """
 
         def fault(message: str) -> ProgramError:
+            # An error at the line of the block.
             return ProgramError(message, self._source, line_number)
 
         named = second is not None
@@ -109,9 +111,12 @@ class Curve:
             raise fault('give XH YH ZH, all three at first, as a point above X Y Z')
         self.second = second
         if not self._rows and _apart(tip, self._tip) <= _SAME:
-            # One block per control point: the first one may be written out.
+            # A program may write the first control point as a block of its own.
             if _apart(axis, self._axis) > _SAME_AXIS:
-                raise fault('the spline begins with another tool axis than the tool has')
+                raise fault(
+                    'the tool axis at the start of the spline differs from that of the tool; '
+                    'turn the tool before BSPLINE'
+                )
             self._first_second = second
             return
         if not self._rows and interval == 0.0:
@@ -123,12 +128,22 @@ class Curve:
 
     def blocks(self, line_number: int) -> Blocks | None:
         """
-        Return the curve as spline rows, the first control point first; None if it has no other.
+        Return the curve as spline rows; None if it has only the first control point.
+
+        Parameters
+        ----------
+        line_number : int
+            Program line of the end of the curve, for error messages.
+
+        Returns
+        -------
+        Blocks or None
+            One row per control point.
 
         Raises
         ------
         ProgramError
-            If it has too few control points, or its knots tear it.
+            If there are too few control points, or knots interrupt the curve.
 
         """
         count = len(self._rows) + 1
@@ -137,7 +152,7 @@ class Curve:
         if count < _LEAST_POINTS:
             raise ProgramError(
                 f'a cubic B-spline needs at least {_LEAST_POINTS} control points, the start '
-                f'included, not {count}',
+                f'included; this one has {count}: add control points',
                 self._source,
                 line_number,
             )
@@ -151,7 +166,8 @@ class Curve:
         torn = np.flatnonzero(np.diff(intervals) > _MOST_REPEATED)
         if len(torn):
             raise ProgramError(
-                'more than two knot intervals (PL) of 0 in a row tear the spline',
+                'three or more knot intervals (PL) of 0 in a row interrupt the spline; end it '
+                'there and begin another one',
                 self._source,
                 int(table[intervals[torn[0] + 1], 10]),
             )
@@ -181,11 +197,11 @@ class Curve:
 
 
 def _apart(a: Point, b: Point) -> float:
-    """Return the distance of two points."""
+    """Return the distance between two points."""
     return sqrt(sum((y - x) ** 2 for x, y in zip(a, b, strict=True)))
 
 
 def _along(tip: Point, axis: Point, length: float) -> Point:
-    """Return the point at a distance from the tip on a tool axis."""
+    """Return the point on the tool axis at a distance from the tip."""
     x, y, z = (p + length * o for p, o in zip(tip, axis, strict=True))
     return x, y, z

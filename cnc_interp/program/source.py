@@ -1,4 +1,4 @@
-"""Text of a part program by windows: lines with their place, jumps, searches; flat memory."""
+"""Text of a part program, read in windows: lines with their place, searches, small memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
 @dataclass(frozen=True)
 class Place:
-    """The beginning of a line: offset in the file and number of the line, from 1."""
+    """The beginning of a line: offset in the file, and line number counted from 1."""
 
     offset: int
     line: int
@@ -31,20 +31,22 @@ class Place:
 @dataclass(frozen=True)
 class Window:
     """
-    Some consecutive lines of a program, scanned.
+    Consecutive lines of a program, scanned.
 
     Parameters
     ----------
     start : Place
-        Where the first line stands.
+        Place of the first line.
     text : bytes
         The lines, each with its newline.
     first, last : ndarray of int, shape (n,)
-        Begin of each line in ``text`` and its newline.
-    kind, code, values
-        As ``scan.scan_lines`` fills them.
-    rare : ndarray of int
-        Rows of the rare lines.
+        Offsets in ``text`` of the first character and of the newline of each line.
+    kind, code : ndarray of int8, shape (n,)
+        Output of ``scan.scan_lines``.
+    values : ndarray, shape (n, 11)
+        Output of ``scan.scan_lines``.
+    rare : ndarray of int, shape (k,)
+        Rows of the lines that need the general reader.
 
     """
 
@@ -58,7 +60,7 @@ class Window:
     rare: IntArray
 
     def __len__(self) -> int:
-        """Count the lines."""
+        """Return the number of lines."""
         return len(self.first)
 
     def line(self, row: int) -> str:
@@ -66,18 +68,18 @@ class Window:
         return self.text[self.first[row] : self.last[row]].decode('utf-8', 'replace').strip()
 
     def next_rare(self, row: int) -> int:
-        """Return the row of the next rare line, at the end the number of lines."""
+        """Return the row of the next rare line, or the number of lines if there is none."""
         at = int(np.searchsorted(self.rare, row))
         return int(self.rare[at]) if at < len(self.rare) else len(self)
 
     def place(self, row: int) -> Place:
-        """Return where a line stands; one past the last is where the next window begins."""
+        """Return the place of a line; the row after the last one begins the next window."""
         if row < len(self):
             return Place(self.start.offset + int(self.first[row]), self.start.line + row)
         return Place(self.start.offset + len(self.text), self.start.line + row)
 
     def row_of(self, place: Place) -> int | None:
-        """Return the row of a line, if it is in this window."""
+        """Return the row of a place, or None if it is not in this window."""
         row = place.line - self.start.line
         if 0 <= row < len(self) and self.place(row).offset == place.offset:
             return row
@@ -86,14 +88,14 @@ class Window:
 
 class Source:
     """
-    A program's text.
+    The text of a program.
 
     Parameters
     ----------
     stream : binary file
-        The text; read into memory if it cannot be positioned.
+        The text. A stream that cannot be positioned is read into memory.
     name : str
-        File name for errors.
+        File name for error messages.
 
     """
 
@@ -111,7 +113,7 @@ class Source:
 
     @staticmethod
     def of_text(text: str, name: str) -> Source:
-        """Make a source of a string."""
+        """Return a source for a string."""
         return Source(io.BytesIO(text.encode('utf-8', 'replace')), name)
 
     @staticmethod
@@ -135,18 +137,18 @@ class Source:
         self._stream.close()
 
     def share(self, place: Place) -> float:
-        """Tell which share of the text lies before a place, 0 to 1."""
+        """Return the part of the text before a place, 0 to 1."""
         return min(1.0, place.offset / max(self.size, 1))
 
     def window(self, place: Place) -> Window:
-        """Return the lines from a place on, empty at the end of the text."""
+        """Return the lines from a place on; none at the end of the text."""
         if self._window is None or self._window.start != place:
             text = self.lines(place)
             self._window = _scanned(place, text)
         return self._window
 
     def lines(self, place: Place) -> bytes:
-        """Read whole lines from a place on; the last one gets a newline if it has none."""
+        """Read whole lines from a place on; the last one always ends with a newline."""
         self._stream.seek(place.offset)
         text = self._stream.read(_FIRST_WINDOW if place.line == 1 else _WINDOW)
         if not text:
@@ -170,7 +172,7 @@ class Source:
         return text if text.endswith(b'\n') else text + b'\n'
 
     def find(self, pattern: re.Pattern[bytes], place: Place) -> Place | None:
-        """Find the first line from a place on in which a pattern (``^``: (?m)) matches."""
+        """Return the first line from a place on that matches a pattern with the flag (?m)."""
         while text := self.lines(place):
             if match := pattern.search(text):
                 begin = text.rfind(b'\n', 0, match.start()) + 1
@@ -179,13 +181,14 @@ class Source:
         return None
 
     def after(self, place: Place) -> Place:
-        """Return the place of the line after one."""
+        """Return the place of the next line."""
         self._stream.seek(place.offset)
         text = self._stream.readline()
         return Place(place.offset + len(text), place.line + 1)
 
 
 def _scanned(place: Place, text: bytes) -> Window:
+    """Scan the lines of a window."""
     count = text.count(b'\n')
     first, last = np.empty(count, np.int64), np.empty(count, np.int64)
     kind, code, values = scan.empty_columns(count)

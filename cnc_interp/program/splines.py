@@ -1,4 +1,4 @@
-"""The blocks of native splines: what BSPLINE, XH YH ZH and PL do to a running program."""
+"""The blocks of native splines: the effect of BSPLINE, XH YH ZH and PL on a running program."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ class Splines:
     Parameters
     ----------
     mover : Mover
-        Position and settings of the program; curves move them.
+        Position and settings of the program. Splines change the position.
 
     """
 
     def __init__(self, mover: Mover):
         self._mover = mover
         self._curve: Curve | None = None
-        self._second: FloatArray | None = None  # last named, in program coordinates [m]
+        self._second: FloatArray | None = None  # last second point, in program coordinates [m]
 
     @property
     def open(self) -> bool:
-        """True while blocks are control points."""
+        """Whether blocks are control points at present."""
         return self._curve is not None
 
     def begin(self) -> None:
-        """BSPLINE: the blocks that follow are control points, the tool is at the first one."""
+        """Process BSPLINE: later blocks are control points; the tool is at the first one."""
         mover = self._mover
         if self._curve is not None:
             return
@@ -65,15 +65,15 @@ class Splines:
 
     def take(self, words: BlockWords, feed_given: bool) -> bool:
         """
-        Take a block over if it is a control point.
+        Process a block if it is a control point, and tell whether it was.
 
-        A linear block is left to the mover, its second point turned into a tool direction.
+        A linear block is left to the mover. Its second point becomes a tool direction.
         """
         mover = self._mover
         named = [(str(name), value) for name, value in words.sets if name in CURVE_WORDS]
         given = dict(named)
         if len(given) < len(named):
-            raise mover.fault('a word of splines stands twice in one block; keep one of them')
+            raise mover.fault('a spline word is written twice in one block; keep one of them')
         self._check(given)
         if self._curve is None:
             self._linear(words, given)
@@ -99,7 +99,7 @@ class Splines:
         return True
 
     def end(self, stop: bool = False) -> None:
-        """Hand the open curve over; linear blocks go on from its end."""
+        """Close the open curve and add its rows; linear blocks continue from its end."""
         curve, self._curve = self._curve, None
         rows = None if curve is None else curve.blocks(self._mover.flow.main_line)
         if rows is None:
@@ -117,7 +117,7 @@ class Splines:
         )  # fmt: skip
 
     def stop_here(self, kind: float = 1.0) -> None:
-        """Make the tool rest; in a spline that ends the curve, and the next one begins there."""
+        """Stop at the last target. In a spline this ends the curve and begins another one."""
         was_open = self.open
         self.end(stop=True)
         self._mover.targets.stop_here(kind)
@@ -125,6 +125,7 @@ class Splines:
             self.begin()
 
     def _check(self, given: dict[str, float]) -> None:
+        """Raise ProgramError for spline words with values that are not supported."""
         fault = self._mover.fault
         if given.get('SD', 3.0) != 3.0:
             raise fault('only cubic splines are supported; write SD=3', f'SD={given["SD"]:g}')
@@ -134,7 +135,7 @@ class Splines:
             raise fault('a knot interval must not be negative', f'PL={given["PL"]:g}')
 
     def _second_point(self, given: dict[str, float]) -> FloatArray | None:
-        """Return the second point that a block names, in program coordinates; None without."""
+        """Return the second point of a block in program coordinates; None if it names none."""
         if not given.keys() & set(_SECOND):
             return None
         mover = self._mover
@@ -148,7 +149,7 @@ class Splines:
         return second
 
     def _linear(self, words: BlockWords, given: dict[str, float]) -> None:
-        """Give a linear block the tool direction of its second point."""
+        """Convert the second point of a linear block to a tool direction."""
         mover = self._mover
         if given.keys() - {'XH', 'YH', 'ZH', 'SD', 'PW'}:
             raise mover.fault('this word belongs into a spline; write BSPLINE first', 'PL')
@@ -164,5 +165,6 @@ class Splines:
 
 
 def _point(values: FloatArray) -> Point:
+    """Return an array, shape (3,), as a tuple."""
     x, y, z = values.tolist()
     return x, y, z

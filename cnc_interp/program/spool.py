@@ -1,4 +1,4 @@
-"""Blocks of a program of any length, kept in a file; memory holds those that are asked for."""
+"""Blocks of a program of any length in a temporary file; memory contains only the rows read."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _COLUMNS = [column.name for column in fields(Blocks)]
 
 class BlockSpool:
     """
-    A growing program; like ``Blocks`` it has a length and slices, which are ``Blocks``.
+    A growing program with length and slices, like ``Blocks``.
 
-    The file lies in the system's folder for temporary files (``TMPDIR``), has no name, and is gone
-    with the process.
+    The temporary file has no name. It lies in the system folder for temporary files (``TMPDIR``)
+    and vanishes with the process.
     """
 
     def __init__(self) -> None:
@@ -27,12 +27,17 @@ class BlockSpool:
 
     def append(self, blocks: Blocks) -> None:
         """
-        Write further rows.
+        Write more rows to the file.
+
+        Parameters
+        ----------
+        blocks : Blocks
+            The next rows of the program.
 
         Raises
         ------
         OSError
-            If there is no room for them.
+            If the disk is full.
 
         """
         columns = {name: getattr(blocks, name) for name in _COLUMNS}
@@ -46,11 +51,11 @@ class BlockSpool:
         self._rows += len(blocks)
 
     def __len__(self) -> int:
-        """Count the rows, start pose included."""
+        """Return the number of rows, start pose included."""
         return self._rows
 
     def __getitem__(self, rows: slice) -> Blocks:
-        """Read consecutive rows."""
+        """Read consecutive rows from the file."""
         first, last, _ = rows.indices(self._rows)
         size = self._record.itemsize
         self._file.seek(first * size)
@@ -58,7 +63,7 @@ class BlockSpool:
         return Blocks(*(np.ascontiguousarray(records[name]) for name in _COLUMNS))
 
     def close(self) -> None:
-        """Forget the program."""
+        """Close and delete the file."""
         self._file.close()
 
     def __enter__(self) -> BlockSpool:

@@ -1,10 +1,10 @@
 """
-Cutting blocks into pieces on which the great circle of [B2013, Eq. 4] says what was programmed.
+Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
 
-Rotary axes that run linearly do not move the tool axis on a great circle, nor the tip on a line
-where the words are axis positions; arcs are no lines either. On a piece, the deviation at the same
-parameter shrinks with the square of the piece's length, so the number of pieces follows from the
-deviation measured on a trial division.
+Rotary axes that move linearly do not turn the tool axis on a great circle. If the words are axis
+positions, the tip does not move on a line. Arcs are not lines either. The deviation of a piece
+from the programmed motion at the same parameter falls with the square of its length. So the number
+of pieces follows from the deviation that is measured on a trial division.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from cnc_interp.core.units import DEG
 
 Poses = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
 
-# The deviation of a short piece is a parabola plus an odd cubic; these points see the maximum of
-# either within 3 %, which the margin covers.
+# The deviation of a short piece is a parabola plus an odd cubic. The largest value at these points
+# is within 3 % of the maximum of either; the margin covers this.
 _PROBES = (0.25, 0.5, 0.75)
 _MARGIN = 1.05
 _TRIAL_SWEEP = 15.0 * DEG
@@ -29,7 +29,7 @@ _LARGEST_SWEEP = 89.9 * DEG
 
 def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatArray:
     """
-    Orientation on the great circle from one tool axis to another.
+    Return the tool axis on the great circle between two tool axes.
 
     ``o(u) = (sin((1 - u) theta) o_from + sin(u theta) o_to) / sin(theta)``
 
@@ -38,7 +38,7 @@ def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatAr
     o_from, o_to : ndarray, shape (n, 3)
         Unit tool axes, not antiparallel [-].
     u : ndarray, shape (n,)
-        Share of the angle, 0 to 1 [-].
+        Part of the angle, 0 to 1 [-].
 
     Returns
     -------
@@ -57,7 +57,20 @@ def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatAr
 
 
 def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
-    """Angle between unit vectors, shape (n,), exact for small and for large angles [rad]."""
+    """
+    Return the angles between unit vectors, exact for small and for large angles.
+
+    Parameters
+    ----------
+    o_from, o_to : ndarray, shape (n, 3)
+        Unit vectors [-].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Angles in [0, pi] [rad].
+
+    """
     apart = np.linalg.norm(o_to - o_from, axis=1)
     return np.asarray(2.0 * np.arctan2(apart, np.linalg.norm(o_to + o_from, axis=1)))
 
@@ -66,23 +79,23 @@ def piece_counts(
     poses: Poses, turned: FloatArray, allowed_tip: FloatArray, allowed_angle: FloatArray
 ) -> IntArray:
     """
-    Pieces per block that keep curved motion within tolerances of chords and great circles.
+    Compute how many pieces keep curved motion within tolerances of chords and great circles.
 
     Parameters
     ----------
     poses : callable
-        Block numbers, shape (m,), and shares of the block, shape (m,), to tool tips and tool
-        axes, shape (m, 3).
+        Function of block indices, shape (m,), and block parameters in [0, 1], shape (m,). It
+        returns tool tips [m] and unit tool axes [-], shape (m, 3) each.
     turned : ndarray, shape (n,)
-        Angle through which a block turns: its rotary axes together, or an arc [rad].
+        Angle through which each block turns, of its rotary axes together or of its arc [rad].
     allowed_tip, allowed_angle : ndarray, shape (n,)
-        Largest distance and angle between programmed and chordal pose at the same share [m, rad].
+        Largest distance [m] and angle [rad] between programmed and chordal pose.
 
     Returns
     -------
     ndarray of int, shape (n,)
-        Uniform pieces in the block's parameter, each turning less than 90 deg. More than
-        ``MOST_PIECES`` are not counted to the end.
+        Number of equal pieces per block, each with a turn below 90 deg. A count above
+        ``MOST_PIECES`` is only a lower bound.
 
     """
     fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
@@ -110,7 +123,7 @@ def _largest_deviation(
     allowed_tip: FloatArray,
     allowed_angle: FloatArray,
 ) -> FloatArray:
-    """Largest deviation per block from its pieces, as a share of what is allowed [-]."""
+    """Return the largest deviation of each block from its pieces, over the allowed one [-]."""
     which, piece = ragged(counts.astype(np.int64))
     block, step = rows[which], 1.0 / counts[which]
     tip_from, o_from = poses(block, piece * step)
@@ -127,7 +140,20 @@ def _largest_deviation(
 
 
 def ragged(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """Row and piece number, from 0, of every piece when row i has ``counts[i]`` of them."""
+    """
+    Return block index and piece index of every piece.
+
+    Parameters
+    ----------
+    counts : ndarray of int, shape (n,)
+        Number of pieces of each block.
+
+    Returns
+    -------
+    row, piece : ndarray of int, shape (sum of counts,)
+        Index of the block, and index of the piece in its block, counted from 0.
+
+    """
     row = np.repeat(np.arange(len(counts)), counts)
     first = np.cumsum(counts) - counts
     return row, np.arange(len(row)) - first[row]

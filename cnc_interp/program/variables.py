@@ -1,4 +1,4 @@
-"""Variables of a G-code program: numbered, named, and the local ones of subprograms."""
+"""Variables of a G-code program: numbered, named, and local in subprograms."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Callable, Mapping
 
 from cnc_interp.program.expressions import ExpressionError
 
-#: ``#1`` to this are local to a subprogram that is called with arguments.
+#: ``#1`` to this number are local in a subprogram that is called with arguments.
 MOST_LOCAL = 33
 _MOST_VARIABLES = 100_000
 
 
 class ProgramVariables:
     """
-    The variables, and the system variables that can be read.
+    The variables of a program, and the system variables that it can read.
 
     Parameters
     ----------
     system : callable
-        Gives the values of system variables by number: positions in program coordinates.
+        Returns the system variables by number: positions in program coordinates.
 
     """
 
@@ -29,15 +29,15 @@ class ProgramVariables:
         self._locals: list[tuple[dict[int, float], dict[str, float]]] = []
 
     def enter(self, arguments: Mapping[int, float]) -> None:
-        """Begin a subprogram with local variables of its own."""
+        """Begin a subprogram with its own local variables."""
         self._locals.append((dict(arguments), {}))
 
     def leave(self) -> None:
-        """Return to the caller's local variables."""
+        """Return to the local variables of the caller."""
         self._locals.pop()
 
     def number(self, index: int) -> float:
-        """Return ``#index``; local variables of a subprogram are zero until they are set."""
+        """Return ``#index``; local variables of a subprogram are 0 until they are set."""
         if self._locals and 1 <= index <= MOST_LOCAL:
             return self._locals[-1][0].get(index, 0.0)
         if index in self._numbers:
@@ -47,16 +47,16 @@ class ProgramVariables:
         raise ExpressionError(f'#{index} is read before it is set; set it in the program')
 
     def set_number(self, index: int, value: float) -> None:
-        """Set ``#index``."""
+        """Set ``#index`` to a value."""
         if self._locals and 1 <= index <= MOST_LOCAL:
             self._locals[-1][0][index] = value
             return
         if index == 0 or index >= 5000:
-            raise ExpressionError(f'#{index} cannot be set from a program')
+            raise ExpressionError(f'#{index} cannot be set from a program; use #100 to #4999')
         self._numbers[index] = value
 
     def named(self, name: str) -> float:
-        """Return a named variable."""
+        """Return the value of a named variable."""
         names = self._table(name)
         if name in names:
             return names[name]
@@ -64,10 +64,10 @@ class ProgramVariables:
         raise ExpressionError(f'{shown} is read before it is set; set it in the program')
 
     def set_name(self, name: str, value: float) -> None:
-        """Set a named variable."""
+        """Set a named variable to a value."""
         names = self._table(name)
         if len(names) >= _MOST_VARIABLES:
-            raise ExpressionError('too many variables')
+            raise ExpressionError(f'more than {_MOST_VARIABLES:,} variables; use fewer names')
         names[name] = value
 
     def exists(self, name: str) -> bool:
@@ -75,6 +75,6 @@ class ProgramVariables:
         return name in self._table(name)
 
     def _table(self, name: str) -> dict[str, float]:
-        """``#<name>`` is local to a subprogram, ``#<_name>`` and Siemens names are global."""
+        """Return the table of a name: local for ``#<name>``, global for the others."""
         local = name.startswith('<') and not name.startswith('<_')
         return self._locals[-1][1] if self._locals and local else self._names

@@ -1,4 +1,4 @@
-"""A line of G-code as words; comments of both kinds, packed and spaced words, key words."""
+"""One line of G-code as words: comments, words with and without spaces, key words."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from cnc_interp.program.expressions import (
     parse,
 )
 
-# A look-ahead after each number and name refuses every shorter match, so that a line of a million
-# digits fails in linear time. Possessive quantifiers do so too, but fail in Python 3.11.2.
+# The look-ahead after each number and name rejects every shorter match. So a line of a million
+# digits fails in linear time. Possessive quantifiers would do the same, but fail in Python 3.11.2.
 _NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)'
 _TOKEN = re.compile(
     rf"""
@@ -33,9 +33,9 @@ _TOKEN = re.compile(
 _EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\(')
 _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
-#: Functions that say how an axis word is meant: absolute, incremental, by the way it turns.
+#: Functions that tell how an axis word is meant: absolute, incremental, or direction of turn.
 WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
-# A name of several letters, not a word with a number as in M6(TOOL 3).
+# A name of several letters before a parenthesis, but not a word with a number as in M6(TOOL 3).
 _GROUP_BEFORE = re.compile(r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])[A-Z_][A-Z_]\w*)$')
 
 
@@ -47,16 +47,16 @@ class BlockWords:
     Parameters
     ----------
     g, m : list of str
-        Codes in their shortest form ('G1', 'G43.4', 'M3'), in the order written.
+        Codes in their shortest form ('G1', 'G43.4', 'M3'), in the order of the line.
     values, texts : dict
-        Number and written form of every other word, by letter.
+        Number and text of every other word, by letter.
     ways : dict
-        'AC', 'IC', 'DC', 'ACP' or 'ACN' of words that say so, by letter.
+        Function of an axis word, by letter: 'AC', 'IC', 'DC', 'ACP' or 'ACN'.
     keys : list of tuple
-        Words of more than one letter ('TRAORI', '#TRAFO ON') with the numbers in their
-        parentheses, None where nothing or a text stands.
+        Words of several letters ('TRAORI', '#TRAFO ON') with the numbers in their parentheses;
+        None for an empty argument or a text.
     sets : list of tuple
-        Assignments to parameters (int) and names (str), in the order written.
+        Assignments to parameters (int) and names (str), in the order of the line.
 
     """
 
@@ -74,10 +74,10 @@ Fault = Callable[[str, str], ProgramError]
 
 def without_comments(line: str, fault: Fault) -> str:
     """
-    Remove comments from a line in upper case.
+    Remove the comments from a line in upper case.
 
-    A parenthesis opens a comment unless it follows an operator or directly a name, as the
-    arguments of ``CYCLE832(...)`` and ``Z=(R1+2)`` do.
+    A parenthesis opens a comment, except after an operator or directly after a name. So the
+    arguments of ``CYCLE832(...)`` and ``Z=(R1+2)`` are kept.
     """
     if ';' not in line and '(' not in line:
         return line
@@ -102,12 +102,12 @@ def without_comments(line: str, fault: Fault) -> str:
 
 
 def _opens_group(before: str) -> bool:
-    """Tell a parenthesis that groups or calls from a comment, by what stands before it."""
+    """Tell whether a parenthesis after this text groups or calls. Otherwise it is a comment."""
     return bool(_GROUP_BEFORE.search(before))
 
 
 def _end_of_comment(line: str, at: int, fault: Fault) -> int:
-    """Return where a comment ends; comments may hold pairs of parentheses."""
+    """Return the position after a comment; comments may contain pairs of parentheses."""
     depth = 0
     for here in range(at, len(line)):
         depth += (line[here] == '(') - (line[here] == ')')
@@ -118,12 +118,12 @@ def _end_of_comment(line: str, at: int, fault: Fault) -> int:
 
 def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
     """
-    Split one line of G-code, in upper case and without comments, into its words.
+    Split one line of G-code into words. The line is in upper case and without comments.
 
     Raises
     ------
     ProgramError
-        If a part of the line is no word, a letter other than G and M stands twice, or an
+        If a part of the line is not a word, a letter other than G and M occurs twice, or an
         expression has no value.
 
     """
@@ -132,7 +132,7 @@ def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
     while at < len(line):
         token = _TOKEN.match(line, at)
         if token is None:
-            # After a word such as FOR or PROC the rest follows other rules: name that word.
+            # After words such as FOR or PROC the rest has another syntax: report this word.
             for key, _ in words.keys:
                 if why := refused_key(key):
                     raise fault(why, key)
@@ -151,19 +151,19 @@ def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
 
 
 def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) -> None:
-    """Add one word with a letter."""
+    """Add a word of one letter."""
     if letter in 'GM':
         code = f'{letter}{round(value, 3):g}'
         (words.g if letter == 'G' else words.m).append(code)
         return
     if letter in words.values:
-        raise fault(f'{letter} stands twice in one block; keep one of them', text)
+        raise fault(f'{letter} is written twice in one block; keep one of them', text)
     words.values[letter] = value
     words.texts[letter] = text
 
 
 def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
-    """Split a line with expressions."""
+    """Split a line that contains expressions."""
     words = BlockWords()
     if name := _TOOL_NAME.search(line):
         _add(words, 'T', 0.0, name[0], fault)
@@ -196,21 +196,21 @@ def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
 
 
 def _with_way(node: Any, variables: Variables) -> tuple[float, str]:
-    """Return the value of an axis word and the function that says how it is meant."""
+    """Return the value of an axis word, and the function that tells how it is meant."""
     if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
         return evaluate(node[2], variables), str(node[1])
     return evaluate(node, variables), ''
 
 
 def _given(node: Any, variables: Variables) -> float | None:
-    """Return the value of an argument; None where it is empty or a text."""
+    """Return the value of an argument; None if it is empty or a text."""
     if len(node) == 1 or isinstance(node[1], str):
         return None
     return evaluate(node[1], variables)
 
 
 def _no_word(line: str, at: int, fault: Fault) -> ProgramError:
-    """Say what is wrong with the rest of a line that begins with no word."""
+    """Return the error for the rest of a line that does not begin with a word."""
     rest = line[at:]
     chunk = rest.split()[0]
     if not chunk.isprintable():

@@ -1,7 +1,7 @@
 """
-Poses and curves -> the text of a part program: G-code, native Siemens B-splines, CL data.
+Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data.
 
-The writers know words and formats only; what is written is decided in ``convert.py``.
+The writers know only words and formats. ``convert.py`` decides what is written.
 """
 
 from __future__ import annotations
@@ -14,38 +14,38 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 
-#: Decimals of coordinates [mm], angles [deg] and tool axes [-]: 1 pm, below what doubles need.
+#: Decimals of coordinates [mm], angles [deg] and tool axes [-]; finer than double precision needs.
 _LENGTH, _ANGLE, _AXIS = 9, 10, 12
-#: A spline needs a feedrate; this stands for rapid [mm/min].
+#: Feedrate of rapids in a spline, which needs an F [mm/min].
 RAPID_FEED = 100_000.0
-#: How a stop is written, in G-code and in CL data.
+#: Words for a stop in G-code and in CL data.
 _STOPS = {GO_ON: ('G9', 'DELAY/0'), STOP: ('M0', 'STOP'), OPTIONAL_STOP: ('M1', 'OPSTOP')}
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Write a number without needless zeros, and never as -0."""
+    """Return a number as text, without trailing zeros and never as -0."""
     text = f'{value:.{decimals}f}'.rstrip('0').rstrip('.') if decimals else f'{value:.0f}'
     return '0' if text in ('-0', '') else text
 
 
 def feed_word(feedrate: float) -> str:
-    """Write a feedrate given in m/s in mm/min."""
+    """Return a feedrate [m/s] as text in mm/min."""
     return f'{min(feedrate / MM_PER_MIN, RAPID_FEED):.9g}'
 
 
 @dataclass
 class Modal:
-    """Words that keep their value, so that only changes are written."""
+    """The last value of each modal word, so that only changes are written."""
 
     kept: dict[str, str]
 
     @staticmethod
     def empty() -> Modal:
-        """Return a state in which nothing has been written."""
+        """Return a state without any words."""
         return Modal({})
 
     def words(self, pairs: Iterable[tuple[str, str]]) -> str:
-        """Return those letter and number pairs that differ from what was written last."""
+        """Return the pairs of letter and number that differ from the last ones written."""
         changed = [(letter, text) for letter, text in pairs if self.kept.get(letter) != text]
         self.kept.update(changed)
         return ' '.join(letter + text for letter, text in changed)
@@ -53,7 +53,27 @@ class Modal:
 
 @dataclass(frozen=True)
 class GcodeMove:
-    """One block: tip [m], rotary positions or none [rad], feed [m/s] or duration [s], marks."""
+    """
+    One block of G-code.
+
+    Parameters
+    ----------
+    tip : ndarray, shape (3,)
+        Tool tip [m].
+    rotary : ndarray, shape (2,), or None
+        Positions of the rotary axes [rad]; None without words for them.
+    feedrate, duration : float
+        Speed of the tip [m/s]; duration [s] or NaN.
+    rapid, exact_stop : bool
+        Whether the block is a rapid, and whether the tool rests at its end.
+    program_stop : int
+        GO_ON, STOP or OPTIONAL_STOP.
+    on_great_circle : bool
+        Whether the tool axis turns on the great circle.
+    tolerance : float
+        Path tolerance [m].
+
+    """
 
     tip: FloatArray
     rotary: FloatArray | None
@@ -68,10 +88,10 @@ class GcodeMove:
 
 def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
     """
-    Write G0 and G1 blocks with rotary words, tool-tip programming on.
+    Return the text of a G-code program with rotary words and tool-tip programming.
 
-    The words ORIVECT and ORIAXES say whether the tool axis turns on the great circle or the rotary
-    axes run linearly.
+    ORIVECT is written if the tool axis turns on the great circle, ORIAXES if the rotary axes move
+    linearly.
     """
     state = Modal.empty()
     lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
@@ -101,7 +121,7 @@ def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: li
             angles = zip(rotary_letters, move.rotary, strict=True)
             pairs += [(letter, fixed(v / DEG, _ANGLE)) for letter, v in angles]
         moved = state.words(pairs)
-        # A block that moves nothing is kept where it says something.
+        # A block without motion is written only if it has other words.
         words.append(moved or (f'X{state.kept["X"]}' if words else ''))
         if not move.rapid and timed:
             words.append(f'F{60.0 / move.duration:.12g}')
@@ -113,7 +133,23 @@ def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: li
 
 @dataclass(frozen=True)
 class SiemensMove:
-    """One block: tip and second point [m], feed [m/s], PL (NaN on lines), marks."""
+    """
+    One block of a Siemens program.
+
+    Parameters
+    ----------
+    tip : ndarray, shape (3,)
+        Tool tip or control point [m].
+    second : ndarray, shape (3,), or None
+        Second point on the tool axis [m].
+    feedrate : float
+        Speed of the tip [m/s].
+    knot_interval : float
+        Knot interval of a control point [m]; NaN on lines.
+    rapid, exact_stop : bool
+        Whether the block is a rapid, and whether the tool rests at its end.
+
+    """
 
     tip: FloatArray
     second: FloatArray | None
@@ -124,7 +160,7 @@ class SiemensMove:
 
 
 def siemens(moves: Iterable[SiemensMove], notes: list[str]) -> str:
-    """Write lines and cubic B-splines of the Siemens 840D [B2013, section 4.1]."""
+    """Return a Siemens 840D program with lines and cubic B-splines [B2013, section 4.1]."""
     state = Modal.empty()
     moves = list(moves)
     lines = [f'; {note}' for note in notes]
@@ -155,7 +191,21 @@ def siemens(moves: Iterable[SiemensMove], notes: list[str]) -> str:
 
 @dataclass(frozen=True)
 class ClMove:
-    """One point: tip [m], tool axis [-], feed [m/s], marks."""
+    """
+    One point of CL data.
+
+    Parameters
+    ----------
+    tip, axis : ndarray, shape (3,)
+        Tool tip [m] and unit tool axis [-].
+    feedrate : float
+        Speed of the tip [m/s].
+    rapid, exact_stop : bool
+        Whether the motion is a rapid, and whether the tool rests at its end.
+    program_stop : int
+        GO_ON, STOP or OPTIONAL_STOP.
+
+    """
 
     tip: FloatArray
     axis: FloatArray
@@ -166,7 +216,7 @@ class ClMove:
 
 
 def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:
-    """Write GOTO points with tool axis vectors."""
+    """Return a CL file with GOTO points and tool axis vectors."""
     lines = [f'PARTNO {name}', *(f'$$ {note}' for note in notes), 'UNITS/MM', 'MULTAX/ON']
     feed = ''
     for number, move in enumerate(moves):

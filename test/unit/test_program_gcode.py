@@ -118,7 +118,7 @@ def test_program_stops_say_whom_they_wait_for():
     assert waits == ends
     assert (blocks.program_stop != GO_ON).sum() == len(ends)  # only the last chord of an arc
     assert blocks.exact_stop[blocks.program_stop != GO_ON].all()
-    assert any('M1: with optional_stop on waits' in notice for notice in read(text).notices)
+    assert any('M1: with optional stop on: waits' in notice for notice in read(text).notices)
 
 
 def test_nobody_is_waited_for_before_the_first_motion():
@@ -138,7 +138,7 @@ def test_g64_keeps_the_path_within_p_whatever_q_allows():
     [
         ('G64 Q0.01', 'Q0.01: write G64 P Q'),
         ('G64 P0.1 Q-1', 'Q-1: write G64 P Q'),
-        ('G93 G1 X1 F60\nG94 X2', 'since the way it is given has changed'),
+        ('G93 G1 X1 F60\nG94 X2', 'after the change of feed mode'),
         ('G43.4 H1', 'H1: with tool-tip programming the length'),
     ],
 )

@@ -232,8 +232,8 @@ class SplineRun:
         )
         if gap > SAME_POSE:
             raise BlockError(
-                f'the spline begins {gap:.3g} (m, or length of the unit tool axis) away from the '
-                'tool; its first control point must be the end of the block before',
+                'the spline does not begin where the tool is; its first control point must be '
+                'the end pose of the block before',
                 line,
             )
         if rows.knot_interval[0] != 0.0 or (len(rows) > 1 and rows.knot_interval[1] == 0.0):

@@ -89,9 +89,9 @@ class TargetColumns:
             Point: tool tip, or axis positions minus those of the workpiece zero [m]; tool axis
             [-], NaN if rotary words give it; rotary positions [rad]; 1 if the program has used
             rotary words; 1 for the great circle, 0 for linear rotary axes; feedrate [m/s];
-            duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance [m]; line
-            number; 1 if the point is axis positions; feedrate of rotary axes [rad/s]; centre [m],
-            normal [-] and sweep [rad] of an arc, NaN without.
+            duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance
+            [m]; line number; 1 if the point is axis positions; feedrate of rotary axes [rad/s];
+            centre [m], normal [-] and sweep [rad] of an arc, NaN without.
 
         """
         if len(self._rows) >= self._full:

@@ -102,7 +102,7 @@ class CannedCycle:
         clear = max(self.start, retract) if mover.retract_to_start else retract
 
         def go(along: float, rapid: bool, place: FloatArray) -> None:
-            # Move along the drilling axis above a place.
+            # Move to a level on the drilling axis at a position.
             target = place.copy()
             target[axis] = along
             rotary = (

@@ -74,7 +74,7 @@ class Modes:
         frames.choose(code)
 
     def path_tolerance(self, words: BlockWords) -> None:
-        """Process G64 P: set both tolerances; without P, restore those of the options."""
+        """Process G64 P: set both tolerances; without P, restore those of the user."""
         tolerance = words.values.pop('P', None)
         q = words.values.pop('Q', None)  # ignored: the compressor stays within P in any case
         if q is not None and (tolerance is None or not q >= 0.0):

@@ -1,19 +1,19 @@
-"""Notices: what a reader passed on or simplified, for the user to know."""
+"""Notices: words of a program that were passed on or simplified."""
 
 from __future__ import annotations
 
 
 class Notices:
-    """Harmless findings of a reader, each noted once with the line where it first stood."""
+    """Notices about harmless words, each one recorded once with its first line."""
 
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}
 
     def once(self, key: str, line_number: int, text: str) -> None:
-        """Note ``text`` unless something was noted under ``key`` before."""
+        """Record a notice, unless there already is one with this key."""
         if key not in self._texts:
             self._texts[key] = f'line {line_number}: {text}'
 
     def texts(self) -> tuple[str, ...]:
-        """All notices in the order of the program."""
+        """Return all notices in the order of the program."""
         return tuple(self._texts.values())

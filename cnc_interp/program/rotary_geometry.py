@@ -1,4 +1,4 @@
-"""The part of a machine that readers of programs need."""
+"""RotaryGeometry: the part of a machine that a program reader needs."""
 
 from __future__ import annotations
 
@@ -8,20 +8,74 @@ from cnc_interp.core.arrays import FloatArray
 
 
 class RotaryGeometry(Protocol):
-    """The part of a machine that gives rotary words their meaning."""
+    """Axis names and kinematics of a machine, which give rotary words their meaning."""
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Letters of the axes, linear ones first: ('X', 'Y', 'Z', 'A', 'C')."""
+        """Return the letters of the axes, linear axes first: ('X', 'Y', 'Z', 'A', 'C')."""
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
-        """Turn rotary positions, shape (n, 2) [rad], into unit tool axes in W, shape (n, 3)."""
+        """
+        Convert rotary positions to tool axes.
+
+        Parameters
+        ----------
+        rotary : ndarray, shape (n, 2)
+            Positions of the rotary axes [rad].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Unit tool axes in W [-].
+
+        """
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Turn axis positions, shape (n, 5) [m, rad], into tool tips in W [m] and tool axes."""
+        """
+        Convert axis positions to poses.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n, 5)
+            Axis positions [m, rad].
+
+        Returns
+        -------
+        tip, axis : ndarray, shape (n, 3)
+            Tool tips [m] and unit tool axes [-] in W.
+
+        """
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Give X Y Z [m], shape (n, 3), of tool tips [m] at rotary positions, shape (n, 2)."""
+        """
+        Compute the positions of X Y Z for tool tips at given rotary positions.
+
+        Parameters
+        ----------
+        tip : ndarray, shape (n, 3)
+            Tool tips in W [m].
+        rotary : ndarray, shape (n, 2)
+            Positions of the rotary axes [rad].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Positions of X, Y and Z [m].
+
+        """
 
     def rotary_solutions(self, axis: FloatArray) -> list[FloatArray]:
-        """Give the rotary positions, shape (2,) [rad], that reach a tool axis, shape (3,)."""
+        """
+        Compute the rotary positions that give a tool axis.
+
+        Parameters
+        ----------
+        axis : ndarray, shape (3,)
+            Unit tool axis in W [-].
+
+        Returns
+        -------
+        list of ndarray, shape (2,)
+            All solutions, up to whole turns [rad].
+
+        """

@@ -112,12 +112,12 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         cutting = turned.max(axis=1) * ~rapid
         if cutting.max() > LONG_WAY:
             return False  # the general reader gives a notice for this
-    _leave_behind(mover, motion, values[:, scan.F], points, rotary, named)
+    _set_state(mover, motion, values[:, scan.F], points, rotary, named)
     mover.targets.extend(rows)
     return True
 
 
-def _leave_behind(
+def _set_state(
     mover: Mover,
     motion: FloatArray,
     feed_words: FloatArray,

@@ -1,4 +1,4 @@
-"""What smoothing must know of the machine."""
+"""MachineTraits: the properties of a machine that the smoothing needs."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from cnc_interp.smoothing.corners.ratio import AxisRates
 @dataclass(frozen=True)
 class MachineTraits:
     """
-    What smoothing must know of the machine.
+    The properties of a machine that the smoothing needs.
 
     Parameters
     ----------
     axis_rates : callable, optional
-        Rates of the axes along a line, each over its jerk limit; L2/L1 of corners is chosen by
-        them, see ``ratio.py``.
+        Rates of the axes along a line, each over its jerk limit. They determine L2/L1 of corners
+        (``ratio.py``).
     pole : tuple of float, optional
-        Direction at which a rotary axis is undefined; a turning tool stops there. None: no such
-        direction exists.
+        Tool direction at which a rotary axis is undefined; a turning tool stops there. None if
+        there is no such direction.
     pole_cone : float
         Angle around the pole within which a turning tool stops [rad].
     sharpest_turn, sharpest_swing : float
-        Largest turn of the path that is rounded while the tool axis rests, and while it turns
-        [rad]. At sharper turns the tool stops, which is faster on average.
+        Largest turn of the path that is rounded, with a fixed and with a turning tool axis [rad].
+        At larger turns the tool stops, which is faster on average.
 
     """
 

@@ -46,9 +46,9 @@ class PathSmoother:
         self._lookahead = LookAhead(settings, machine)
         self._run: SplineRun | None = None
         self._recent: Blocks | None = None  # the last two linear blocks
-        self._waiting: PathSegments | None = None  # lines before a spline, until stop or not
+        self._waiting: PathSegments | None = None  # lines before a spline
         self._row = 0  # program row of the next block
-        self._start: FloatArray | None = None  # rotary words of the start pose, until used
+        self._start: FloatArray | None = None  # rotary words of the start pose
 
     def push(self, blocks: Blocks) -> PathSegments:
         """

@@ -74,7 +74,7 @@ class Compressor:
         self._begun = False
         self._run: Run | None = None
         self._start = self._next = self._last = 0  # first, next and last vertex of the run
-        self._lead: EndLine | None = None  # line before a run, until it is sent
+        self._lead: EndLine | None = None  # line before the run, if not sent yet
         self._tail: EndLine | None = None  # line after the run
         self._after_curve = False
         self._rows: list[Rows] = []

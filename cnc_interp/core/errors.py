@@ -43,14 +43,14 @@ class MachineError(InterpError):
 
 class SettingsError(InterpError):
     """
-    A choice of the user that is not possible.
+    The user chose a value that is not possible.
 
     Parameters
     ----------
     name : str
-        Name of the choice.
+        Name of the setting.
     reason : str
-        What is wrong with its value and what would be right.
+        What is wrong with the value and what would be right.
 
     """
 

@@ -10,25 +10,25 @@ from typing import TextIO
 
 #: Length of the bar [characters].
 BAR = 30
-#: Work that is done within this time shows nothing [s].
+#: No progress is shown for work that takes less time than this [s].
 PATIENCE = 1.0
-#: The remaining time is estimated from this share of the work on [-].
+#: Smallest part of the work from which the remaining time is estimated [-].
 ESTIMATED_FROM = 0.02
 
 
 def redraws(stream: TextIO) -> bool:
-    """Tell whether a line of the stream can be overwritten: on a terminal outside an editor."""
+    """Tell whether the stream is a terminal whose lines can be overwritten."""
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
 class ProgressBar:
     """
-    Shows the share of the work that is done.
+    Shows which part of the work is done.
 
     Parameters
     ----------
     stream : file, optional
-        Where to write; None shows nothing.
+        Stream for the output. Without it, nothing is shown.
 
     """
 
@@ -39,26 +39,26 @@ class ProgressBar:
         self._began = time.monotonic()
         self._work = ''
         self._step = 0
-        self._width = 0  # of the line on the terminal [characters]
+        self._width = 0  # width of the line on the terminal [characters]
 
     def of(self, work: str) -> Callable[[float], None]:
-        """Return a function that shows the share of one kind of work."""
+        """Return a function that shows the progress of one kind of work."""
         return lambda share: self.show(work, share)
 
     def show(self, work: str, share: float, note: str = '', left: float = math.nan) -> None:
         """
-        Show progress: each per cent on a terminal, each ten per cent in a log.
+        Show progress: every percent on a terminal, every ten percent in a log.
 
         Parameters
         ----------
         work : str
-            What is being done.
+            Name of the work.
         share : float
-            Part of it that is done, 0 to 1 [-].
+            Part of the work that is done, 0 to 1 [-].
         note : str
-            Shown after the share.
+            Text after the percentage.
         left : float
-            Remaining time [s]; NaN estimates it from the time spent so far.
+            Remaining time [s]. If it is NaN, it is estimated from the time spent so far.
 
         """
         now = time.monotonic()
@@ -76,7 +76,7 @@ class ProgressBar:
         self._write(work, share, ', '.join(text for text in notes if text))
 
     def _write(self, work: str, share: float, note: str) -> None:
-        """Write one line, over the one before where that is possible."""
+        """Write one line; on a terminal it replaces the line before."""
         assert self._stream is not None
         if self._redraws:
             bar = f'[{"#" * int(BAR * share):<{BAR}}] '
@@ -88,7 +88,7 @@ class ProgressBar:
         self._stream.flush()
 
     def end(self, complete: bool) -> None:
-        """Leave the line; a complete bar is filled."""
+        """End the line; if the work is complete, show 100 % first."""
         if self._stream is None or not self._step or not self._redraws:
             return
         if complete:

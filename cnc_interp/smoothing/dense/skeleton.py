@@ -170,7 +170,7 @@ class SkeletonBuilder:
     def _marks(
         self, raw: Blocks, top: FloatArray, final: bool, joined: bool
     ) -> tuple[IntArray, BoolArray, BoolArray]:
-        """Return kind, stop and closed of the rows, shape (n,) each; row 0 has no own kind."""
+        """Return the columns kind, stop and closed of the rows (see ``Skeleton``), shape (n,)."""
         height = self._height
         length = norm(np.diff(raw.tip, axis=0))
         turn = norm(rotations_between(raw.axis[:-1], raw.axis[1:]))

@@ -133,6 +133,11 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
         )
 
 
+def _first(numbers: IntArray) -> int:
+    """Return the first number as an int for a message, or -1 if there is none."""
+    return int(numbers[0]) if len(numbers) else -1
+
+
 def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     """Check that time is uniform, that blocks are in order and that the first ones are there."""
     time, block = plan.setpoints['time'], plan.block
@@ -145,8 +150,8 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     back = np.flatnonzero(np.diff(block) < 0)
     ledger.require(
         not len(back),
-        f'block order runs backwards at sample {back[:1] + 1}: '
-        f'row {block[back[:1]]}, then {block[back[:1] + 1]}',
+        f'block order runs backwards at sample {_first(back + 1)}: '
+        f'row {_first(block[back])}, then {_first(block[back + 1])}',
     )
     # Rows may be left out at the start if the tool is already at their end (repeated points, first
     # control points). Completeness checks their vertices with all others.
@@ -160,7 +165,7 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     ledger.require(
         not len(away),
         f'the motion starts with line {plan.blocks["line"][block[0]]}, '
-        f'but line {plan.blocks["line"][away[:1]]} comes before it',
+        f'but line {_first(plan.blocks["line"][away])} comes before it',
     )
     stated = plan.summary.get('cycle_time')
     spanned = float(time[-1] - time[0])
@@ -317,7 +322,7 @@ def _prove_completeness(
         moving = stops[np.array(slowest) > ROUNDING]
         ledger.require(
             not len(moving),
-            f'no rest at the exact stop of line {blocks["line"][moving[:1]]}; '
+            f'no rest at the exact stop of line {_first(blocks["line"][moving])}; '
             f'{len(moving)} stops missed',
         )
 

@@ -66,7 +66,7 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
         ('arc.ngc', 'F1000\nG1 X0 Y0\nG2 X10 I4\n', ':3: G2: start and end differ'),
         ('letter.ngc', 'F1000\nG1 X0\nG1 X1O\n', ':3: O: a letter without a number'),
         ('word.ngc', 'F1000\nG1 X0\nG1 X10 Q2\n', ':3: Q2: this word has no meaning'),
-        ('tcp.ngc', 'F1000\nM428\nG0 G53 Z0\n', ':3: machine coordinates need tool-tip'),
+        ('tcp.ngc', 'F1000\nM428\nG0 G53 Z0\n', ':3: machine coordinates while tool-tip'),
         ('axis.apt', 'GOTO/0,0,0,0,0,1\nGOTO/9,0,0,0,0,0\n', ':2: GOTO: the tool axis is not'),
         ('travel.ngc', TCP + 'G1 X900\n', ':4: axis X would have to go to 940.000 mm'),
         (

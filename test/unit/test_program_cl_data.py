@@ -142,7 +142,7 @@ def test_feed_of_files_without_fedrat():
         ('CIRCLE/1,2,3', 2, 'CIRCLE/x,y,z,i,j,k,r'),
         ('CIRCLE/1,0,0,0,0,1,1,0.002,0.5,1,0', 2, 'CIRCLE/x,y,z,i,j,k,r'),
         ('CIRCLE/1,0,0,0,0,1,2', 2, '1 away from this circle'),
-        ('CIRCLE/1,0,0,0,0,1,0', 2, 'no radius'),
+        ('CIRCLE/1,0,0,0,0,1,0', 2, 'a radius of zero'),
         ('CIRCLE/1,0,0,0,0,2,1', 2, 'unit vector'),
         ('FEDRAT/60\nCIRCLE/1,0,0,0,0,1,1\nFEDRAT/70\nGOTO/3,0,0', 5, '1 away from its circle'),
         ('CYCLE/DRILL,5', 2, 'cycles'),

@@ -18,7 +18,7 @@ from cnc_interp.kinematics.axis_path import (
 )
 from cnc_interp.kinematics.machine import Machine
 
-#: From this period on, what joins of cells add to third differences is within the slack [s].
+#: Shortest period at which the slack of the jerk stage covers the steps between path cells [s].
 ROOMY = 1.0 * MS
 
 
@@ -61,7 +61,7 @@ def limit_table(limits: AxisLimits) -> FloatArray:
 @dataclass(frozen=True)
 class PlanningLimits:
     """
-    Limits with which a motion is planned.
+    Axis limits for planning, which may be lower than those of the machine.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ class PlanningLimits:
 
 def limits_at(machine: Machine, period: float) -> AxisLimits:
     """
-    Return the limits to plan with, so that differences at the period hold those of the machine.
+    Return limits for planning, so that differences of setpoints keep the limits of the machine.
 
-    Cells of an AxisPath join to ``UNSEEN`` on axes that move far while s hardly does, which are
-    rotary ones. A step of that size has a third difference of 2 UNSEEN / T^3. The slack of the
-    jerk stage has room for it from ``ROOMY`` on. Below, jerk limits of rotary axes give way.
+    Neighbouring cells of an AxisPath may differ by up to ``UNSEEN`` on a rotary axis. A step of
+    this size has a third difference of 2 UNSEEN / T^3. From the period ``ROOMY`` on, the slack of
+    the jerk stage covers it. At shorter periods, the jerk limits of rotary axes are reduced.
 
     Parameters
     ----------

@@ -239,7 +239,7 @@ def test_a_pure_rotation_follows_the_great_circle(tmp_path):
     assert proof.remarks['largest_twist'] < 1e-9
     content['blocks']['axis'][1] = tool_axis(np.array(20.1 * DEG), np.array(0.0))
     only_failure(proof_of(tmp_path, content), 'vertex missed by top')
-    only_failure(proof_of(tmp_path, content), 'off the last pose')
+    only_failure(proof_of(tmp_path, content), 'away from the last pose')
 
 
 def test_rotary_words_rule_a_pure_rotation(tmp_path):

@@ -33,7 +33,7 @@ def _hull(
     Bound the deviations of the part a ... b of a quintic span from a line.
 
     The top point is p + h D/|D|, where D = top - bottom. So the component of D along the tool axis
-    has no effect on it. With d = D - D' and the direction o' of D' on the line,
+    has no effect on it. Primes mark the line. With d = D - D' and the direction o' of D',
 
         |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + 2.3 |d|^2/h + (h/|D'| - 1) |d|.
 

@@ -104,9 +104,7 @@ def run(machine: Machine, blocks: Blocks, curves: bool, directory: Path) -> dict
     """Plan blocks into plan files; return the summary."""
     settings = Settings(compress=curves)
     chain = CpuChain(machine, settings)
-    with PlanWriter(
-        directory, machine, settings.interpolation_period, settings.flank_height
-    ) as writer:
+    with PlanWriter(directory, machine, settings) as writer:
         writer.blocks(blocks)
         for first in range(0, len(blocks), BATCH):
             chain.push(blocks[first : first + BATCH])

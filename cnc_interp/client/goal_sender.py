@@ -10,26 +10,13 @@ from __future__ import annotations
 
 import time
 import uuid
-from pathlib import Path
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
 from unique_identifier_msgs.msg import UUID
 
-from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.declaration import choices
-
 #: Time without an answer after which a goal is sent again [s].
 AGAIN = 1.0
-
-
-def goal_of(program: Path, settings: Settings) -> RunProgram.Goal:
-    """Return the goal that runs a program with these settings."""
-    goal = RunProgram.Goal(program=str(program))
-    for choice in choices(settings):
-        if choice.name in goal.get_fields_and_field_types():
-            setattr(goal, choice.name, choice.plain(getattr(settings, choice.name)))
-    return goal
 
 
 class SentProgram:

@@ -21,9 +21,11 @@ from cnc_interp.run.chunk import part_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
+from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from, segments_from
 from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.settings_messages import settings_of_block
 
 #: Segments taken over together.
 BATCH = 256
@@ -72,6 +74,12 @@ class RecordedRun:
     def period(self) -> float:
         """Interpolation period [s]."""
         return float(self.chunks[0].period)
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the run, as its block 0 carries them."""
+        settings = settings_of_block(self.blocks[0], Settings())
+        return replace(settings, interpolation_period=self.period)
 
     def setpoints(self) -> Setpoints:
         """
@@ -182,7 +190,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
     """
     samples = run.setpoints()
-    with PlanWriter(directory, machine, run.period, run.flank_height) as writer:
+    with PlanWriter(directory, machine, run.settings) as writer:
         writer.blocks(blocks_from(run.blocks))
         for first in range(0, len(run.segments), BATCH):
             writer.segments(segments_from(run.segments[first : first + BATCH]))

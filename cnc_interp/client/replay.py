@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import rclpy
@@ -34,6 +33,7 @@ from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.settings_messages import settings_of_block
 
 #: Topics that are shown again. The streams are not: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
@@ -133,7 +133,7 @@ def _compare_run(
         int(bag.parameters.get('feedrate_node.chunk_size', 10)), told[0].position[0],
         float(told[0].s[0]) if goes_on else math.nan, followed,
     )  # fmt: skip
-    settings = settings_of_run(bag.parameters, blocks[0].flank_height, period)
+    settings = settings_of_block(blocks[0], own_settings(bag))
     lookahead = PathSmoother(settings, traits_of(transform))
     pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
     for segments in (lookahead.push(blocks_from(blocks)), lookahead.finish()):
@@ -157,12 +157,11 @@ def _compare_run(
         )  # fmt: skip
 
 
-def settings_of_run(told: dict[str, Any], flank_height: float, period: float) -> Settings:
-    """Return how the nodes were told to smooth and interpolate."""
+def own_settings(bag: Bag) -> Settings:
+    """Return the parameters of the look-ahead: they count where block 0 leaves a choice open."""
     prefix = 'lookahead_node.'
-    values = {k.removeprefix(prefix): v for k, v in told.items() if k.startswith(prefix)}
-    smoothing = parameters.settings_of(values)
-    return replace(smoothing, flank_height=flank_height, interpolation_period=period)
+    told = {k.removeprefix(prefix): v for k, v in bag.parameters.items() if k.startswith(prefix)}
+    return parameters.settings_of(told)
 
 
 def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:

@@ -19,7 +19,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.client.bag import TOPICS, Bag
-from cnc_interp.client.goal_sender import SentProgram, goal_of
+from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.recorder import NEEDED, Recorder
@@ -29,8 +29,10 @@ from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.playback import PROGRAM_STOP
 from cnc_interp.nodes.node_processes import Children
+from cnc_interp.wire.settings_messages import goal_of
 
 Result = RunProgram.Result
+
 #: Longest start of the nodes; all kernels may have to be compiled first [s].
 START_TIMEOUT = 300.0
 #: Silence after which a node counts as lost [s].

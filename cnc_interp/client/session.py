@@ -17,7 +17,7 @@ from cnc_interp.kinematics.axes import error_text
 from cnc_interp.nodes.node_processes import Children, begin_loading
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import settings_from
-from cnc_interp.settings.declaration import choices
+from cnc_interp.settings.declaration import Stage, choices
 
 #: Domains that are safe on Linux whatever the ports of other programs.
 DOMAINS = range(1, 102)
@@ -79,7 +79,7 @@ class RunRequest:
         from cnc_interp.nodes.parameters import NODES
 
         given: dict[str, object] = {'machine': f"'{self.machine}'"}
-        for choice in choices(self.settings):
+        for choice in choices(self.settings, Stage.MOTION):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
         return {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from dataclasses import replace
 
 from cnc_interp_msgs.msg import G1Block, PathSegment
 from rclpy.node import Node
@@ -20,11 +19,13 @@ from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.path_messages import blocks_from, segment_messages
 from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.settings_messages import settings_of_block
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Blocks smoothed together, and segments that may wait before smoothing goes on.
@@ -39,7 +40,7 @@ class LookaheadNode(Node):
         self._values = values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
         self._settings = parameters.settings_of(values)
-        warm_lookahead(self._transform, self._settings)
+        warm_lookahead(self._transform, Settings())  # a run may have other settings
         self._lookahead: PathSmoother | None = None
         self._flank_height = 0.0
         self._blocks: deque[G1Block] = deque()
@@ -70,7 +71,7 @@ class LookaheadNode(Node):
 
     def _begin(self, block: G1Block) -> None:
         """Forget the program before."""
-        settings = replace(self._settings, flank_height=block.flank_height)
+        settings = settings_of_block(block, self._settings)
         self._lookahead = PathSmoother(settings, traits_of(self._transform))
         self._flank_height = block.flank_height
         self._blocks.clear()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ from cnc_interp.program.source import Source
 from cnc_interp.program.spool import BlockSpool
 from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.declaration import choices
 from cnc_interp.smoothing.path_smoother import PathSmoother
+from cnc_interp.wire.settings_messages import settings_of_goal
 
 #: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
 BATCH, LONGEST_TEXT = 512, 16 << 20
@@ -51,17 +51,6 @@ class Prepared:
     path_length: float
 
 
-def settings_of_goal(goal: Any, defaults: Settings) -> Settings:
-    """Return the choices of a goal; zero and empty leave them to the node's parameters."""
-    fields = goal.get_fields_and_field_types()
-    given = {
-        choice.name: choice.from_plain(getattr(goal, choice.name))
-        for choice in choices(defaults)
-        if choice.name in fields and getattr(goal, choice.name)
-    }
-    return replace(defaults, **given)
-
-
 def prepare(
     goal: Any, transform: Transform, defaults: Settings, told: Callable[[float], None]
 ) -> Prepared:
@@ -75,12 +64,14 @@ def prepare(
     transform : Transform
         The machine's transformation.
     defaults : Settings
-        Choices where the goal gives none.
+        Settings of the node, for choices that the goal leaves open.
     told : callable
         Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
 
     Raises
     ------
+    SettingsError
+        If the goal asks for a choice that is unknown or not possible.
     ProgramError
         If the program cannot be read or holds no motion.
     BlockError

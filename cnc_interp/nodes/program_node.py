@@ -28,7 +28,9 @@ from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.run_id import NO_RUN
+from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.path_messages import block_messages
+from cnc_interp.wire.settings_messages import pairs_of
 
 Result = RunProgram.Result
 #: Blocks queued for sending at a time, and time between feedbacks [s].
@@ -47,7 +49,7 @@ class ProgramNode(Node):
         self._values = parameters.declare(self, parameters.PROGRAM)
         self._settings = parameters.settings_of(self._values)
         self._transform = Transform.of(Machine.load(self._values['machine']))
-        warm_kinematics(self._transform, self._settings)
+        warm_kinematics(self._transform, Settings())  # a goal may have other settings
         self._run: ProgramRun | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
@@ -173,6 +175,7 @@ class ProgramNode(Node):
         )  # fmt: skip
         if sequence == 0:
             message.continue_at = run.continue_at
+            message.settings = pairs_of(run.prepared.settings)
         return message
 
     def _tell_progress(self, run: ProgramRun, now: float) -> None:

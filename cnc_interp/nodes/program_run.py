@@ -16,6 +16,7 @@ from cnc_interp.core.errors import BlockError, InterpError, ProgramError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.settings_messages import loaded_program
 from cnc_interp.wire.window_protocol import WindowedSender
 
 Result = RunProgram.Result
@@ -104,19 +105,12 @@ class ProgramRun:
     def loaded(self) -> LoadedProgram:
         """Tell everybody what is about to run."""
         assert self.prepared is not None
-        settings = self.prepared.settings
-        return LoadedProgram(
-            program_id=self.run_id.program_id,
-            name=self.name,
-            text=self.prepared.text,
-            contour_tolerance=settings.contour_tolerance,
-            orientation_tolerance=settings.orientation_tolerance,
-            force_tolerances=settings.force_tolerances,
-            flank_height=settings.flank_height,
-            feedrate=settings.feedrate or 0.0,
-            interpolation=settings.interpolation,
-            path_length=self.prepared.path_length,
+        prepared = self.prepared
+        message = loaded_program(
+            self.run_id.program_id, self.name, prepared.text, prepared.settings
         )
+        message.path_length = prepared.path_length
+        return message
 
     def fill(self, sender: WindowedSender[int], most: int) -> None:
         """Queue the next rows; not the whole program at once."""

@@ -201,9 +201,7 @@ def plan_to_files(
     """
     settings = settings or Settings()
     chain = Chain(machine, settings)
-    with PlanWriter(
-        directory, machine, settings.interpolation_period, settings.flank_height
-    ) as writer:
+    with PlanWriter(directory, machine, settings) as writer:
         with at_fault(stream.source):
             for part in stream:
                 writer.blocks(part)
@@ -236,9 +234,7 @@ def no_motion(source: str) -> ProgramError:
 
 def summary_of(plan: Plan) -> dict[str, Any]:
     """Return the plan's summary as written to ``summary.json``; SI units."""
-    figures = PlanFigures(
-        plan.machine, plan.settings.interpolation_period, plan.settings.flank_height
-    )
+    figures = PlanFigures(plan.machine, plan.settings)
     pass_on(plan, figures)
     return figures.summary(plan.program.source, plan.planning_time)
 
@@ -255,10 +251,7 @@ def write_plan(plan: Plan, directory: Path) -> None:
         Created if missing; files in it are replaced.
 
     """
-    settings = plan.settings
-    with PlanWriter(
-        directory, plan.machine, settings.interpolation_period, settings.flank_height
-    ) as writer:
+    with PlanWriter(directory, plan.machine, plan.settings) as writer:
         pass_on(plan, writer)
         writer.finish(plan.program.source, plan.planning_time)
 

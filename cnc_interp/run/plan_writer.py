@@ -32,6 +32,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.texts import values_of
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 Columns = Mapping[str, NDArray[Any]]
@@ -47,13 +49,15 @@ class PlanFigures:
     ----------
     machine : Machine
         Gives names and limits of the axes.
-    period, flank_height : float
-        Interpolation period [s], and height at which orientation is measured [m].
+    settings : Settings
+        The user's choices.
 
     """
 
-    def __init__(self, machine: Machine, period: float, flank_height: float):
-        self._machine, self._period, self._height = machine, period, flank_height
+    def __init__(self, machine: Machine, settings: Settings):
+        period = settings.interpolation_period
+        self._machine, self._settings = machine, settings
+        self._period, self._height = period, settings.flank_height
         self._largest = largest_differences(machine.limits, period)
         self._use = np.zeros_like(self._largest)
         self._last: FloatArray | None = None  # the last three positions
@@ -150,6 +154,7 @@ class PlanFigures:
             'cycle_time': self.cycle_time,
             'interpolation_period': self._period,
             'flank_height': self._height,
+            'settings': values_of(self._settings),
             'largest_override': largest_override,
             'samples': self._samples,
             'blocks': self._blocks - 1,
@@ -184,15 +189,15 @@ class PlanWriter:
         Created if missing; files in it are replaced by ``finish``, not before.
     machine : Machine
         The machine.
-    period, flank_height : float
-        Interpolation period [s], and height at which orientation is measured [m].
+    settings : Settings
+        The user's choices.
 
     """
 
-    def __init__(self, directory: Path, machine: Machine, period: float, flank_height: float):
-        self._directory, self._height = directory, flank_height
+    def __init__(self, directory: Path, machine: Machine, settings: Settings):
+        self._directory, self._height = directory, settings.flank_height
         self._machine, self._transform = machine, Transform.of(machine)
-        self.figures = PlanFigures(machine, period, flank_height)
+        self.figures = PlanFigures(machine, settings)
         self._created = not directory.exists()
         directory.mkdir(parents=True, exist_ok=True)
         self._spool = tempfile.TemporaryDirectory(prefix='.plan-', dir=directory)

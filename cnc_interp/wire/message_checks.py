@@ -8,9 +8,10 @@ import numpy as np
 from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
+from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE
 from cnc_interp.wire.path_messages import (
     CONNECTION_POINTS,
@@ -18,6 +19,7 @@ from cnc_interp.wire.path_messages import (
     LINE_CURVE,
     SPAN_DEGREE,
 )
+from cnc_interp.wire.settings_messages import settings_from
 
 #: A tool axis may differ from length 1 by rounding only.
 UNIT = 1e-9
@@ -34,6 +36,8 @@ def check_block(message: G1Block) -> None:
             raise StreamError(f'{name}: {field} is {value:g} m; it must be greater than 0')
     if message.program_stop > G1Block.OPTIONAL_STOP:
         raise StreamError(f'{name}: program_stop is {message.program_stop}; it must be 0, 1 or 2')
+    if message.settings:
+        _check_settings(name, message)
     if message.sequence == 0:
         return
     timed = not np.isnan(message.duration)
@@ -41,6 +45,16 @@ def check_block(message: G1Block) -> None:
     if not value > 0.0 or (timed and value == np.inf):
         word = 'duration' if timed else 'feedrate'
         raise StreamError(f'{name}: {word} is {value:g}; it must be greater than 0')
+
+
+def _check_settings(name: str, message: G1Block) -> None:
+    """Refuse choices that do not exist, and choices in the middle of a program."""
+    if message.sequence > 0:
+        raise StreamError(f'{name}: settings belong to block 0')
+    try:
+        settings_from(message.settings, Settings())
+    except SettingsError as problem:
+        raise StreamError(f'{name}: {problem}') from None
 
 
 def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray) -> None:

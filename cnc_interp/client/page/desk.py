@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import LoadedProgram
 
-from cnc_interp.client.goal_sender import goal_of
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.client.page.preview import Planner, Preview
 from cnc_interp.client.page.tube import tube
@@ -22,7 +20,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.declaration import choices
+from cnc_interp.wire.settings_messages import goal_of, settings_from
 
 #: History that the charts show, and the rate it is kept at [s].
 SPAN, STEP = 30.0, 0.1
@@ -137,7 +135,7 @@ class Desk:
         if self.job is not None and self.job.lines == lines and self.job.name == program.name:
             self._running = self.job
             return
-        settings = settings_told(program)
+        settings = settings_from(program.settings, Settings())
         self._running = self._lay(self._planner, program.name, program.text, settings)
 
     # The program --------------------------------------------------------------------------------
@@ -251,15 +249,3 @@ class Desk:
         if self._planner is not None:
             self._planner.close()
         self.nodes.close()
-
-
-def settings_told(program: LoadedProgram) -> Settings:
-    """Return the settings that a run was told to have."""
-    fields = program.get_fields_and_field_types()
-    return Settings(
-        **{
-            choice.name: choice.from_plain(getattr(program, choice.name))
-            for choice in choices(Settings)
-            if choice.name in fields
-        }
-    )

@@ -1,0 +1,111 @@
+"""Settings <-> the names and texts in goals, in ``loaded_program`` and in block 0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import G1Block, LoadedProgram
+from diagnostic_msgs.msg import KeyValue
+
+from cnc_interp.core.errors import SettingsError
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import Stage, choices
+from cnc_interp.settings.texts import texts_of, with_texts
+
+
+def pairs_of(settings: Settings, names: Iterable[str] | None = None) -> list[KeyValue]:
+    """Return choices as messages: those of some names, or all."""
+    texts = texts_of(settings)
+    return [KeyValue(key=name, value=texts[name]) for name in names or texts]
+
+
+def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
+    """
+    Return settings with the choices of a message.
+
+    Parameters
+    ----------
+    pairs : iterable of KeyValue
+        The choices of the message.
+    settings : Settings
+        The choices that the message leaves open.
+
+    Raises
+    ------
+    SettingsError
+        If a name is unknown or given twice, or a value is not possible.
+
+    """
+    return with_texts(settings, ((pair.key, pair.value) for pair in pairs))
+
+
+def goal_of(program: Path, settings: Settings) -> RunProgram.Goal:
+    """Return the goal that runs a program with these settings, all of them given."""
+    return RunProgram.Goal(program=str(program), settings=pairs_of(settings))
+
+
+def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
+    """
+    Return the settings that a goal asks for.
+
+    Parameters
+    ----------
+    goal : RunProgram.Goal
+        Its fields with the name of a choice count unless they are 0 or empty; the list of its
+        settings counts before them.
+    defaults : Settings
+        The settings of the nodes.
+
+    Raises
+    ------
+    SettingsError
+        If a choice is unknown or not possible, or belongs to the nodes and differs from theirs.
+
+    """
+    fields = goal.get_fields_and_field_types()
+    given = {
+        choice.name: choice.from_plain(getattr(goal, choice.name))
+        for choice in choices(defaults)
+        if choice.name in fields and getattr(goal, choice.name)
+    }
+    settings = settings_from(goal.settings, replace(defaults, **given))
+    for choice in choices(defaults, Stage.MOTION):
+        ours = getattr(defaults, choice.name)
+        if getattr(settings, choice.name) != ours:
+            told = f'the nodes were started with {choice.shown(ours)}; start them with another'
+            raise SettingsError(choice.name, told)
+    return settings
+
+
+def settings_of_block(block: G1Block, settings: Settings) -> Settings:
+    """
+    Return the settings of a run from its block 0.
+
+    Parameters
+    ----------
+    block : G1Block
+        Block 0; its flank height is that of the run.
+    settings : Settings
+        The choices that the block leaves open.
+
+    Raises
+    ------
+    SettingsError
+        If a name is unknown or given twice, or a value is not possible.
+
+    """
+    return replace(settings_from(block.settings, settings), flank_height=block.flank_height)
+
+
+def loaded_program(program_id: str, name: str, text: str, settings: Settings) -> LoadedProgram:
+    """Return the message about a program that is about to run; its path length is still open."""
+    message = LoadedProgram(
+        program_id=program_id, name=name, text=text, settings=pairs_of(settings)
+    )
+    for choice in choices(settings):
+        if choice.name in message.get_fields_and_field_types():
+            setattr(message, choice.name, choice.plain(getattr(settings, choice.name)))
+    return message

@@ -1,0 +1,63 @@
+"""The settings of a goal count for its run: they reach the look-ahead, and the bag has them."""
+
+from dataclasses import replace
+
+import pytest
+from cnc_interp_msgs.action import RunProgram
+from diagnostic_msgs.msg import KeyValue
+from nodes_under_test import NodesUnderTest
+
+from cnc_interp.client.bag import Bag
+from cnc_interp.client.recorded_run import recorded_run
+from cnc_interp.client.recorder import Recorder
+from cnc_interp.client.replay import compute_again
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import read_text
+from cnc_interp.run.chain import plan_program
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.texts import texts_of
+
+Result = RunProgram.Result
+PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z0\nG1 X6 F2000\nY6\nX0 Y8\nM30\n'
+#: Parameters of the nodes, and the choices of the goal, which differ from them.
+OWN, CHOSEN = {'corner_ratio': 3.0}, {'corner_ratio': '1.5', 'contour_tolerance': '0.0001'}
+MACHINE = Machine.load('xyzac')
+
+
+@pytest.fixture(scope='module')
+def nodes():
+    parameters = {'program_node': OWN, 'lookahead_node': OWN}
+    running = NodesUnderTest(parameters)
+    yield running
+    running.close()
+
+
+def pairs(texts):
+    return [KeyValue(key=key, value=value) for key, value in texts.items()]
+
+
+def test_a_wrong_choice_is_refused_by_name_before_anything_moves(nodes):
+    for texts, name in (({'corner_radius': '1'}, 'corner_radius'), ({'top': 'up'}, 'top')):
+        result = nodes.result_of(nodes.start(text=PROGRAM, settings=pairs(texts)))
+        assert result.code == Result.REFUSED and result.message.startswith(f'{name}: ')
+        assert result.samples == 0 and not nodes.loaded
+
+
+def test_the_choices_of_a_goal_are_those_of_its_run_and_of_its_bag(nodes, tmp_path):
+    recorder = Recorder(nodes.node, tmp_path / 'bag')
+    nodes.spin_until(recorder.ready)
+    result = nodes.result_of(nodes.start(text=PROGRAM, settings=pairs(CHOSEN)))
+    assert result.code == Result.SUCCEEDED, result.message
+    nodes.spin_until(lambda: bool(nodes.loaded))
+    recorder.close()
+    wanted = Settings(corner_ratio=1.5, contour_tolerance=1e-4)
+    assert {pair.key: pair.value for pair in nodes.loaded[-1].settings} == texts_of(wanted)
+    program = read_text(PROGRAM, '<text>', Transform.of(MACHINE), wanted)
+    length = plan_program(program, MACHINE, wanted).setpoints.s[-1]
+    own = plan_program(program, MACHINE, replace(wanted, **OWN)).setpoints.s[-1]
+    assert result.path_length == pytest.approx(length, abs=1e-9)
+    assert abs(own - length) > 1e-6, 'the parameters of the nodes give another path'
+    with Bag(tmp_path / 'bag') as bag:
+        assert recorded_run(bag).settings == wanted
+        assert all(plan.same == plan.recorded for plan in compute_again(bag))

@@ -17,7 +17,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.simulated import SimulatedMachine
+from cnc_interp.machine.simulated import simulate
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
 
@@ -140,8 +140,7 @@ def executed(plan: PlanFiles, machine: Machine) -> Motion:
     Motion
 
     """
-    drives = SimulatedMachine(machine, plan.period, plan.position[0])
-    recording = drives.simulate(plan.position, plan.setpoints['velocity'])
+    recording = simulate(machine, plan.period, plan.position, plan.setpoints['velocity'])
     return thinned(Motion('executed', recording.tip, recording.axis))
 
 

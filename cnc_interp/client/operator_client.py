@@ -44,12 +44,13 @@ ECHO = 10.0
 #: Longest wait for an event; commands of other threads are seen after it [s].
 SPIN = 0.01
 STATE_NAMES = {
+    MachineState.INACTIVE: 'inactive',
     MachineState.IDLE: 'idle',
     MachineState.RUNNING: 'running',
     MachineState.HOLDING: 'holding',
     MachineState.HELD: 'held',
     MachineState.STARVED: 'starved',
-    MachineState.STOPPED: 'stopped',
+    MachineState.STOPPING: 'stopping',
     MachineState.FAULT: 'fault',
 }
 

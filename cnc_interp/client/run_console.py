@@ -27,7 +27,6 @@ from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.playback import PROGRAM_STOP
 from cnc_interp.nodes.node_processes import Children
 from cnc_interp.wire.settings_messages import goal_of
 
@@ -35,6 +34,12 @@ Result = RunProgram.Result
 
 #: Longest start of the nodes; all kernels may have to be compiled first [s].
 START_TIMEOUT = 300.0
+#: Stops at which the operator is asked to go on.
+STOP_TEXTS = {
+    MachineState.REASON_PROGRAM_STOP: 'program stop',
+    MachineState.REASON_OPTIONAL_STOP: 'optional stop',
+    MachineState.REASON_SINGLE_BLOCK: 'single block',
+}
 #: Silence after which a node counts as lost [s].
 SILENCE = 1.0
 #: Longest wait for the topics of a record, and for the last executed setpoints [s].
@@ -254,7 +259,9 @@ class RunConsole:
             self._restarted = True
             self._forgotten = self._forgotten or name == 'program_node'
         state = self._client.state
-        stands = state is not None and state.plan_over and not state.start_wanted
+        stands = (
+            state is not None and state.may_resume and state.plan_over and not state.start_wanted
+        )
         lost = self._client.silent_for(SILENCE)
         if self._restarted and not self._forgotten and stands and not lost:
             if self._pressed is not None and self._pressed.done():
@@ -266,19 +273,18 @@ class RunConsole:
     def _pass_program_stop(self) -> None:
         """Go on after Enter where the program waits for its operator (M0)."""
         state = self._client.state
-        waits = (
-            state is not None
-            and state.state == MachineState.HELD
-            and state.message == PROGRAM_STOP
-            and not state.start_wanted
-        )
-        if not waits or state is None:
+        if (
+            state is None
+            or state.waits_for != MachineState.WAITS_FOR_CYCLE_START
+            or state.reason not in STOP_TEXTS
+        ):
             self._stop_told = False
             return
         if sys.stdin.isatty():
             if not self._stop_told:
                 self._stop_told = True
-                print(f'\nline {state.line_number}: program stop; Enter to go on', file=sys.stderr)
+                stop = STOP_TEXTS[state.reason]
+                print(f'\nline {state.line_number}: {stop}; Enter to go on', file=sys.stderr)
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
             if not select.select([sys.stdin], [], [], 0.0)[0]:
                 return

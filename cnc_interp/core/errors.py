@@ -121,7 +121,8 @@ class Refusal(IntEnum):
     SPOILT = 17  # its checksum is wrong
     REPEAT = 18  # it was received before
     FOREIGN_RUN = 19  # it belongs to another run
-    LATE = 20  # it comes after the end of its run or plan
+    LATE = 20  # it comes after the end of its run
+    PLAN_OVER = 21  # its plan has ended by a stop; no error: it was on its way
 
 
 class StreamError(InterpError):

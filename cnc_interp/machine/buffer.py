@@ -26,7 +26,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Held:
+class BufferedChunk:
     """A chunk in the buffer, its stop tail not unpacked."""
 
     rows: list[Row]
@@ -35,7 +35,7 @@ class Held:
     wait: Wait
 
     def tail_rows(self) -> list[Row]:
-        """Unpack the stop behind it."""
+        """Unpack the stop after it."""
         return rows_of(self.tail, self.tail_lines)
 
 
@@ -58,27 +58,27 @@ class Buffer:
     """
 
     def __init__(self, stands: FloatArray):
-        self.chunks: deque[Held] = deque()
+        self.chunks: deque[BufferedChunk] = deque()
         self.clear(stands)
 
     def clear(self, stands: FloatArray) -> None:
         """Forget all chunks; the next one begins where the machine stands."""
         self.chunks.clear()
         self.count = 0  # setpoints
-        self.rests = 0  # chunks behind which the machine rests
+        self.rests = 0  # chunks after which the machine rests
         self.newest: FloatArray = np.tile(stands, (3, 1))  # the last three setpoints
 
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk."""
         rows = rows_of(chunk.samples, lines)
-        self.chunks.append(Held(rows, chunk.tail, tail_lines, chunk.wait))
+        self.chunks.append(BufferedChunk(rows, chunk.tail, tail_lines, chunk.wait))
         self.count += len(rows)
         self.rests += chunk.wait is not Wait.NOTHING
         self.newest = np.concatenate([self.newest, chunk.samples.position])[-3:]
 
-    def pop(self) -> Held:
+    def pop(self) -> BufferedChunk:
         """Hand out the next chunk."""
-        held = self.chunks.popleft()
-        self.count -= len(held.rows)
-        self.rests -= held.wait is not Wait.NOTHING
-        return held
+        chunk = self.chunks.popleft()
+        self.count -= len(chunk.rows)
+        self.rests -= chunk.wait is not Wait.NOTHING
+        return chunk

@@ -1,5 +1,5 @@
 """
-The drives: what an axis does when it is told where to be.
+The model of the simulated drives: how an axis follows its setpoints.
 
 Every axis is a position loop with velocity feed-forward around a velocity loop that answers as a
 first-order lag,
@@ -15,7 +15,6 @@ one period is then exact, by the matrix exponential, whatever the period.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -26,7 +25,7 @@ from cnc_interp.core.errors import StreamError
 
 
 @dataclass(frozen=True)
-class Drives:
+class DriveModel:
     """
     Parameters of the drives, the same for all axes.
 
@@ -52,6 +51,11 @@ class Drives:
         if not 0.0 <= self.feed_forward <= 1.0:
             raise StreamError('feed_forward of the drives must lie between 0 and 1')
 
+    @property
+    def lag(self) -> float:
+        """How far an axis follows behind its setpoint, about [s]."""
+        return 1.0 / self.position_gain + self.time_constant
+
     def discretise(self, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """
         Solve one period exactly for inputs (r, r') that run linearly.
@@ -73,9 +77,36 @@ class Drives:
 
 
 @njit(cache=True, nogil=True)
-def drive(transition: Any, held: Any, rising: Any, axes: Any, setpoint: Any, velocity: Any,
-          setpoints: Any, velocities: Any) -> Any:  # fmt: skip
-    """Advance the drives from (x, v) ``axes`` over rows of setpoints; all axes are alike."""
+def drive(
+    transition: FloatArray,
+    held: FloatArray,
+    rising: FloatArray,
+    axes: FloatArray,
+    setpoint: FloatArray,
+    velocity: FloatArray,
+    setpoints: FloatArray,
+    velocities: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Advance the drives over rows of setpoints; all axes are alike.
+
+    Parameters
+    ----------
+    transition, held, rising : ndarray, shape (2, 2)
+        One period of the model, see ``DriveModel.discretise``.
+    axes : ndarray, shape (2, n_axes)
+        Actual position and velocity at the start [m, rad, per s].
+    setpoint, velocity : ndarray, shape (n_axes,)
+        Setpoint at the start and its velocity [m, rad, per s].
+    setpoints, velocities : ndarray, shape (K, n_axes)
+        Setpoints at the end of each period and their velocities [m, rad, per s].
+
+    Returns
+    -------
+    position, velocity : ndarray, shape (K, n_axes)
+        Actual axes at the end of each period [m, rad, per s].
+
+    """
     x, v = np.empty_like(setpoints), np.empty_like(setpoints)
     for j in range(setpoints.shape[1]):
         x0, v0, r0, f0 = axes[0, j], axes[1, j], setpoint[j], velocity[j]

@@ -1,9 +1,9 @@
 """
-Plays the machine's buffer of setpoints into the simulated drives, one period at a time.
+Plays the machine's buffer of setpoints into the drives, one period at a time.
 
-Every chunk brings the tail of a stop along the path. It is followed behind the chunk when the next
-one is not there, and when the operator wants to stop; then the plan is over, and what follows must
-begin where the machine rests.
+Every chunk brings the tail of a stop along the path. The machine follows the tail when the next
+chunk is late and when the operator wants to stop. Then the plan is over. The next one must begin
+where the machine rests.
 """
 
 from __future__ import annotations
@@ -13,18 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.errors import StreamError
-from cnc_interp.machine.buffer import Buffer, Held, Row
-from cnc_interp.machine.simulated import Feedback, SimulatedMachine
-from cnc_interp.machine.states import FOLLOWING, Event, State
+from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.machine.axis_motion import AxisMotion, Feedback, SetpointRefusedError
+from cnc_interp.machine.buffer import Buffer, BufferedChunk, Row
+from cnc_interp.machine.drives import DriveFaultError
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_state import Event, Reason, RunState, State
 
-#: States from which the machine starts by itself when setpoints are there; running, it rests
-#: for an override of 0.
-SELF_STARTING = (State.IDLE, State.STARVED, State.RUNNING)
-PROGRAM_STOP = 'program stop; cycle_start to go on'
-STOPPED_BY_HAND = 'emergency stop; reset to go on'
+#: Why the machine rests after the last setpoint of a chunk.
+WAIT_REASONS = {Wait.OVERRIDE: Reason.OVERRIDE, Wait.CYCLE_START: Reason.PROGRAM_STOP}
 
 
 class Executed(NamedTuple):
@@ -41,38 +39,45 @@ class Playback:
 
     Parameters
     ----------
-    machine : SimulatedMachine
-        The drives.
+    axes : AxisMotion
+        The axes and their drives.
     start_count : int
         Setpoints at hand before the machine starts, unless it must rest earlier.
 
     """
 
-    def __init__(self, machine: SimulatedMachine, start_count: int):
-        self.machine = machine
-        self.feedback = machine.rest()
-        self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are told
+    def __init__(self, axes: AxisMotion, start_count: int):
+        self.axes = axes
+        self.state = RunState()
+        self.feedback = axes.rest()
+        self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are published
+        self.buffer = Buffer(axes.setpoints[-1])
         self._start_count = start_count
-        self.buffer = Buffer(machine.setpoints[-1])
         self._given_up = ''  # the run that was reset last
-        self.start_wanted = False
-        self.begin(NO_RUN)
+        self.run_id = NO_RUN
+        self._forget_run(NO_RUN)
+
+    def switch_on(self) -> None:
+        """Switch the drives on."""
+        self.axes.switch_on()
+        self.state = self.state.after(Event.ACTIVATE)
+        self._empty()
+
+    def switch_off(self) -> None:
+        """Switch the drives off; at rest without a run, or in a fault."""
+        self.state = self.state.after(Event.DEACTIVATE)
+        self.axes.switch_off()
+
+    # Runs and plans -----------------------------------------------------------------------------
 
     def begin(self, run_id: RunId) -> None:
         """Get ready for a run; figures start anew, the axes stay where they are."""
-        if self.machine.state in (State.STARVED, State.HOLDING):
-            self.machine.handle(Event.RESET)
-        self.run_id = run_id
-        self.completed = False
-        self.played = self.approach_samples = self.starvations = 0
-        self.last: Row | None = None
-        self._clear()
-        self.plan_over, self.played_of_plan = False, 0
-        self._forget_figures()
+        self.state = self.state.after(Event.BEGIN)
+        self._forget_run(run_id)
 
     def make_room(self, run_id: RunId) -> None:
         """
-        Refuse a plan that cannot begin now; else drop what waits in the buffer.
+        Refuse a plan that cannot begin now, else drop what waits in the buffer.
 
         So the machine rests until the plan does begin: it cannot start with the old one.
 
@@ -82,89 +87,92 @@ class Playback:
             If the machine moves, or waits for something else.
 
         """
-        state = self.machine.state
-        if not self.resting:
+        mine, state = self.run_id, self.state
+        if not state.resting:
             raise StreamError(
-                f'plan {run_id.plan} of {run_id.program_id} begins while the machine moves'
+                f'plan {run_id.plan} of {run_id.program_id} begins while the machine moves',
+                Refusal.NOT_READY,
             )
         if run_id.program_id == self._given_up:
-            raise StreamError(f'{run_id.program_id} was given up by reset; run the program again')
-        mine = self.run_id
-        goes_on = run_id.program_id == mine.program_id and not self.completed
-        follows = run_id == mine.next_plan() and self.plan_over
+            text = f'{run_id.program_id} was given up by reset; run the program again'
+            raise StreamError(text, Refusal.GIVEN_UP)
+        follows = run_id == mine.next_plan() and state.plan_over
         if run_id.same_attempt(mine) and not follows:
             raise StreamError(
                 f'plan {run_id.plan} cannot follow plan {mine.plan} here; '
-                'feedrate_node is out of step, reset and run the program again'
+                'feedrate_node is out of step, reset and run the program again',
+                Refusal.NOT_READY,
             )
-        if state is State.HOLDING and not goes_on:
-            raise StreamError(f'{mine.program_id} is on hold; cycle_start or reset first')
-        self.buffer.clear(self.machine.setpoints[-1])
+        same_run = run_id.program_id == mine.program_id and not state.completed
+        if state.state is State.HELD and not same_run:
+            text = f'{mine.program_id} is on hold; cycle_start or reset first'
+            raise StreamError(text, Refusal.NOT_READY)
+        self.buffer.clear(self.axes.setpoints[-1])
 
     def begin_plan(self, run_id: RunId) -> None:
         """Get ready for a new run, or for another plan of the run from where the machine rests."""
-        if run_id.program_id != self.run_id.program_id or self.completed:
+        if run_id.program_id != self.run_id.program_id or self.state.completed:
             self.begin(run_id)
             return
-        wanted = self.start_wanted
-        self._clear()
-        self.run_id, self.start_wanted = run_id, wanted
-        self.plan_over, self.played_of_plan = False, 0
+        self.state = self.state.after(Event.REPLAN)
+        self._empty()
+        self.run_id, self.played_of_plan = run_id, 0
 
-    def _clear(self) -> None:
+    def _forget_run(self, run_id: RunId) -> None:
+        """Start everything that counts through a run anew."""
+        self.run_id = run_id
+        self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
+        self.last: Row | None = None
+        self._empty()
+        self._forget_figures()
+
+    def _empty(self) -> None:
         """Empty the buffer."""
-        self.buffer.clear(self.machine.setpoints[-1])
+        self.buffer.clear(self.axes.setpoints[-1])
         self._rows: deque[Row] = deque()
-        self._current: Held | None = None
-        self._on_tail = self._leave = self.start_wanted = False
-        self._last_words = ''
-        self.resting = True
+        #: The chunk being executed; none at rest and on a stop tail.
+        self._current: BufferedChunk | None = None
 
     def _forget_figures(self) -> None:
         """Start the figures anew: at a run, and where its approach ends."""
-        self.machine.largest_use[:] = 0.0
-        self.largest_following_error = np.zeros(len(self.machine.machine.axis_names))
+        self.axes.forget_use()
+        self.largest_following_error = np.zeros(len(self.axes.machine.axis_names))
         self.largest_contour_error = 0.0
         self.least_buffered = np.inf
-
-    def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
-        """Take a chunk into the buffer."""
-        self.buffer.push(chunk, lines, tail_lines)
 
     @property
     def left(self) -> bool:
         """Tell whether the plan was left by a stop tail: its further setpoints are void."""
-        return self._on_tail or self.plan_over
+        on_tail = not self.state.resting and self._current is None
+        return on_tail or self.state.plan_over
+
+    def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
+        """Take a chunk into the buffer, unless its plan was left."""
+        if not self.left:
+            self.buffer.push(chunk, lines, tail_lines)
 
     def coming(self) -> list[Row]:
-        """Return the setpoints to come as things stand, the stop behind them included."""
+        """Return the setpoints to come as things stand, the stop after them included."""
         current, rows = self._current, list(self._rows)
-        if self.resting or self._on_tail:
+        if self.state.resting or current is None:
             return rows
-        if not self._leave:
-            for held in self.buffer.chunks:
+        if not self.state.leaves_plan:
+            for buffered in self.buffer.chunks:
                 if current is not None and current.wait is not Wait.NOTHING:
                     break
-                current = held
-                rows += held.rows
+                current = buffered
+                rows += buffered.rows
         return rows + (current.tail_rows() if current else [])
 
     # What the operator asks for -----------------------------------------------------------------
 
     def hold(self) -> None:
         """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
-        if self.machine.state is State.HOLDING:
-            self.start_wanted = False
-            return
-        self.machine.handle(Event.HOLD, 'feed hold; cycle_start to go on')
-        self._leave = not self.resting
+        self.state = self.state.after(Event.HOLD, Reason.FEED_HOLD)
 
-    def stop(self, reason: str = STOPPED_BY_HAND) -> None:
+    def stop(self) -> None:
         """Stop on the path as soon as the setpoints allow, and go to FAULT."""
-        self.machine.handle(Event.STOP, reason)
-        self._leave = not self.resting
-        if self.machine.state is State.STOPPING and self.resting:
-            self._come_to_rest()
+        self._handle(Event.STOP, Reason.EMERGENCY_STOP)
 
     def start(self) -> None:
         """
@@ -176,63 +184,54 @@ class Playback:
             If there is nothing to go on with.
 
         """
-        state = self.machine.state
-        if state is State.RUNNING:
-            return
-        if state not in (State.HOLDING, State.STARVED):
-            reason = self.machine.message or 'run a program'
-            raise StreamError(f'nothing to go on with while {state.value}: {reason}')
-        self.start_wanted = True
+        self.state = self.state.after(Event.RESUME)
 
-    def end_with(self, reason: str) -> None:
-        """Nothing more will come: stop on the path behind what is at hand, then FAULT."""
-        self._last_words = reason
-        if self.resting and self.machine.state in (State.HOLDING, State.STARVED):
-            self.stop(reason)
+    def refuse(self, reason: str) -> None:
+        """No further setpoints come: stop on the path after those at hand, then FAULT."""
+        self._handle(Event.REFUSE, detail=reason)
 
     def reset(self) -> None:
         """Clear a fault, or give up what is left of a run, at rest only."""
-        if not self.resting:
-            raise StreamError('the machine is still moving; reset when it rests')
-        self.machine.handle(Event.RESET)
+        self.state = self.state.after(Event.RESET)
         self._given_up = self.run_id.program_id or self._given_up
-        self.begin(NO_RUN)
+        self._forget_run(NO_RUN)
+
+    def _handle(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> None:
+        """Change the state; a fault at rest leaves nothing to execute."""
+        self.state = self.state.after(event, reason, detail)
+        if self.state.state is State.FAULT:
+            self._empty()
 
     # The clock ----------------------------------------------------------------------------------
 
     def step(self) -> Feedback:
         """Let one period pass."""
-        if self.resting and self._may_start():
-            if self.machine.state is not State.RUNNING:
-                starts = self.machine.state is State.IDLE
-                self.machine.handle(Event.START if starts else Event.RESUME)
-            self.start_wanted = self.resting = False
-        if not self.resting and not self._rows:
+        if self.state.may_start and self._has_enough():
+            self.state = self.state.after(Event.START)
+        if not self.state.resting and not self._rows:
             self._take_next()
-        if self._rows and self.machine.state in FOLLOWING:
+        if self._rows:
             self._play(self._rows.popleft())
         else:
-            self.feedback = self.machine.rest()
+            self.feedback = self.axes.rest()
         return self.feedback
 
-    def _may_start(self) -> bool:
-        """Start with enough at hand."""
-        state, buffer = self.machine.state, self.buffer
-        wanted = state in SELF_STARTING or (state is State.HOLDING and self.start_wanted)
-        enough = buffer.count >= self._start_count or buffer.rests > 0
-        return wanted and bool(buffer.chunks) and enough
+    def _has_enough(self) -> bool:
+        """Tell whether the buffer holds enough to start with."""
+        buffer = self.buffer
+        return bool(buffer.chunks) and (buffer.count >= self._start_count or buffer.rests > 0)
 
     def _take_next(self) -> None:
-        """Go on behind a chunk or a tail that was played to its end."""
+        """Go on after a chunk or a tail that was played to its end."""
         current = self._current
-        if self._on_tail or (current is None and not self.buffer.chunks):
+        if current is None and not self.buffer.chunks:
             self._come_to_rest()
         elif current is None:
             self._follow_next()
-        elif self._leave:
+        elif self.state.leaves_plan:
             self._follow_tail(current)
         elif current.wait is not Wait.NOTHING:
-            self._rest_behind(current.wait)
+            self._rest_after(current.wait)
         elif self.buffer.chunks:
             self._follow_next()
         else:
@@ -242,63 +241,55 @@ class Playback:
         self._current = self.buffer.pop()
         self._rows.extend(self._current.rows)
 
-    def _rest_behind(self, wait: Wait) -> None:
+    def _rest_after(self, wait: Wait) -> None:
         """Rest where the setpoints say so; they go on from there."""
-        self.resting = True
         self._current = None
-        if wait is Wait.END:
-            self.machine.handle(Event.FINISH)
-            self.completed = True
-        elif wait is Wait.CYCLE_START:
-            self.machine.handle(Event.HOLD, PROGRAM_STOP)
+        event = {Wait.END: Event.FINISH, Wait.OVERRIDE: Event.PAUSE}.get(wait, Event.WAIT)
+        self.state = self.state.after(event, WAIT_REASONS.get(wait, Reason.NONE))
 
-    def _follow_tail(self, current: Held) -> None:
-        """Leave the plan by the stop behind the chunk."""
-        self._on_tail = True
+    def _follow_tail(self, current: BufferedChunk) -> None:
+        """Leave the plan by the stop after the chunk."""
+        self._empty()
         self._rows.extend(current.tail_rows())
-        self.buffer.clear(self.machine.setpoints[-1])
         if not self._rows:
             self._come_to_rest()
 
     def _come_to_rest(self) -> None:
         """Be at rest on the path; another plan must follow."""
-        self._current = None
-        self.buffer.clear(self.machine.setpoints[-1])
-        self.resting = self.plan_over = True
-        self._on_tail = self._leave = False
-        if self.machine.state is State.STOPPING:
-            self.machine.handle(Event.FAIL)
+        self._empty()
+        self.state = self.state.after(Event.REST)
 
-    def _starve(self, current: Held) -> None:
-        """Nothing came in time."""
+    def _starve(self, current: BufferedChunk) -> None:
+        """Leave the plan: the next setpoints are late, or will never come."""
         self.starvations += 1
-        if self._last_words:
-            self.machine.handle(Event.STOP, self._last_words)
-        elif self.machine.state is State.RUNNING:
-            self.machine.handle(
-                Event.STARVE, f'no setpoints after {self.played}: stopped on the path; goes on '
-                'when they come, or restart the node that is lost and cycle_start',
-            )  # fmt: skip
+        if self.state.refusal:
+            reason, detail = Reason.STREAM_REFUSED, self.state.refusal
+            self.state = self.state.after(Event.STOP, reason, detail)
+        else:
+            self.state = self.state.after(Event.STARVE, Reason.STARVED, str(self.played))
         self._follow_tail(current)
 
     def _play(self, row: Row) -> None:
         """Follow one setpoint and keep the figures of the run."""
         current = self._current
-        flows = current is not None and current.wait is Wait.NOTHING and not self._on_tail
+        flows = current is not None and current.wait is Wait.NOTHING
         if flows and self.buffer.rests == 0:
             self.least_buffered = min(self.least_buffered, self.buffer.count + len(self._rows))
-        if row.block == 0:
-            self.approach_samples += 1
-        elif self.last is None or self.last.block == 0:
+        if row.block > 0 and (self.last is None or self.last.block == 0):
             self._forget_figures()
-        self.feedback = self.machine.step(row.position, row.velocity)
+        try:
+            self.feedback = self.axes.follow(row.position, row.velocity)
+        except (SetpointRefusedError, DriveFaultError) as fault:
+            refused = isinstance(fault, SetpointRefusedError)
+            reason = Reason.SETPOINT_REFUSED if refused else Reason.DRIVE_FAULT
+            self._handle(Event.FAIL, reason, str(fault))
+            self.feedback = self.axes.rest()
+            return
         self.executed.append(Executed(self.run_id, self.played, row))
         self.last = row
         self.played += 1
-        self.played_of_plan += not self._on_tail
+        self.approach_samples += row.block == 0
+        self.played_of_plan += current is not None
         error = np.abs(self.feedback.following_error)
         self.largest_following_error = np.maximum(self.largest_following_error, error)
         self.largest_contour_error = max(self.largest_contour_error, self.feedback.contour_error)
-        if self.machine.state is State.FAULT:
-            self._rows.clear()
-            self._come_to_rest()

@@ -48,7 +48,7 @@ class Controls:
             try:
                 with self._lock:
                     act()
-                    state = self._playback.machine.state.value
+                    state = self._playback.state.state.value
                 if gives_up:  # not under the lock: the senders are told, and the playback
                     self._give_up(gives_up)
                 response.success, response.message = True, state

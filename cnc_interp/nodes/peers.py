@@ -22,6 +22,9 @@ RECEIVERS = {
     'setpoints': 'machine_node',
 }
 
+#: What the machine may wait for that comes without the operator's cycle_start.
+STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE)
+
 
 class Peers:
     """
@@ -62,11 +65,11 @@ class Peers:
 
     @property
     def at_rest(self) -> bool:
-        """Tell whether the machine stands still until somebody does something."""
-        state = self.state
-        return state is not None and (
-            state.state in (MachineState.IDLE, MachineState.HELD, MachineState.FAULT)
-            or (state.state == MachineState.STARVED and state.plan_over)
+        """Tell whether the machine rests and is not about to move by itself."""
+        return (
+            self.state is not None
+            and self.state.resting
+            and self.state.waits_for not in STARTS_BY_ITSELF
         )
 
     def missing(self, now: float, timeout: float) -> str:

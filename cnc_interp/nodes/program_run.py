@@ -89,16 +89,19 @@ class ProgramRun:
         missing = peers.missing(now, timeout)
         state = peers.state
         if not missing and state is not None:
-            if state.state in (MachineState.FAULT, MachineState.STOPPED):
+            if state.state in (MachineState.FAULT, MachineState.STOPPING):
                 return Result.STOPPED, f'the machine is stopped: {state.message}; call reset'
             self.started = state.state == MachineState.IDLE or (
-                state.state == MachineState.STARVED and state.plan_over
+                state.state == MachineState.STARVED
+                and state.waits_for == MachineState.WAITS_FOR_NEW_PLAN
             )
             if self.started:
                 self.take_turn()
         if not self.started and now - self._asked_at > PATIENCE:
             if missing:
                 return Result.STREAM_LOST, f'{missing} does not answer; start it and try again'
+            if state is not None and state.state == MachineState.INACTIVE:
+                return Result.REFUSED, 'the drives are off; activate machine_node'
             return Result.BUSY, 'the machine is in another run; wait for its end, or reset it'
         return None
 
@@ -128,7 +131,7 @@ class ProgramRun:
             if state.completed:
                 return Result.SUCCEEDED, 'executed to the end'
         _, refusal = peers.refusal(self.run_id)
-        if refusal and not self._moves(state):
+        if refusal and (state is None or self._state is not state or peers.at_rest):
             if self.cancelled:
                 return Result.CANCELED, 'cancelled; the machine rests on the path'
             moved = self._state is not None
@@ -162,22 +165,12 @@ class ProgramRun:
         self._wants_since = min(self._wants_since, now) if wants and self.rests else math.inf
         self._waits_for_more = now - self._wants_since
 
-    def _moves(self, state: MachineState | None) -> bool:
-        """Tell whether the machine is still on its way."""
-        mine = self._state is state
-        if state is None or not mine:
-            return False
-        on_the_way = (MachineState.RUNNING, MachineState.STOPPED, MachineState.HOLDING)
-        starves = state.state == MachineState.STARVED and not state.plan_over
-        return state.state in on_the_way or starves
-
     @property
     def rests(self) -> bool:
         """Tell whether the machine rests on the path of this run."""
         state = self._state
         return state is not None and (
-            state.state == MachineState.HELD
-            or (state.state == MachineState.STARVED and state.plan_over)
+            state.state == MachineState.HELD or state.waits_for == MachineState.WAITS_FOR_NEW_PLAN
         )
 
     @property

@@ -73,7 +73,7 @@ class Inlet:
         self.receiver = receiver
         self.buffered_time = math.nan
         self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
-        self._diagnostics = diagnostics
+        self._diagnostics, self._logger = diagnostics, node.get_logger()
         self._told: tuple[Any, ...] = ()
         self._told_at = -math.inf
         self._refused: Counter[Refusal] = Counter()
@@ -103,9 +103,8 @@ class Inlet:
         try:
             self._check(message)
         except StreamError as fault:
-            if fault.kind is Refusal.LATE:
+            if fault.kind is Refusal.PLAN_OVER:
                 receiver.close(str(fault))
-                self._name(WARN, fault.kind, str(fault))
             else:
                 self.refuse(run_id, fault.kind, str(fault))
             return
@@ -119,7 +118,9 @@ class Inlet:
     def _pass_over(self, fault: StreamError, mine: bool) -> None:
         """Name why a message does not belong here; where something is missing, ask for it."""
         receiver = self.receiver
-        if mine and fault.kind is Refusal.GAP:
+        if fault.kind is Refusal.PLAN_OVER:
+            self._logger.debug(str(fault))
+        elif mine and fault.kind is Refusal.GAP:
             self._ask_again(fault.kind, str(fault))
         elif mine and receiver.refused:
             self._name(ERROR, receiver.refused, receiver.refusal_text)

@@ -1,4 +1,4 @@
-"""What the machine says: its state and its joints as messages."""
+"""The state of the machine, its joints and what it executed as messages."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.axis_motion import Feedback
 from cnc_interp.machine.playback import Executed, Playback
-from cnc_interp.machine.simulated import Feedback
-from cnc_interp.machine.states import State
+from cnc_interp.run.run_state import State
 from cnc_interp.wire.path_messages import packed
 
+#: The states as others see them; whether the machine rests is a field of its own.
 STATES = {
-    State.INACTIVE: MachineState.IDLE,
+    State.INACTIVE: MachineState.INACTIVE,
     State.IDLE: MachineState.IDLE,
     State.RUNNING: MachineState.RUNNING,
+    State.PAUSED: MachineState.RUNNING,
     State.HOLDING: MachineState.HOLDING,
+    State.HELD: MachineState.HELD,
+    State.STARVING: MachineState.STARVED,
     State.STARVED: MachineState.STARVED,
-    State.STOPPING: MachineState.STOPPED,
+    State.STOPPING: MachineState.STOPPING,
     State.FAULT: MachineState.FAULT,
 }
 
@@ -40,11 +44,11 @@ def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
 
 def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]:
     """Return the setpoints executed since the last call, numbered through the run."""
-    told = [playback.executed.popleft() for _ in range(len(playback.executed))]
-    plans = groupby(told, key=lambda executed: executed.run_id)
+    rows = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    plans = groupby(rows, key=lambda executed: executed.run_id)
     messages = [_executed_of_plan(list(executed), period) for _, executed in plans]
     if messages:
-        messages[-1].end_of_program = playback.completed
+        messages[-1].end_of_program = playback.state.completed
     return messages
 
 
@@ -69,18 +73,22 @@ def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
 
 def machine_state(playback: Playback, period: float) -> MachineState:
     """Return state and figures of the run; the caller stamps it."""
-    machine, feedback, last = playback.machine, playback.feedback, playback.last
+    axes, run, feedback = playback.axes, playback.state, playback.feedback
+    last = playback.last
     least = playback.least_buffered
-    recent = machine.take_recent_use()
-    held = machine.state is State.HOLDING and playback.resting
+    recent = axes.take_recent_use()
     message = MachineState(
-        state=MachineState.HELD if held else STATES[machine.state],
+        state=STATES[run.state],
+        waits_for=run.waits_for,
+        reason=run.reason,
+        resting=run.resting,
+        may_resume=run.may_resume,
         program_id=playback.run_id.program_id,
         attempt=playback.run_id.attempt,
         plan=playback.run_id.plan,
-        plan_over=playback.plan_over,
-        start_wanted=playback.start_wanted,
-        completed=playback.completed,
+        plan_over=run.plan_over,
+        start_wanted=run.start_wanted,
+        completed=run.completed,
         interpolation_period=period,
         samples=playback.played,
         approach_samples=playback.approach_samples,
@@ -95,9 +103,9 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         largest_following_error=playback.largest_following_error.tolist(),
         contour_error=feedback.contour_error,
         largest_contour_error=playback.largest_contour_error,
-        velocity_use=machine.largest_use[0].tolist(),
-        acceleration_use=machine.largest_use[1].tolist(),
-        jerk_use=machine.largest_use[2].tolist(),
+        velocity_use=axes.largest_use[0].tolist(),
+        acceleration_use=axes.largest_use[1].tolist(),
+        jerk_use=axes.largest_use[2].tolist(),
         feedrate=feedback.feedrate,
         recent_velocity_use=recent[0].tolist(),
         recent_acceleration_use=recent[1].tolist(),
@@ -105,7 +113,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         buffered_time=playback.buffer.count * period,
         least_buffered_time=least * period if np.isfinite(least) else np.nan,
         starvations=playback.starvations,
-        message=machine.message,
+        message=run.text,
     )
     message.header.frame_id = 'workpiece'
     return message

@@ -8,8 +8,9 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp.run.machine_report import MachineReport, Resting
 from cnc_interp.wire.run_id_messages import run_id_of
 
-#: States in which the machine may rest on the path or without a program; in all others it moves.
+#: Where the machine rests, if it does.
 RESTING = {
+    MachineState.INACTIVE: Resting.IDLE,  # it says itself that it cannot take setpoints
     MachineState.IDLE: Resting.IDLE,
     MachineState.HELD: Resting.HELD,
     MachineState.STARVED: Resting.STARVED,
@@ -20,7 +21,7 @@ def machine_report(state: MachineState) -> MachineReport:
     """Read a message of the machine."""
     return MachineReport(
         run_id=run_id_of(state),
-        resting=RESTING.get(state.state, Resting.MOVING),
+        resting=RESTING.get(state.state, Resting.MOVING) if state.resting else Resting.MOVING,
         plan_over=state.plan_over,
         start_wanted=state.start_wanted,
         completed=state.completed,

@@ -195,8 +195,10 @@ class WindowedReceiver:
                 Refusal.REPEAT,
             )
         elif self.complete:
-            over = f'{self.stream}: {first} after the end of the program'
-            raise StreamError(self._closed or over, Refusal.LATE)
+            if self._closed:
+                raise StreamError(self._closed, Refusal.PLAN_OVER)
+            text = f'{self.stream}: {first} after the end of the program'
+            raise StreamError(text, Refusal.LATE)
         elif first > self.next_number:
             raise StreamError(
                 f'{self.stream}: gap: {first} came, but {self.next_number} is next; send again '
@@ -241,7 +243,7 @@ class WindowedReceiver:
         self.refused, self.refusal_text = kind, reason
 
     def close(self, reason: str) -> None:
-        """Expect nothing more of this program; what comes still gets the reason as its answer."""
+        """Expect nothing more of this plan; what was on its way is passed over for the reason."""
         self.complete, self._closed = True, reason
 
     def consume(self, count: int) -> None:

@@ -13,6 +13,13 @@ from cnc_interp.nodes.program_run import SETTLED, ProgramRun
 HELD, RUNNING, STARVED = MachineState.HELD, MachineState.RUNNING, MachineState.STARVED
 
 
+def waits_for(code, wanted):
+    if code == RUNNING:
+        return MachineState.WAITS_FOR_NOTHING
+    held = code == HELD and not wanted
+    return MachineState.WAITS_FOR_CYCLE_START if held else MachineState.WAITS_FOR_NEW_PLAN
+
+
 class Heard:
     """What the nodes said: the look-ahead was restarted and has forgotten the run."""
 
@@ -43,6 +50,8 @@ def go_on_at(course):
             state=code,
             start_wanted=wanted,
             plan_over=code != RUNNING,
+            resting=code != RUNNING,
+            waits_for=waits_for(code, wanted),
         )
         peers.state.header.stamp.nanosec = round(time * 1e9)
         run.watch(peers, 0.0, 3.0)

@@ -13,16 +13,18 @@ from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine.axis_motion import AxisMotion
+from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
-from cnc_interp.machine.simulated import SimulatedMachine
-from cnc_interp.machine.states import Event, State
+from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import State
 from cnc_interp.wire.machine_messages import executed_setpoints
 from cnc_interp.wire.run_id_messages import run_id_of
 
@@ -41,9 +43,10 @@ POSES = [
 
 
 def playback(start_count=50):
-    machine = SimulatedMachine(MACHINE, T, HOME)
-    machine.handle(Event.ACTIVATE)
-    return Playback(machine, start_count)
+    drives = SimulatedDrives(DriveModel(), T, HOME)
+    play = Playback(AxisMotion(MACHINE, T, drives), start_count)
+    play.switch_on()
+    return play
 
 
 def chunks_to(target, wait=Wait.END, start=HOME):
@@ -73,6 +76,11 @@ def use_of(positions):
         (np.abs(np.diff(q, order, axis=0)).max(axis=0) / T**order / limit).max()
         for order, limit in enumerate(LIMITS, start=1)
     )
+
+
+def state_after_step(play):
+    play.step()
+    return play.state.state
 
 
 def step_until(play, done, most=20_000):
@@ -109,11 +117,11 @@ def test_waits_for_enough_then_plays_everything_in_order():
     play.begin(P)
     feed(play, chunks[:4])
     for _ in range(5):
-        assert play.step().state is State.IDLE
+        assert state_after_step(play) is State.IDLE
     feed(play, chunks[4:])
-    heard = step_until(play, lambda: play.completed)
+    heard = step_until(play, lambda: play.state.completed)
     assert np.array_equal(heard[:-1], np.concatenate([c.samples.position for c in chunks]))
-    assert play.machine.state is State.IDLE and play.starvations == 0
+    assert play.state.state is State.IDLE and play.starvations == 0
     assert play.played == len(heard) - 1
 
 
@@ -121,7 +129,7 @@ def test_a_short_program_starts_without_a_full_buffer():
     play = playback(10_000)
     play.begin(P)
     feed(play, chunks_to([1e-6, 0.0, 0.0, 0.0, 0.0]))
-    assert play.step().state is State.RUNNING
+    assert state_after_step(play) is State.RUNNING
 
 
 @pytest.mark.parametrize('given', [6, 15, 16, 40, 60])
@@ -130,15 +138,15 @@ def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
     play, chunks = playback(50), chunks_to(target)
     play.begin(P)
     feed(play, chunks[:given])
-    heard = step_until(play, lambda: play.plan_over)
-    assert play.machine.state is State.STARVED and play.starvations == 1
-    assert f'no setpoints after {10 * given}' in play.machine.message
+    heard = step_until(play, lambda: play.state.plan_over)
+    assert play.state.state is State.STARVED and play.starvations == 1
+    assert f'no setpoints after {10 * given}' in play.state.text
     assert use_of(heard) <= 1.001
     assert np.array_equal(heard[-1], chunks[given - 1].tail.position[-1])
     play.make_room(P.next_plan())
     play.begin_plan(P.next_plan())
     feed(play, chunks_to(target, start=heard[-1]))
-    more = step_until(play, lambda: play.completed)
+    more = step_until(play, lambda: play.state.completed)
     assert use_of(np.concatenate([heard, more])) <= 1.001
     assert np.array_equal(more[-1], target)
 
@@ -151,17 +159,17 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
     feed(play, chunks)
     before = np.array([play.step().setpoint for _ in range(at)])
     play.hold()
-    assert play.machine.state is State.HOLDING and not play.resting
-    heard = np.concatenate([before, step_until(play, lambda: play.resting)])
+    assert play.state.state is State.HOLDING and not play.state.resting
+    heard = np.concatenate([before, step_until(play, lambda: play.state.resting)])
     of = (at - 1) // 10
     assert len(heard) - at <= 11 + len(chunks[of].tail)
-    assert use_of(heard) <= 1.001 and play.plan_over
+    assert use_of(heard) <= 1.001 and play.state.plan_over
     play.begin_plan(P.next_plan())
     feed(play, chunks_to(target, start=heard[-1]))
     for _ in range(50):
-        assert play.step().state is State.HOLDING
+        assert state_after_step(play) is State.HELD
     play.start()
-    more = step_until(play, lambda: play.completed)
+    more = step_until(play, lambda: play.state.completed)
     assert use_of(np.concatenate([heard, more])) <= 1.001
 
 
@@ -169,28 +177,28 @@ def test_a_program_stop_waits_for_cycle_start_and_goes_on_in_the_same_plan():
     play = playback(20)
     play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.CYCLE_START))
-    step_until(play, lambda: play.resting and play.played > 0)
-    assert play.machine.state is State.HOLDING and not play.plan_over
+    step_until(play, lambda: play.state.resting and play.played > 0)
+    assert play.state.state is State.HELD and not play.state.plan_over
     feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
     for _ in range(50):
-        assert play.step().state is State.HOLDING
+        assert state_after_step(play) is State.HELD
     play.start()
-    assert step_until(play, lambda: play.completed)[-1][0] == 0.02
+    assert step_until(play, lambda: play.state.completed)[-1][0] == 0.02
 
 
 def test_an_override_of_zero_rests_without_starving():
     play = playback(20)
     play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.OVERRIDE))
-    step_until(play, lambda: play.resting and play.played > 0)
+    step_until(play, lambda: play.state.resting and play.played > 0)
     for _ in range(50):
-        assert play.step().state is State.RUNNING
+        assert state_after_step(play) is State.PAUSED
     first, *others = chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0])
     feed(play, [first])
     for _ in range(50):
-        assert play.step().state is State.RUNNING and play.resting
+        assert state_after_step(play) is State.PAUSED
     feed(play, others)
-    step_until(play, lambda: play.completed)
+    step_until(play, lambda: play.state.completed)
     assert play.starvations == 0
 
 
@@ -203,19 +211,19 @@ def test_emergency_stop_ends_in_fault_on_the_path_and_reset_clears_it(first):
     if first in ('holding', 'waiting'):
         play.hold()
     if first == 'waiting':
-        heard += list(step_until(play, lambda: play.resting))
+        heard += list(step_until(play, lambda: play.state.resting))
     play.stop()
-    if not play.resting:
-        assert play.machine.state is State.STOPPING
+    if not play.state.resting:
+        assert play.state.state is State.STOPPING
         with pytest.raises(StreamError, match='still moving'):
             play.reset()
-        heard += list(step_until(play, lambda: play.resting))
-    assert play.machine.state is State.FAULT and 'emergency stop' in play.machine.message
+        heard += list(step_until(play, lambda: play.state.resting))
+    assert play.state.state is State.FAULT and 'emergency stop' in play.state.text
     assert use_of(np.array(heard)) <= 1.001
     with pytest.raises(StreamError, match='emergency stop'):
         play.start()
     play.reset()
-    assert play.machine.state is State.IDLE
+    assert play.state.state is State.IDLE
 
 
 def test_what_cannot_begin_is_refused():
@@ -227,7 +235,7 @@ def test_what_cannot_begin_is_refused():
     with pytest.raises(StreamError, match='while the machine moves'):
         play.make_room(Q)
     play.hold()
-    step_until(play, lambda: play.resting)
+    step_until(play, lambda: play.state.resting)
     with pytest.raises(StreamError, match='plan 3 cannot follow plan 0'):
         play.make_room(replace(P, plan=3))
     with pytest.raises(StreamError, match='p is on hold'):
@@ -245,7 +253,7 @@ def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():
         assert np.array_equal(play.step().setpoint, HOME)
     play.begin_plan(P.next_attempt())
     feed(play, move)
-    heard = step_until(play, lambda: play.completed)
+    heard = step_until(play, lambda: play.state.completed)
     assert use_of(heard) <= 1.001 and np.array_equal(heard[-1], [0.02, 0.0, 0.0, 0.1, 0.0])
 
 
@@ -256,7 +264,7 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     for _ in range(100):
         play.step()
     play.hold()
-    step_until(play, lambda: play.resting)
+    step_until(play, lambda: play.state.resting)
     played = play.played
     play.reset()
     (told,) = executed_setpoints(play, T)  # what was executed before is still told
@@ -277,9 +285,9 @@ def test_figures_of_the_program_leave_the_approach_out():
     rest = Setpoints(np.arange(20) * T, position, still, still, still, ones, np.zeros(20))
     play.begin(P)
     feed(play, [*fast, Chunk(rest, part_of(rest, 0, 0), Wait.END)])
-    step_until(play, lambda: play.completed)
+    step_until(play, lambda: play.state.completed)
     assert (play.approach_samples, play.played) == (count, count + 20)
-    assert play.machine.largest_use[0].max() < 1e-9
+    assert play.axes.largest_use[0].max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -352,5 +360,5 @@ def test_what_is_to_come_ends_at_rest_whatever_is_asked():
     play.hold()
     held = play.coming()
     assert len(held) == 7 + len(chunks[20].tail)
-    heard = step_until(play, lambda: play.resting)
+    heard = step_until(play, lambda: play.state.resting)
     assert np.array_equal(heard[: len(held)], np.array([row.position for row in held]))

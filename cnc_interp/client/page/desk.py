@@ -28,10 +28,11 @@ SPAN, STEP = 30.0, 0.1
 LONGEST_PROGRAM = 64 << 20
 #: Paths of one program with the same options differ by less than this share.
 SAME_LENGTH = 1e-3
-#: A rested machine that goes on with cycle_start rather than with the program from its beginning.
-RESTING = (MachineState.HOLDING, MachineState.HELD, MachineState.STARVED)
-#: A program is being executed.
-ON_PATH = (MachineState.RUNNING, *RESTING)
+
+
+def in_program(state: MachineState | None) -> bool:
+    """Tell whether a program is being executed, or was interrupted and can be continued."""
+    return state is not None and (state.state == MachineState.RUNNING or state.may_resume)
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ class Desk:
         if self._planner is None:
             return Answer(False, 'the nodes do not answer yet: wait, then press again')
         state = self.nodes.state
-        if state is not None and state.state in ON_PATH:
+        if in_program(state):
             return Answer(
                 False,
                 'a program is running: load another one when it has ended, or press queue next',
@@ -156,7 +157,7 @@ class Desk:
     async def queue(self, name: str, text: str) -> Answer:
         """Let a program wait for the end of the one that runs; it is laid here when it begins."""
         state = self.nodes.state
-        if self._planner is None or state is None or state.state not in ON_PATH:
+        if self._planner is None or not in_program(state):
             return Answer(False, 'no program is running: load this one and press cycle start')
         path = self._planner.keep(name, text)
         return await asyncio.wrap_future(self.nodes.start_program(goal_of(path, Settings())))
@@ -219,9 +220,9 @@ class Desk:
     async def cycle_start(self) -> Answer:
         """Start the loaded program, or go on where the machine rests on its path."""
         state = self.nodes.state
-        if state is not None and state.state in RESTING:
+        if state is not None and state.may_resume:
             return await self.trigger('cycle_start')
-        if state is not None and state.state in ON_PATH:
+        if in_program(state):
             return Answer(False, 'a program is running already')
         if self.nodes.silent:
             return Answer(False, f'{self.nodes.silent} does not answer')

@@ -1,0 +1,82 @@
+"""What the machine node publishes: state, joints, executed setpoints, trajectories."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from cnc_interp.machine.playback import Playback
+from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
+from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
+from cnc_interp.wire.trajectories import joint_trajectory
+
+#: Time between reports of what was executed, and between trajectories for a controller [s].
+EXECUTED_PERIOD, TRAJECTORY_PERIOD = 0.1, 0.05
+
+
+class MachineReports:
+    """
+    Publishes at the rates of the node's parameters.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    playback : Playback
+        The machine's buffer.
+    lock : Lock
+        Held while the playback is read.
+    values : dict
+        Parameters of the node.
+
+    """
+
+    def __init__(
+        self, node: Any, playback: Playback, lock: threading.Lock, values: dict[str, Any]
+    ):
+        self._node, self._playback, self._lock = node, playback, lock
+        self._period: float = values['interpolation_period']
+        self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
+        self._states = node.create_publisher(MachineState, 'machine_state', STATE)
+        self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
+        if values['trajectory_topic']:
+            self._trajectories = node.create_publisher(
+                JointTrajectory, values['trajectory_topic'], TRAJECTORY
+            )
+            node.create_timer(TRAJECTORY_PERIOD, self._publish_trajectory)
+        node.create_timer(EXECUTED_PERIOD, self._publish_executed)
+        node.create_timer(1.0 / values['joint_state_rate'], self._publish_joints)
+        node.create_timer(1.0 / values['machine_state_rate'], self.publish_state)
+
+    def _now(self) -> Any:
+        return self._node.get_clock().now().to_msg()
+
+    def publish_state(self) -> None:
+        """Publish the state now."""
+        with self._lock:
+            message = machine_state(self._playback, self._period)
+        message.header.stamp = self._now()
+        self._states.publish(message)
+
+    def _publish_joints(self) -> None:
+        with self._lock:
+            feedback = self._playback.feedback
+        machine = self._playback.axes.machine
+        self._joints.publish(joint_state(feedback, machine, self._now()))
+
+    def _publish_executed(self) -> None:
+        with self._lock:
+            messages = executed_setpoints(self._playback, self._period)
+        for message in messages:
+            self._executed.publish(message)
+
+    def _publish_trajectory(self) -> None:
+        with self._lock:
+            rows = self._playback.coming()
+        if rows:
+            machine = self._playback.axes.machine
+            self._trajectories.publish(joint_trajectory(rows, machine, self._period, self._now()))

@@ -1,0 +1,275 @@
+"""
+What a run is doing: one frozen dataclass and one table of transitions.
+
+The machine changes the state (``machine/playback.py``) and publishes it as ``MachineState``. All
+other nodes and clients read it from there. It stands in ``run`` because they all import it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+
+from cnc_interp.core.errors import StreamError
+
+
+class State(Enum):
+    """What the machine is doing with the run."""
+
+    INACTIVE = 'inactive'  # drives off
+    IDLE = 'idle'  # drives on, at rest, no program
+    RUNNING = 'running'  # follows setpoints
+    PAUSED = 'paused'  # at rest on the path while the feed override is 0
+    HOLDING = 'holding'  # slows down to a feed hold
+    HELD = 'held'  # at rest on the path until cycle_start
+    STARVING = 'starving'  # setpoints are late: follows the stop tail
+    STARVED = 'starved'  # at rest on the path until setpoints come
+    STOPPING = 'stopping'  # emergency stop or refused stream: slows down on the path
+    FAULT = 'fault'  # at rest until reset
+
+
+class Event(Enum):
+    """What changes the state."""
+
+    ACTIVATE = 'activate'
+    DEACTIVATE = 'deactivate'
+    BEGIN = 'begin'  # another run begins
+    REPLAN = 'replan'  # another plan of the run begins where the machine rests
+    START = 'start'  # enough setpoints are buffered
+    FINISH = 'finish'  # the end of the program is reached
+    PAUSE = 'pause'  # the setpoints end at rest, for a feed override of 0
+    WAIT = 'wait'  # the setpoints end at rest, for a program stop or a single block
+    STARVE = 'starve'  # the next setpoints are late
+    REST = 'rest'  # the stop tail was followed to its end
+    HOLD = 'hold'  # operator: feed_hold
+    RESUME = 'resume'  # operator: cycle_start
+    RESET = 'reset'  # operator: reset
+    STOP = 'stop'  # operator: emergency_stop; or no further setpoints can be executed
+    REFUSE = 'refuse'  # a setpoint message was refused: no further ones of this run come
+    FAIL = 'fail'  # the drives refused a setpoint or reported a fault
+
+
+class Reason(IntEnum):
+    """Why the machine is in its state, as in ``MachineState``."""
+
+    NONE = 0
+    FEED_HOLD = 1
+    PROGRAM_STOP = 2
+    OPTIONAL_STOP = 3
+    SINGLE_BLOCK = 4
+    OVERRIDE = 5
+    STARVED = 6
+    EMERGENCY_STOP = 7
+    SETPOINT_REFUSED = 8
+    DRIVE_FAULT = 9
+    STREAM_REFUSED = 10
+
+
+class WaitsFor(IntEnum):
+    """What the machine at rest waits for, as in ``MachineState``."""
+
+    NOTHING = 0
+    SETPOINTS = 1
+    CYCLE_START = 2
+    OVERRIDE = 3
+    NEW_PLAN = 4
+    RESET = 5
+
+
+#: Sentences for the operator; ``{}`` is the detail.
+TEXTS = {
+    Reason.NONE: '',
+    Reason.FEED_HOLD: 'feed hold; cycle_start to continue',
+    Reason.PROGRAM_STOP: 'program stop; cycle_start to continue',
+    Reason.OPTIONAL_STOP: 'optional stop; cycle_start to continue',
+    Reason.SINGLE_BLOCK: 'single block; cycle_start to continue',
+    Reason.OVERRIDE: 'feed override is 0; raise it to continue',
+    Reason.STARVED: (
+        'no setpoints after {}: stopped on the path; continues when they come. If a node was '
+        'lost, start it again, then cycle_start'
+    ),
+    Reason.EMERGENCY_STOP: 'emergency stop; reset to continue',
+    Reason.SETPOINT_REFUSED: '{}',
+    Reason.DRIVE_FAULT: 'fault of a drive: {}; reset to continue',
+    Reason.STREAM_REFUSED: '{}',
+}
+
+_ACTIVE = tuple(state for state in State if state is not State.INACTIVE)
+_ON_PATH_AT_REST = (State.PAUSED, State.HELD, State.STARVED)
+#: States in which the axes stand still.
+AT_REST = frozenset({State.INACTIVE, State.IDLE, *_ON_PATH_AT_REST, State.FAULT})
+#: States from which the machine starts by itself when enough setpoints are buffered.
+SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.STARVED})
+#: States in which cycle_start is accepted.
+RESUMABLE = frozenset({State.HOLDING, State.HELD, State.STARVING, State.STARVED})
+
+# docs/operate/operation.md has this table in words; a test compares the two.
+TRANSITIONS: dict[tuple[State, Event], State] = {
+    (State.INACTIVE, Event.ACTIVATE): State.IDLE,
+    (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
+    (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
+    (State.IDLE, Event.START): State.RUNNING,
+    (State.IDLE, Event.RESET): State.IDLE,
+    (State.IDLE, Event.BEGIN): State.IDLE,
+    (State.IDLE, Event.REPLAN): State.IDLE,
+    (State.RUNNING, Event.FINISH): State.IDLE,
+    (State.RUNNING, Event.PAUSE): State.PAUSED,
+    (State.RUNNING, Event.WAIT): State.HELD,
+    (State.RUNNING, Event.STARVE): State.STARVING,
+    (State.RUNNING, Event.HOLD): State.HOLDING,
+    (State.RUNNING, Event.RESUME): State.RUNNING,
+    (State.PAUSED, Event.HOLD): State.HELD,
+    (State.PAUSED, Event.RESUME): State.PAUSED,
+    (State.HOLDING, Event.HOLD): State.HOLDING,
+    (State.HOLDING, Event.RESUME): State.HOLDING,
+    (State.HOLDING, Event.REST): State.HELD,
+    (State.HELD, Event.HOLD): State.HELD,
+    (State.HELD, Event.RESUME): State.HELD,
+    (State.STARVING, Event.HOLD): State.HOLDING,
+    (State.STARVING, Event.RESUME): State.STARVING,
+    (State.STARVING, Event.REST): State.STARVED,
+    (State.STARVED, Event.HOLD): State.HELD,
+    (State.STARVED, Event.RESUME): State.STARVED,
+    (State.STOPPING, Event.REST): State.FAULT,
+    (State.FAULT, Event.RESET): State.IDLE,
+    **{(state, Event.START): State.RUNNING for state in _ON_PATH_AT_REST},
+    **{(state, Event.BEGIN): State.IDLE for state in _ON_PATH_AT_REST},
+    **{(state, Event.RESET): State.IDLE for state in _ON_PATH_AT_REST},
+    **{(state, Event.REPLAN): state for state in _ON_PATH_AT_REST},
+    **{(s, Event.STOP): State.FAULT if s in AT_REST else State.STOPPING for s in _ACTIVE},
+    **{(s, Event.REFUSE): State.FAULT if s in _ON_PATH_AT_REST else s for s in State},
+    **{(state, Event.FAIL): State.FAULT for state in _ACTIVE},
+}
+
+_REFUSALS = {
+    Event.HOLD: 'nothing to hold: no program is moving',
+    Event.RESUME: 'nothing to continue: no program is on hold',
+    Event.RESET: 'the machine is still moving; reset when it rests',
+}
+
+
+@dataclass(frozen=True)
+class RunState:
+    """
+    The state of the machine in its run.
+
+    Parameters
+    ----------
+    state : State
+        What the machine is doing.
+    reason : Reason
+        Why.
+    detail : str
+        What the text of the reason needs: a count, or what was refused.
+    plan_over : bool
+        The machine has left its plan by a stop tail. A new plan must begin where it rests.
+    start_wanted : bool
+        cycle_start was given and the setpoints to start with are not there yet.
+    completed : bool
+        The run was executed to its end.
+    refusal : str
+        Why no further setpoints of this run come; empty while they may.
+
+    """
+
+    state: State = State.INACTIVE
+    reason: Reason = Reason.NONE
+    detail: str = ''
+    plan_over: bool = False
+    start_wanted: bool = False
+    completed: bool = False
+    refusal: str = ''
+
+    @property
+    def resting(self) -> bool:
+        """Tell whether the setpoints stand still."""
+        return self.state in AT_REST
+
+    @property
+    def leaves_plan(self) -> bool:
+        """Tell whether the machine takes the next stop tail, though setpoints are buffered."""
+        return self.state in (State.HOLDING, State.STOPPING)
+
+    @property
+    def may_start(self) -> bool:
+        """Tell whether the machine moves as soon as enough setpoints are buffered."""
+        return self.state in SELF_STARTING or (self.state is State.HELD and self.start_wanted)
+
+    @property
+    def may_resume(self) -> bool:
+        """Tell whether cycle_start continues the run."""
+        return self.state in RESUMABLE
+
+    @property
+    def waits_for(self) -> WaitsFor:
+        """Return what the machine at rest waits for."""
+        if self.state is State.FAULT:
+            return WaitsFor.RESET
+        if self.state is State.PAUSED:
+            return WaitsFor.OVERRIDE
+        if self.state is State.HELD and not self.start_wanted:
+            return WaitsFor.CYCLE_START
+        if self.state in (State.HELD, State.STARVED):
+            return WaitsFor.NEW_PLAN if self.plan_over else WaitsFor.SETPOINTS
+        return WaitsFor.NOTHING
+
+    @property
+    def text(self) -> str:
+        """Return the reason in words for the operator; empty when there is none."""
+        return TEXTS[self.reason].format(self.detail)
+
+    def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:
+        """
+        Return the state after an event.
+
+        Parameters
+        ----------
+        event : Event
+            What happened.
+        reason : Reason
+            Why; it counts where the event brings the machine to rest.
+        detail : str
+            What the text of the reason needs.
+
+        Raises
+        ------
+        StreamError
+            If the event is not possible in this state.
+
+        """
+        following = TRANSITIONS.get((self.state, event))
+        if following is None:
+            raise StreamError(self._refused(event))
+        if event in (Event.ACTIVATE, Event.DEACTIVATE, Event.BEGIN, Event.RESET):
+            return RunState(following)
+        if event is Event.RESUME:
+            return replace(self, start_wanted=self.may_resume)
+        if event is Event.REPLAN:
+            return replace(self, plan_over=False, refusal='')
+        if event is Event.REFUSE:
+            told = replace(self, refusal=detail)
+            return told._refused_at_rest() if self.state in _ON_PATH_AT_REST else told
+        if event is Event.REST:
+            rests = replace(self, state=following, plan_over=True)
+            return rests._refused_at_rest() if self.refusal else rests
+        if event is Event.HOLD and self.state in (State.HOLDING, State.HELD):
+            return replace(self, start_wanted=False)
+        return replace(
+            self, state=following, reason=reason, detail=detail, start_wanted=False,
+            plan_over=self.plan_over or following is State.FAULT,
+            completed=self.completed or event is Event.FINISH,
+        )  # fmt: skip
+
+    def _refused_at_rest(self) -> RunState:
+        """Return the fault of a machine whose run gets no further setpoints."""
+        return replace(
+            self, state=State.FAULT, reason=Reason.STREAM_REFUSED, detail=self.refusal,
+            plan_over=True, start_wanted=False,
+        )  # fmt: skip
+
+    def _refused(self, event: Event) -> str:
+        """Say why an event is not possible now."""
+        if self.state is State.INACTIVE:
+            return f'{event.value} is not possible: the drives are off; activate machine_node'
+        text = _REFUSALS.get(event, f'{event.value} is not possible while {self.state.value}')
+        return f'{text} ({self.text})' if self.text else text

@@ -1,0 +1,114 @@
+"""Playback with drives that are not the simulated ones: it knows only the port."""
+
+import numpy as np
+import pytest
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine.axis_motion import AxisMotion, SetpointRefusedError
+from cnc_interp.machine.drives import AxisFeedback, DriveFaultError, Drives
+from cnc_interp.machine.playback import Playback
+from cnc_interp.run.approach import approach
+from cnc_interp.run.chunk import Wait
+from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import Reason, State
+
+T = 0.001
+MACHINE = Machine.load('xyzac')
+START, TARGET = np.array([0.01, 0.0, 0.0, 0.0, 0.5]), np.array([0.03, 0.01, 0.0, 0.1, 0.0])
+
+
+class RecordingDrives:
+    """Ideal axes that stand somewhere and write down what they are told."""
+
+    lag = 0.0
+
+    def __init__(self, position, fails_at=None):
+        self.position, self.fails_at = position, fails_at
+        self.told, self.on, self.rested = [], False, 0
+
+    def switch_on(self):
+        self.on = True
+        return self.position
+
+    def switch_off(self):
+        self.on = False
+
+    def follow(self, position, velocity):
+        assert self.on
+        if len(self.told) == self.fails_at:
+            raise DriveFaultError('C: encoder lost')
+        self.told.append((position, velocity))
+        self.position = position
+        return AxisFeedback(position, velocity)
+
+    def rest(self):
+        self.rested += 1
+        return AxisFeedback(self.position, np.zeros(5))
+
+
+def playback_with(drives: Drives) -> Playback:
+    return Playback(AxisMotion(MACHINE, T, drives), 50)
+
+
+def chunks():
+    stream = MotionStream(MACHINE, T)
+    stream.push(approach(Transform.of(MACHINE), 0.03, START, TARGET))
+    stream.end_leg(Wait.END)
+    found = []
+    while stream.can_plan or stream.can_sample:
+        found += stream.sample() if stream.can_sample else stream.plan() or []
+    return found
+
+
+def play(drives):
+    playback, planned = playback_with(drives), chunks()
+    playback.switch_on()
+    playback.begin(RunId('p'))
+    for chunk in planned:
+        playback.push(chunk, [1] * len(chunk.samples), [1] * len(chunk.tail))
+    for _ in range(sum(len(chunk.samples) for chunk in planned) + 5):
+        playback.step()
+    return playback, planned
+
+
+def test_other_drives_get_every_setpoint_with_its_velocity_and_nothing_else():
+    drives = RecordingDrives(START)
+    playback, planned = play(drives)
+    assert playback.state.completed and playback.state.state is State.IDLE
+    for column, name in enumerate(('position', 'velocity')):
+        expected = np.concatenate([getattr(chunk.samples, name) for chunk in planned])
+        assert np.array_equal([row[column] for row in drives.told], expected)
+    assert not playback.largest_following_error.any()
+    assert np.array_equal(playback.feedback.position, TARGET)
+    playback.switch_off()
+    assert not drives.on and playback.state.state is State.INACTIVE
+
+
+def test_a_fault_of_a_drive_ends_the_motion_at_once_and_is_named():
+    drives = RecordingDrives(START, fails_at=120)
+    playback, _ = play(drives)
+    assert (playback.state.state, playback.state.reason) == (State.FAULT, Reason.DRIVE_FAULT)
+    assert 'C: encoder lost' in playback.state.text
+    assert len(drives.told) == playback.played == 120 and drives.rested > 100
+    playback.reset()
+    assert playback.state.state is State.IDLE
+
+
+def test_axes_are_taken_over_where_the_drives_hold_them_at_power_on():
+    drives = RecordingDrives(np.zeros(5))
+    playback = playback_with(drives)
+    drives.position = START  # moved by hand while they were off
+    playback.switch_on()
+    assert np.array_equal(playback.axes.setpoints[-1], START)
+    assert np.array_equal(playback.buffer.newest, np.tile(START, (3, 1)))
+
+
+def test_a_setpoint_outside_the_travel_never_reaches_the_drives():
+    drives = RecordingDrives(START)
+    axes = AxisMotion(MACHINE, T, drives)
+    axes.switch_on()
+    with pytest.raises(SetpointRefusedError, match='soft limit'):
+        axes.follow(np.array([2.0, 0, 0, 0, 0]), np.zeros(5))
+    assert not drives.told

@@ -1,0 +1,139 @@
+"""The state of a run: its table, what it waits for, and its copy in messages and docs."""
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from cnc_interp.core.errors import StreamError
+from cnc_interp.run.run_state import (
+    AT_REST,
+    TEXTS,
+    TRANSITIONS,
+    Event,
+    Reason,
+    RunState,
+    State,
+    WaitsFor,
+)
+
+MOVING = set(State) - AT_REST
+OPERATION = Path(__file__).parents[2] / 'docs' / 'operate' / 'operation.md'
+
+
+@pytest.mark.parametrize(('state', 'event'), list(product(State, Event)))
+def test_every_pair_of_state_and_event(state, event):
+    before = RunState(state)
+    if (state, event) in TRANSITIONS:
+        assert before.after(event).state is TRANSITIONS[state, event]
+    else:
+        with pytest.raises(StreamError):
+            before.after(event)
+
+
+def test_the_table_in_the_docs_is_that_of_the_code():
+    words = {state.value for state in State}
+    rows = [
+        [cell.strip() for cell in line.strip('|').split('|')]
+        for line in OPERATION.read_text(encoding='utf-8').splitlines()
+        if line.startswith('|') and line.split('|')[1].strip() in words
+    ]
+    told = {}
+    for name, _, cell in rows:
+        for entry in cell.split(', '):
+            event, following = entry.split(': ')
+            told[State(name), Event(event)] = State(following)
+    assert len(rows) == len(State)
+    assert told == TRANSITIONS
+
+
+def test_the_table_by_its_meaning():
+    reached = {State.INACTIVE}
+    for _ in State:
+        reached |= {after for (before, _), after in TRANSITIONS.items() if before in reached}
+    assert reached == set(State)
+    assert {e for s, e in TRANSITIONS if s is State.FAULT} == {
+        Event.RESET, Event.DEACTIVATE, Event.FAIL, Event.STOP, Event.REFUSE,
+    }  # fmt: skip
+    assert {e for s, e in TRANSITIONS if s is State.INACTIVE} == {Event.ACTIVATE, Event.REFUSE}
+    for state in MOVING:  # whatever moves can fail; it is not switched off, reset or replanned
+        assert TRANSITIONS[state, Event.STOP] is State.STOPPING
+        assert TRANSITIONS[state, Event.FAIL] is State.FAULT
+        assert not {e for s, e in TRANSITIONS if s is state} & {
+            Event.DEACTIVATE, Event.RESET, Event.BEGIN, Event.REPLAN,
+        }  # fmt: skip
+    # Motion begins by START only, and never without the table: from rest on the path or idle.
+    begins = {(s, e) for (s, e), to in TRANSITIONS.items() if s in AT_REST and to in MOVING}
+    assert {e for _, e in begins} == {Event.START}
+
+
+def held_by(event, reason):
+    return RunState(State.RUNNING).after(event, reason)
+
+
+def test_a_hold_waits_for_cycle_start_then_for_a_new_plan_then_for_setpoints():
+    state = held_by(Event.HOLD, Reason.FEED_HOLD)
+    assert not state.resting and state.leaves_plan and state.waits_for is WaitsFor.NOTHING
+    state = state.after(Event.REST)
+    assert state.resting and state.plan_over and state.waits_for is WaitsFor.CYCLE_START
+    assert state.may_resume and not state.may_start
+    state = state.after(Event.RESUME)
+    assert state.waits_for is WaitsFor.NEW_PLAN and state.may_start
+    state = state.after(Event.REPLAN)
+    assert state.waits_for is WaitsFor.SETPOINTS and state.start_wanted
+    assert state.reason is Reason.FEED_HOLD
+    state = state.after(Event.START)
+    assert state == RunState(State.RUNNING)
+
+
+def test_another_hold_takes_cycle_start_back():
+    state = held_by(Event.WAIT, Reason.PROGRAM_STOP).after(Event.RESUME).after(Event.HOLD)
+    assert state.waits_for is WaitsFor.CYCLE_START and state.reason is Reason.PROGRAM_STOP
+    starved = held_by(Event.STARVE, Reason.STARVED).after(Event.REST).after(Event.RESUME)
+    assert starved.after(Event.HOLD, Reason.FEED_HOLD).waits_for is WaitsFor.CYCLE_START
+
+
+def test_a_pause_for_the_override_starts_by_itself():
+    state = held_by(Event.PAUSE, Reason.OVERRIDE)
+    assert state.waits_for is WaitsFor.OVERRIDE and state.may_start and not state.plan_over
+    assert state.after(Event.RESUME) == state and not state.may_resume
+
+
+@pytest.mark.parametrize('event', [Event.HOLD, Event.STARVE])
+def test_a_refused_stream_ends_in_a_fault_at_rest(event):
+    state = RunState(State.RUNNING).after(Event.REFUSE, detail='a setpoint is not finite')
+    assert state.state is State.RUNNING, 'what is sound is executed'
+    state = state.after(event, Reason.FEED_HOLD).after(Event.REST)
+    assert (state.state, state.reason) == (State.FAULT, Reason.STREAM_REFUSED)
+    assert state.text == 'a setpoint is not finite' and state.waits_for is WaitsFor.RESET
+    at_rest = held_by(event, Reason.FEED_HOLD).after(Event.REST)
+    assert at_rest.after(Event.REFUSE, detail='a setpoint is not finite') == state
+
+
+def test_what_is_not_possible_is_said_in_the_operators_words():
+    idle, fault = RunState(State.IDLE), RunState(State.IDLE).after(Event.STOP, Reason.DRIVE_FAULT)
+    for state, event, words in (
+        (idle, Event.HOLD, 'nothing to hold'),
+        (idle, Event.RESUME, 'nothing to continue'),
+        (fault, Event.RESUME, 'nothing to continue.*fault of a drive'),
+        (RunState(State.RUNNING), Event.RESET, 'still moving'),
+        (RunState(), Event.HOLD, 'drives are off'),
+    ):
+        with pytest.raises(StreamError, match=words):
+            state.after(event)
+
+
+def test_every_reason_has_a_text():
+    assert set(TEXTS) == set(Reason)
+    for reason in Reason:
+        assert bool(RunState(State.FAULT, reason, '12').text) is (reason is not Reason.NONE)
+
+
+def test_the_messages_have_the_same_constants():
+    messages = pytest.importorskip('cnc_interp_msgs.msg', reason='needs ROS 2')
+    state = messages.MachineState
+    for name, kind in (('REASON', Reason), ('WAITS_FOR', WaitsFor)):
+        assert {entry.name: entry.value for entry in kind} == {
+            entry.name: getattr(state, f'{name}_{entry.name}') for entry in kind
+        }
+    assert state.STOPPED == state.STOPPING

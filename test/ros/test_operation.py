@@ -218,7 +218,7 @@ def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
 def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
     for message in block_messages(blocks_of(PROGRAM)[:3], RunId('stranger'), 0, 0.03, end=False):
         bench.blocks.publish(message)
-    bench.spin_until(lambda: bench.peers.knows('blocks', 'stranger'))
+    bench.spin_until(lambda: bench.peers.knows('blocks', RunId('stranger')))
     result = bench.run(text=PROGRAM)
     assert result.code == Result.BUSY and 'restart lookahead_node' in result.message
     bench.kill('lookahead_node')

@@ -14,7 +14,7 @@ from cnc_interp_msgs.msg import MachineState
 from operated import PROGRAM, Bench, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_id_messages import run_id_of
 
@@ -223,7 +223,7 @@ def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
     assert result.code == Result.BUSY and 'restart lookahead_node' in result.message
     bench.kill('lookahead_node')
     bench.children.revive()
-    bench.spin_until(lambda: bench.peers.knows('blocks', ''))
+    bench.spin_until(lambda: bench.peers.knows('blocks', NO_RUN))
     bench.finish(bench.begin())
 
 

@@ -149,9 +149,9 @@ complete_environment() {
     if [[ $wanted != *" $part "* ]]; then
       kept_parts+=$(grep "^$part " <<<"$had" || true)$'\n'
     elif out_of_date "$part"; then
-      say "installing what the $part needs"
+      say "installing the optional part $part"
       logged "${pip_install[@]}" -r "$root/requirements/$part.txt" \
-        || explain "installing what the $part needs failed"
+        || explain "installing the optional part $part failed"
     fi
   done
   [ -z "$compiling" ] || wait "$compiling" || true

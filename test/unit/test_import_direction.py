@@ -20,6 +20,7 @@ FLOW = (
     'wire',
     'proof',
     'command_options',
+    'convert_splines',
     'convert',
     'report',
     'description',

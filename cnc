@@ -14,7 +14,7 @@ set -euo pipefail
 
 root=$(dirname -- "$(readlink -f -- "${BASH_SOURCE[0]}")")
 venv=$root/.venv
-stamp=$venv/.ready # what the environment was made from; written last, so without it it is unfinished
+stamp=$venv/.ready # what the environment was made from; an environment without it is unfinished
 
 say() { printf 'cnc: %s\n' "$*" >&2; }
 fail() { say "$*"; exit 1; }
@@ -34,8 +34,8 @@ fingerprints() (
   done
 )
 
-# Warm check, a few hundredths of a second: finished, for this checkout, its Python runs, nothing
-# that setup installed has gone.
+# True when the environment is finished, belongs to this checkout, its Python runs, and no installed
+# file is missing. Takes some hundredths of a second.
 sound() {
   local kind value
   [ -s "$stamp" ] || return 1
@@ -65,7 +65,7 @@ ensure() {
   fi
 }
 
-# Another ROS 2 in this shell, or another environment of the same wheels, would be mixed with ours.
+# Removes another ROS 2, or another environment of the same wheels, from the variables of this shell.
 leave_other_ros() {
   if [ -n "${AMENT_PREFIX_PATH-}${_ROS_WHEELS_BOOTSTRAP_COMPLETE-}" ]; then
     unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH
@@ -96,7 +96,7 @@ lint() {
 
 main() {
   local parts=(base project messages)
-  unset PYTHONDONTWRITEBYTECODE # compiling all imports anew makes every start take seconds longer
+  unset PYTHONDONTWRITEBYTECODE # without compiled imports every start takes seconds longer
   leave_other_ros
   case ${1-} in
     test)

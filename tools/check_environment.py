@@ -1,4 +1,4 @@
-"""Check that the environment holds together: every compiled part of it loads, ROS included."""
+"""Check that every compiled part of the environment loads, ROS included."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ INTERFACES_WITH_PARTS = (('cnc_interp_msgs.action', 'RunProgram'), ('std_srvs.sr
 
 
 def check_imports() -> None:
-    """Import what the project is built on; raises ImportError for what is missing."""
+    """Import the packages that the project needs; ImportError names a missing one."""
     for name in (*COMPILED, 'cnc_interp'):
         importlib.import_module(name)
 
 
 def check_messages() -> None:
-    """Serialise a message of each type: only that loads all of its libraries."""
+    """Serialise a message of each type, which loads all libraries of the type."""
     from rclpy.serialization import deserialize_message, serialize_message
 
     for package in INTERFACE_PACKAGES:

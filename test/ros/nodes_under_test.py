@@ -68,7 +68,7 @@ class NodesUnderTest:
         ]
 
     def listen(self, topic, kind, profile):
-        """Messages of a topic from here on; returns when they cannot be missed any more."""
+        """Collect the messages of a topic; returns when the subscription is connected."""
         heard = []
         subscription = self.node.create_subscription(kind, topic, heard.append, profile)
         self.spin_until(lambda: subscription.get_publisher_count() > 0)
@@ -85,7 +85,7 @@ class NodesUnderTest:
             self.executor.spin_once(timeout_sec=0.05)
 
     def last_words(self):
-        """What the nodes said last about each of their parts, and the state of the machine."""
+        """Last diagnostics of each part of the nodes, and the state of the machine."""
         return dict(self.diagnostics), self.peers.state
 
     def press(self, button):

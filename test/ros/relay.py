@@ -1,4 +1,4 @@
-"""A bad line: passes raw messages on, but drops, repeats, reorders and spoils some of them."""
+"""A relay between the nodes that drops, repeats, reorders and corrupts some messages."""
 
 import threading
 

@@ -65,7 +65,7 @@ ensure() {
   fi
 }
 
-# Removes another ROS 2, or another environment of the same wheels, from the variables of this shell.
+# Removes another ROS 2, or another environment of the same wheels, from the variables of a shell.
 leave_other_ros() {
   if [ -n "${AMENT_PREFIX_PATH-}${_ROS_WHEELS_BOOTSTRAP_COMPLETE-}" ]; then
     unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH

@@ -29,7 +29,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cpu_chain import CpuChain
 from paths import dome
 from programs import CASES, PROGRAMS, program_file
 
@@ -39,7 +38,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import BATCH
+from cnc_interp.run.chain import Chain
+from cnc_interp.run.path_chain import BATCH
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
 
@@ -103,7 +103,7 @@ def programmed_time(blocks: Blocks) -> float:
 def run(machine: Machine, blocks: Blocks, curves: bool, directory: Path) -> dict[str, Any]:
     """Plan blocks into plan files; return the summary."""
     settings = Settings(compress=curves)
-    chain = CpuChain(machine, settings)
+    chain = Chain(machine, settings, time.process_time)
     with PlanWriter(directory, machine, settings) as writer:
         writer.blocks(blocks)
         for first in range(0, len(blocks), BATCH):
@@ -143,7 +143,7 @@ def growth(counts: list[int]) -> Iterator[str]:
     yield '|---|---|---|---|'
     machine = Machine.load('xyzac')
     for count in counts:
-        chain, motion = CpuChain(machine, Settings()), 0.0
+        chain, motion = Chain(machine, Settings(), time.process_time), 0.0
         for blocks in spirals(count):
             chain.push(blocks)
             motion = chain.pieces[-1].law.end_time if chain.pieces else motion

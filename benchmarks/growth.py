@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import resource
+import time
 
 import numpy as np
-from cpu_chain import CpuChain
 from figures import Figures
 from paths import blocks_of, smoothed
 from rivals import topp3
@@ -13,7 +13,8 @@ from rivals import topp3
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program import Blocks
-from cnc_interp.run.chain import BATCH
+from cnc_interp.run.chain import Chain
+from cnc_interp.run.path_chain import BATCH
 from cnc_interp.settings.choices import Settings
 
 ROW = 100
@@ -39,7 +40,7 @@ def chain_cost(count: int) -> Figures:
 
     Returns motion and CPU seconds by room, and the most memory that this process ever held [MB].
     """
-    chain = CpuChain(Machine.load('xyzac'), Settings())
+    chain = Chain(Machine.load('xyzac'), Settings(), time.process_time)
     motion = 0.0
     for first in range(0, count, BATCH):
         chain.push(raster(min(BATCH, count - first), first))

@@ -16,13 +16,11 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Blocks, read_program
+from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.lookahead import LookAhead
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / 'shared'
@@ -64,12 +62,7 @@ class Case:
 
 def smoothed(blocks: Blocks, machine: Machine) -> AxisPath:
     """Send blocks through look-ahead and kinematics, corner by corner."""
-    transform = Transform.of(machine)
-    settings = Settings(compress=False)
-    lookahead = LookAhead(settings, traits_of(transform))
-    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
-    parts = [builder.push(part) for part in (lookahead.push(blocks), lookahead.finish())]
-    return AxisPath.join([part for part in parts if part is not None])
+    return path_of(blocks, Transform.of(machine), Settings(compress=False))
 
 
 def case_of(name: str, blocks: Blocks, machine: Machine) -> Case:

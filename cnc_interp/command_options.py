@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cnc_interp.settings.command_line import add_settings
+
+#: Exit codes: done, a failed run or an unproven plan, bad input.
+FINE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def command(
@@ -64,3 +69,9 @@ def positive(text: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise argparse.ArgumentTypeError(f'must be a positive number, not {text!r}')
     return value
+
+
+def tell(notices: Sequence[str]) -> None:
+    """Print what the reader noticed."""
+    for notice in notices:
+        print(f'note: {notice}', file=sys.stderr)

@@ -15,7 +15,6 @@ from cnc_interp.convert_splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.branch import start_positions
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -29,12 +28,11 @@ from cnc_interp.program.writer import (
     siemens,
 )
 from cnc_interp.proof.programmed_splines import chords, portions
-from cnc_interp.run.chain import BATCH
+from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.path_smoother import PathSmoother
-from cnc_interp.smoothing.segments import ROTATION, PathSegments
+from cnc_interp.smoothing.segments import ROTATION
 
 #: Share of the contour tolerance for the chords of native splines.
 CHORD_SHARE = 0.1
@@ -234,12 +232,8 @@ def _siemens(
     program: Program, transform: Transform, settings: Settings, tolerance: float
 ) -> Converted:
     """Write the smooth path of a program."""
-    smoother = PathSmoother(settings, traits_of(transform))
     blocks = program.blocks
-    parts = [smoother.push(blocks[k : k + BATCH]) for k in range(0, len(blocks), BATCH)]
-    segments = PathSegments.concatenate(
-        [part for part in [*parts, smoother.finish()] if len(part)]
-    )
+    segments = segments_of(blocks, transform, settings)
     path = SplineMoves(segments, transform, settings.flank_height, tolerance)
     moves = list(path.moves(blocks))
     notes = [

@@ -19,17 +19,16 @@ from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.run_id_messages import run_id_of
@@ -134,9 +133,9 @@ def _compare_run(
         float(told[0].s[0]) if goes_on else math.nan, followed,
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
-    lookahead = PathSmoother(settings, traits_of(transform))
+    smoother = smoother_of(transform, settings)
     pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
-    for segments in (lookahead.push(blocks_from(blocks)), lookahead.finish()):
+    for segments in (smoother.push(blocks_from(blocks)), smoother.finish()):
         if len(segments):
             planner.push(segments, pauses)
     planner.finish()

@@ -12,15 +12,14 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import planned_stop, stopping_part
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
 #: The tiny path in several windows: some kernels serve only where a window follows another.
@@ -63,12 +62,9 @@ def dense_program(transform: Transform) -> Blocks:
 
 def warm_lookahead(transform: Transform, settings: Settings) -> PathSegments:
     """Load the kernels of the look-ahead, those of curves where they are made."""
-    made = []
     programs = [dense_program, tiny_program] if settings.compress else [tiny_program]
-    for program in programs:
-        lookahead = PathSmoother(settings, traits_of(transform))
-        made = [lookahead.push(program(transform)), lookahead.finish()]
-    return PathSegments.concatenate(made)
+    made = [segments_of(program(transform), transform, settings) for program in programs]
+    return made[-1]
 
 
 def warm_kinematics(transform: Transform, settings: Settings) -> AxisPath:

@@ -9,7 +9,6 @@ from cnc_interp_msgs.msg import G1Block, PathSegment
 from rclpy.node import Node
 
 from cnc_interp.core.errors import InterpError, Refusal
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
@@ -19,6 +18,7 @@ from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
+from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
@@ -72,7 +72,7 @@ class LookaheadNode(Node):
     def _begin(self, block: G1Block) -> None:
         """Forget the program before."""
         settings = settings_of_block(block, self._settings)
-        self._lookahead = PathSmoother(settings, traits_of(self._transform))
+        self._lookahead = smoother_of(self._transform, settings)
         self._flank_height = block.flank_height
         self._blocks.clear()
         self._last = None

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ProgramStream, open_program
 from cnc_interp.program.source import Source
 from cnc_interp.program.spool import BlockSpool
 from cnc_interp.run.chain import at_fault, no_motion
+from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.wire.settings_messages import settings_of_goal
 
 #: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
@@ -124,17 +122,16 @@ def checked_length(
 
     Its blocks go into the spool on their way.
     """
-    lookahead = PathSmoother(settings, traits_of(transform))
-    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
+    chain = PathChain(transform, settings)
     length = 0.0
     with at_fault(stream.source):
         for part in stream:
             spool.append(part)
-            for first in range(0, len(part), BATCH):
-                path = builder.push(lookahead.push(part[first : first + BATCH]))
+            for batch in batches(part):
+                path = chain.push(batch).path
                 length = length if path is None else float(path.s[-1])
                 told(stream.share)
-        path = builder.push(lookahead.finish())
+        path = chain.finish().path
     length = length if path is None else float(path.s[-1])
     if not length > 0.0:
         raise no_motion(stream.source)

@@ -1,7 +1,8 @@
 """
 The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> plan files.
 
-The ROS nodes run the same rooms in the same order, one room per node; see ``data_flow.md``.
+Its first half is ``path_chain.py``. The nodes use the same stages in the same order; their motion
+is planned in chunks with stop tails (``run_planner.py``), because it may be held at any moment.
 """
 
 from __future__ import annotations
@@ -14,23 +15,21 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import BlockError, ProgramError
-from cnc_interp.core.units import MM
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Interpolator, Setpoints
-from cnc_interp.run.plan_writer import PlanFigures, PlanWriter
+from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
+from cnc_interp.run.plan_figures import PlanFigures
+from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 
-#: Blocks that go through the chain together: up to 0.7 MB each, for the samples of their corners.
-BATCH = 256
+#: Stages whose time is told, in their order.
+STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
 
 @dataclass(frozen=True)
@@ -48,41 +47,49 @@ class Plan:
 
 class Chain:
     """
-    Rooms from look-ahead to interpolator, fed with blocks.
+    All stages: blocks in; segments, planned pieces and setpoints out.
 
     Parameters
     ----------
     machine : Machine
         The machine.
     settings : Settings
-        The user's choices.
+        The choices of the run.
+    clock : callable
+        Measures the time of each stage [s].
 
     """
 
-    def __init__(self, machine: Machine, settings: Settings):
-        transform = Transform.of(machine)
-        self.lookahead = PathSmoother(settings, traits_of(transform))
-        self.builder = AxisPathBuilder(
-            transform, settings.flank_height, settings.interpolation_period
-        )
-        self.planner = FeedPlanner(limits_at(machine, settings.interpolation_period))
-        self.interpolator = Interpolator(settings.interpolation_period)
-        self.seconds = {'smoothing': 0.0, 'kinematics': 0.0, 'feedrate': 0.0, 'interpolation': 0.0}
+    def __init__(
+        self,
+        machine: Machine,
+        settings: Settings,
+        clock: Callable[[], float] = time.perf_counter,
+    ):
+        self._watch = Stopwatch(clock)
+        self._path = PathChain(Transform.of(machine), settings, self._watch)
+        self._planner = FeedPlanner(limits_at(machine, settings.interpolation_period))
+        self._interpolator = Interpolator(settings.interpolation_period)
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []
         self.setpoints: list[Setpoints] = []
         self.moved = False
 
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Time of each stage so far [s]."""
+        return {stage: self._watch.seconds.get(stage, 0.0) for stage in STAGES}
+
     def push(self, blocks: Blocks) -> None:
-        """Send further blocks through all rooms."""
-        self._through(self._timed('smoothing', self.lookahead.push, blocks))
+        """Send further blocks through all stages."""
+        self._plan(self._path.push(blocks))
 
     def finish(self) -> None:
         """Bring the motion to its end."""
-        self._through(self._timed('smoothing', self.lookahead.finish))
-        self._sample(self._timed('feedrate', self.planner.finish))
+        self._plan(self._path.finish())
+        self._sample(self._watch.timed('feedrate', self._planner.finish))
         if self.moved:
-            self.setpoints.append(self.interpolator.finish())
+            self.setpoints.append(self._interpolator.finish())
 
     def drain(self, writer: PlanWriter) -> None:
         """Write what has come out so far, and forget it."""
@@ -94,27 +101,19 @@ class Chain:
             writer.setpoints(samples)
         self.segments, self.pieces, self.setpoints = [], [], []
 
-    def _through(self, segments: PathSegments) -> None:
-        """Pass final segments on."""
-        self.segments.append(segments)
-        path = self._timed('kinematics', self.builder.push, segments)
-        if path is not None:
-            self._sample(self._timed('feedrate', self.planner.push, path))
+    def _plan(self, part: PathPart) -> None:
+        """Plan the motion along a further part of the path."""
+        self.segments.append(part.segments)
+        if part.path is not None:
+            self._sample(self._watch.timed('feedrate', self._planner.push, part.path))
 
     def _sample(self, pieces: list[PlannedPiece]) -> None:
         """Interpolate what the planner committed."""
         for piece in pieces:
             self.moved = True
             self.pieces.append(piece)
-            self.setpoints.append(self._timed('interpolation', self.interpolator.push, piece))
-
-    def _timed(self, room: str, work: Callable[..., Any], *arguments: Any) -> Any:
-        """Run one room and add up its time."""
-        start = time.perf_counter()
-        try:
-            return work(*arguments)
-        finally:
-            self.seconds[room] += time.perf_counter() - start
+            samples = self._watch.timed('interpolation', self._interpolator.push, piece)
+            self.setpoints.append(samples)
 
 
 def plan_program(
@@ -147,10 +146,9 @@ def plan_program(
     """
     settings = settings or Settings()
     chain = Chain(machine, settings)
-    blocks = program.blocks
     with at_fault(program.source):
-        for first in range(0, len(blocks), BATCH):
-            chain.push(blocks[first : first + BATCH])
+        for batch in batches(program.blocks):
+            chain.push(batch)
         chain.finish()
     if not chain.moved:
         raise no_motion(program.source)
@@ -205,8 +203,8 @@ def plan_to_files(
         with at_fault(stream.source):
             for part in stream:
                 writer.blocks(part)
-                for first in range(0, len(part), BATCH):
-                    chain.push(part[first : first + BATCH])
+                for batch in batches(part):
+                    chain.push(batch)
                     chain.drain(writer)
                 if progress:
                     progress(stream.share)
@@ -263,34 +261,3 @@ def pass_on(plan: Plan, taker: PlanWriter | PlanFigures) -> None:
     for piece in plan.pieces:
         taker.piece(piece)
     taker.setpoints(plan.setpoints)
-
-
-def describe(summary: dict[str, Any]) -> str:
-    """Return the summary in words and shop units."""
-    lines = [
-        f'program        {summary["program"]} on {summary["machine"]}',
-        f'blocks         {summary["blocks"]} in {summary["segments"]} segments, '
-        f'{summary["path_length"] / MM:.1f} mm',
-        f'cycle time     {summary["cycle_time"]:.3f} s',
-        f'planning time  {summary["planning_time"]:.3f} s '
-        f'(the motion takes {summary["cycle_time"] / max(summary["planning_time"], 1e-9):.3g} '
-        'times as long)',
-    ]
-    for name, use in summary['largest_use'].items():
-        values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
-        lines.append(f'{name:<15}{values}')
-    contour, orientation, height = (
-        summary[key] / MM
-        for key in ('largest_contour_error', 'largest_orientation_error', 'flank_height')
-    )
-    used, curves = summary['tolerance_used'], summary['curves']
-    lines.append(
-        f'deviation      contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
-        f'{height:g} mm; {used["contour"]:.0%} and {used["orientation"]:.0%} of the tolerances'
-    )
-    if curves['blocks']:
-        lines.append(
-            f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '
-            f'{curves["spans"] / curves["blocks"]:.2f} a block'
-        )
-    return '\n'.join(lines)

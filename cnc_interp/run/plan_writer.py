@@ -8,13 +8,11 @@ NumPy writes them. Figures of the summary are kept up to date on the way.
 from __future__ import annotations
 
 import json
-import platform
 import shutil
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, BinaryIO
 from zipfile import ZipFile
@@ -22,9 +20,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp import __version__
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
@@ -32,149 +28,13 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.texts import values_of
-from cnc_interp.smoothing.segments import SPLINE, PathSegments
+from cnc_interp.smoothing.segments import PathSegments
 
 Columns = Mapping[str, NDArray[Any]]
 #: Columns of shape (4, cells, axes): they grow along their second axis.
 _CELLS = ('cell_left', 'cell_right')
-
-
-class PlanFigures:
-    """
-    What ``summary.json`` tells, brought up to date by every batch.
-
-    Parameters
-    ----------
-    machine : Machine
-        Gives names and limits of the axes.
-    settings : Settings
-        The user's choices.
-
-    """
-
-    def __init__(self, machine: Machine, settings: Settings):
-        period = settings.interpolation_period
-        self._machine, self._settings = machine, settings
-        self._period, self._height = period, settings.flank_height
-        self._largest = largest_differences(machine.limits, period)
-        self._use = np.zeros_like(self._largest)
-        self._last: FloatArray | None = None  # the last three positions
-        self._deviation, self._share = np.zeros(2), np.zeros(2)
-        self._curved = self._spans = 0  # blocks that became curves, and spans of these
-        self._on_curve, self._last_row = False, 0  # where the last segment ended
-        # Where tolerances change, or native splines begin or end: the row, and what holds from it.
-        self._marks = np.zeros((0, 4))
-        self._samples = self._segments = self._blocks = 0
-        self._planned = self._spanned = self._path_length = 0.0
-
-    def blocks(self, blocks: Blocks) -> None:
-        """Count further rows of the program, and note where their tolerances change."""
-        rows = self._blocks + np.arange(len(blocks))
-        told = np.column_stack(
-            [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
-        )
-        known = self._marks[-1:, 1:] if len(self._marks) else np.full((1, 3), np.nan)
-        changed = np.diff(told[:, 1:], axis=0, prepend=known).astype(bool).any(axis=1)
-        self._marks = np.concatenate([self._marks, told[changed]])
-        self._blocks += len(blocks)
-
-    def segments(self, segments: PathSegments) -> None:
-        """Count further segments; their blocks have been told."""
-        if not len(segments):
-            return
-        self._segments += len(segments)
-        self._deviation = np.maximum(self._deviation, segments.deviation.max(axis=0))
-        place = np.searchsorted(self._marks[:, 0], segments.block, 'right') - 1
-        tolerance = self._marks[place, 1:3].min(axis=1)
-        self._share = np.maximum(self._share, (segments.deviation / tolerance).max(axis=0))
-        self._count_curves(segments, native=self._marks[place[:, 1], 3] > 0.0)
-        self._marks = self._marks[place.min() :]
-
-    def _count_curves(self, segments: PathSegments, native: BoolArray) -> None:
-        """Count the spans of curves, and the blocks from the first to the last one of each."""
-        spans = (segments.kind == SPLINE) & ~native
-        before = np.append(self._last_row, segments.block[:-1, 1])
-        goes_on = np.append(self._on_curve, (spans & ~segments.stop)[:-1])
-        first = np.where(goes_on, before + 1, np.maximum(before + 1, segments.block[:, 0]))
-        self._curved += int((segments.block[:, 1] - first + 1)[spans].sum())
-        self._spans += int(spans.sum())
-        self._on_curve = bool(spans[-1] and not segments.stop[-1])
-        self._last_row = int(segments.block[-1, 1])
-
-    def piece(self, piece: PlannedPiece) -> None:
-        """Take note of how long the motion is by now."""
-        self._planned = piece.law.end_time
-
-    def setpoints(self, samples: Setpoints) -> None:
-        """Measure the use of every limit by differences of the positions."""
-        if not len(samples):
-            return
-        self._samples += len(samples)
-        self._path_length = float(samples.s[-1])
-        self._spanned = float(samples.time[-1])
-        self._measure(samples.position)
-
-    @property
-    def cycle_time(self) -> float:
-        """Time of the motion [s]; an executed one with holds or overrides is not the planned."""
-        as_planned = abs(self._spanned - self._planned) <= self._period
-        return self._planned if as_planned else self._spanned
-
-    def _measure(self, position: FloatArray) -> None:
-        before = np.repeat(position[:1], BEFORE, axis=0) if self._last is None else self._last
-        held = np.concatenate([before, position])
-        shares = np.abs(limit_shares(held, self._largest))
-        self._use = np.maximum(self._use, shares.max(axis=1))
-        self._last = held[-BEFORE:]
-
-    def summary(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0
-    ) -> dict[str, Any]:
-        """
-        Return the summary at the end of the motion; SI units.
-
-        Parameters
-        ----------
-        source : str
-            The program.
-        seconds : mapping
-            Planning time of every room [s]; empty for a run, which is not planned again.
-        largest_override : float
-            Largest feed override that was in force [-].
-
-        """
-        if self._last is not None:
-            self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
-        machine = self._machine
-        return {
-            'program': source,
-            'machine': machine.file or machine.name,
-            'cycle_time': self.cycle_time,
-            'interpolation_period': self._period,
-            'flank_height': self._height,
-            'settings': values_of(self._settings),
-            'largest_override': largest_override,
-            'samples': self._samples,
-            'blocks': self._blocks - 1,
-            'segments': self._segments,
-            'path_length': self._path_length,
-            'planning_time': sum(seconds.values()),
-            'planning_time_by_room': dict(seconds),
-            'largest_use': {
-                name: dict(zip(machine.axis_names, use.tolist(), strict=True))
-                for name, use in zip(('velocity', 'acceleration', 'jerk'), self._use, strict=True)
-            },
-            'largest_contour_error': float(self._deviation[0]),
-            'largest_orientation_error': float(self._deviation[1]),
-            'tolerance_used': {
-                'contour': float(self._share[0]),
-                'orientation': float(self._share[1]),
-            },
-            'curves': {'blocks': self._curved, 'spans': self._spans},
-            'versions': versions(),
-        }
 
 
 class PlanWriter:
@@ -392,14 +252,3 @@ def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> Floa
     timed = np.isfinite(blocks.duration) & (length > 0.0)
     feed = np.where(timed, length / np.where(timed, blocks.duration, 1.0), blocks.feedrate)
     return np.where(np.isnan(feed), np.inf, feed)
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what made the plan."""
-    found = {'cnc_interp': __version__, 'python': platform.python_version()}
-    for name in ('numpy', 'numba', 'scipy', 'toppra', 'ruckig'):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

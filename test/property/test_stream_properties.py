@@ -10,16 +10,14 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Wait, part_of
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.lookahead import LookAhead
 
 T = 1e-3
 #: One seed with every change, more of them now and then.
@@ -31,12 +29,7 @@ PROGRAMS = {'pyramid': pyramid, 'zigzag': lambda: zigzag(0), 'fine': lambda: zig
 
 @cache
 def path_of(name) -> AxisPath:
-    blocks = PROGRAMS[name]()
-    transform = Transform.of(MACHINE)
-    lookahead = LookAhead(Settings(), traits_of(transform))
-    builder = AxisPathBuilder(transform, 0.03, T)
-    parts = [builder.push(lookahead.push(blocks)), builder.push(lookahead.finish())]
-    return AxisPath.join([part for part in parts if part is not None])
+    return path_chain.path_of(PROGRAMS[name](), Transform.of(MACHINE), Settings(compress=False))
 
 
 def stream_of(name):

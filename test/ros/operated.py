@@ -10,15 +10,13 @@ from nodes_under_test import PATIENCE, NodesUnderTest
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.axis_rates import traits_of
+from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
+from cnc_interp.run import path_chain
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.lookahead import LookAhead
 
 Result = RunProgram.Result
 T = 0.001
@@ -47,10 +45,7 @@ def blocks_of(text):
 
 
 def path_of(text):
-    lookahead = LookAhead(Settings(), traits_of(TRANSFORM))
-    builder = AxisPathBuilder(TRANSFORM, 0.03, T)
-    parts = [builder.push(lookahead.push(blocks_of(text))), builder.push(lookahead.finish())]
-    return AxisPath.join([part for part in parts if part is not None])
+    return path_chain.path_of(blocks_of(text), TRANSFORM, Settings(compress=False))
 
 
 class Bench(NodesUnderTest):

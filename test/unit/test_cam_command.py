@@ -10,7 +10,8 @@ from cnc_interp.cam.nbuffer import Needles, cut_needles
 from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import programmed
-from cnc_interp.cli import BAD_INPUT, FINE, main
+from cnc_interp.cli import main
+from cnc_interp.command_options import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform

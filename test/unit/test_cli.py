@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.cli import BAD_INPUT, FAILED, FINE, main
+from cnc_interp.cli import main
+from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
 from cnc_interp.kinematics.machine import find_machine_file
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'

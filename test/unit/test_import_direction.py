@@ -27,6 +27,7 @@ FLOW = (
     'cam',
     'nodes',
     'client',
+    'commands',
     'cli',
     '__main__',
 )

@@ -15,16 +15,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from tiers import examples
 
 from cnc_interp.core.errors import InterpError, StreamError
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import read_program, read_text
+from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.segments import CORNER, PathSegments
+from cnc_interp.smoothing.segments import CORNER
 from cnc_interp.wire import chunk_messages
 from cnc_interp.wire import message_checks as soundness
 from cnc_interp.wire import path_messages as messages
@@ -61,8 +60,7 @@ def blocks_of(path):
 
 
 def segments_of(blocks, **settings):
-    lookahead = LookAhead(Settings(**settings), traits_of(TRANSFORM))
-    return PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
+    return path_chain.segments_of(blocks, TRANSFORM, Settings(compress=False, **settings))
 
 
 def over_the_wire(sent):

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.feedrate.window import FeedPlanner
-from cnc_interp.kinematics.axis_rates import jerk_rates, traits_of
+from cnc_interp.kinematics.axis_rates import jerk_rates
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at
@@ -28,10 +28,9 @@ HEIGHT = 30 * MM
 def cycle_time(blocks, ratio, machine='xyzac'):
     """Time that the whole chain plans for some blocks."""
     transform = Transform.of(Machine.load(machine))
-    lookahead = LookAhead(Settings(corner_ratio=ratio), traits_of(transform))
-    segments = PathSegments.concatenate([lookahead.push(blocks), lookahead.finish()])
     planner = FeedPlanner(transform.machine)
-    pieces = planner.push(AxisPathBuilder(transform, HEIGHT, 1e-3).push(segments))
+    settings = Settings(corner_ratio=ratio, compress=False)
+    pieces = planner.push(path_of(blocks, transform, settings))
     return (pieces + planner.finish())[-1].law.end_time
 
 

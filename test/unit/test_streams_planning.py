@@ -6,14 +6,13 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import read_text
+from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.path_smoother import PathSmoother
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)
@@ -24,14 +23,12 @@ PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n' + ''.join(
 
 def segments():
     blocks = read_text(PROGRAM, 'steps.ngc', TRANSFORM, Settings()).blocks
-    smoother = PathSmoother(Settings(), traits_of(TRANSFORM))
-    return [smoother.push(blocks), smoother.finish()]
+    return segments_of(blocks, TRANSFORM, Settings())
 
 
 def halves():
     """All segments in two parts."""
-    parts = [part for part in segments() if len(part)]
-    whole = type(parts[0]).concatenate(parts)
+    whole = segments()
     return whole[: len(whole) // 2], whole[len(whole) // 2 :]
 
 

@@ -21,8 +21,6 @@ from cnc_interp.description.shapes import Colour, Shape
 
 GROUND = '#12181d'
 RAY, RAY_COLOUR = 0.14, '#ffd166'
-#: Shapes with more opacity than this are machine; the rest is stock.
-SOLID = 0.9
 FOV = 40.0
 #: What the view of the part leaves out.
 MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)

@@ -1,0 +1,1 @@
+"""The commands of `cnc-interp`: options, words of the shop floor, exit codes."""

@@ -1,0 +1,107 @@
+"""`cnc-interp check` and `report`: what a plan or a recorded run is proven to be."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import FAILED, FINE, command
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
+
+
+def add_check_command(commands: Any) -> None:
+    """Declare `check`."""
+    check = command(
+        commands, 'check', check_command,
+        'prove every setpoint of a plan or a recorded run against limits and tolerances',
+        'cnc-interp check out/pyramid',
+    )  # fmt: skip
+    check.add_argument(
+        'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
+    )
+    check.add_argument('--machine', metavar='M', help='another machine than the plan names')
+    check.add_argument('--json', action='store_true', help='print the proof as JSON')
+
+
+def add_report_command(commands: Any) -> None:
+    """Declare `report`."""
+    report = command(
+        commands, 'report', report_command,
+        'write one self-contained HTML page about a plan or a recorded run',
+        'cnc-interp report out/pyramid --html out/pyramid.html',
+    )  # fmt: skip
+    report.add_argument(
+        'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
+    )
+    report.add_argument('--machine', metavar='M', help='another machine than the plan names')
+    report.add_argument(
+        '--html', type=Path, metavar='FILE', help='page to write (default: DIR/report.html)'
+    )
+    report.add_argument(
+        '--compare', type=Path, metavar='DIR2', help='another plan to set beside the first'
+    )
+
+
+def check_command(options: Namespace) -> int:
+    """Prove a plan or a recorded run."""
+    from cnc_interp.proof.plan_files import read_plan
+    from cnc_interp.proof.verify import verify_plan
+
+    with plan_files(options.directory, options.machine) as (folder, machine):
+        name = machine or read_plan(folder).summary.get('machine', '')
+        proof = verify_plan(folder, Machine.load(name))
+    print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
+    return FINE if proof.ok else FAILED
+
+
+def report_command(options: Namespace) -> int:
+    """Write the HTML page of a plan or a recorded run."""
+    from cnc_interp.report import write_report
+
+    page = options.html or options.directory / 'report.html'
+    if is_bag(options.directory) and options.compare:
+        raise InterpError('--compare sets two folders of plan files side by side, not bags')
+    with plan_files(options.directory, options.machine) as (folder, machine):
+        write_report(folder, page, Machine.load(machine) if machine else None, options.compare)
+    print(f'report         {page}')
+    return FINE
+
+
+def is_bag(path: Path) -> bool:
+    """Tell a bag from a folder of plan files."""
+    return (path / 'metadata.yaml').is_file() or path.suffix == '.mcap'
+
+
+@contextmanager
+def plan_files(path: Path, machine: str | None) -> Iterator[tuple[Path, str | None]]:
+    """
+    Yield a folder of plan files and the machine to take, None for the one that they name.
+
+    The plan files of a bag are written for a while: those of its last run.
+
+    Raises
+    ------
+    InterpError
+        If the bag cannot be read, or does not hold the whole run.
+
+    """
+    if not is_bag(path):
+        yield path, machine
+        return
+    from cnc_interp.client.bag import Bag
+    from cnc_interp.client.recorded_run import recorded_run, write_run
+
+    with Bag(path) as bag:
+        run = recorded_run(bag)
+    name = machine or run.machine
+    if not name:
+        raise InterpError(f'{path}: does not name the machine; name it with --machine')
+    with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
+        write_run(run, Machine.load(name), Path(folder))
+        yield Path(folder), name

@@ -1,0 +1,55 @@
+"""`cnc-interp convert`: a program in another dialect."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import (
+    FINE,
+    command,
+    number,
+    program_options,
+    tell,
+)
+from cnc_interp.core.units import MM
+from cnc_interp.settings.command_line import settings_from
+
+
+def add_convert_command(commands: Any) -> None:
+    """Declare `convert`."""
+    convert = command(
+        commands, 'convert', convert_command,
+        'write a program in another dialect',
+        'cnc-interp convert examples/pyramid.apt --to siemens-bspline --out pyramid.mpf',
+    )  # fmt: skip
+    program_options(convert)
+    convert.add_argument(
+        '--to', choices=('siemens-bspline', 'gcode', 'cl'), required=True,
+        help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
+    )  # fmt: skip
+    convert.add_argument('--out', type=Path, metavar='FILE', help='file to write (the terminal)')
+    number(convert, '--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
+
+
+def convert_command(options: argparse.Namespace) -> int:
+    """Write a program in another dialect."""
+    from cnc_interp.convert import convert
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.kinematics.transform import Transform
+    from cnc_interp.program import read_program
+
+    machine = Machine.load(options.machine)
+    settings = settings_from(options)
+    program = read_program(options.program, Transform.of(machine), settings)
+    tell(program.notices)
+    tolerance = options.fit_tolerance * MM
+    made = convert(program, machine, settings, options.to, tolerance)
+    if options.out is None:
+        print(made.text, end='')
+    else:
+        options.out.write_text(made.text, encoding='utf-8')
+        print(f'program        {options.out}')
+    tell(made.notes)
+    return FINE

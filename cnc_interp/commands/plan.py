@@ -1,0 +1,109 @@
+"""`cnc-interp plan`: a program without ROS, as fast as it can be planned."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import (
+    FINE,
+    command,
+    program_options,
+    tell,
+)
+from cnc_interp.core.units import MM
+from cnc_interp.settings.command_line import settings_from
+
+#: Text is not drawn wider than this [characters].
+WIDEST = 100
+
+
+def add_plan_command(commands: Any) -> None:
+    """Declare `plan`."""
+    plan = command(
+        commands, 'plan', plan_command,
+        'plan a program without ROS and write the plan files',
+        'cnc-interp plan examples/pyramid.apt --out out/pyramid',
+    )  # fmt: skip
+    program_options(plan)
+    plan.add_argument(
+        '--out', type=Path, metavar='DIR', required=True, help='folder for the plan files'
+    )
+    plan.add_argument(
+        '--look', action='store_true',
+        help='draw the feed profile in text, as a terminal always gets it',
+    )  # fmt: skip
+
+
+def plan_command(options: argparse.Namespace) -> int:
+    """Plan a program and write the plan files."""
+    from cnc_interp.core.progress_bar import ProgressBar
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.kinematics.transform import Transform
+    from cnc_interp.program import open_program
+    from cnc_interp.run.chain import plan_to_files
+
+    machine = Machine.load(options.machine)
+    settings = settings_from(options)
+    geometry = Transform.of(machine)
+    stream = open_program(options.program, geometry, settings)
+    progress = ProgressBar(None if options.json else sys.stderr)
+    try:
+        summary = plan_to_files(stream, machine, options.out, settings, progress.of('planning'))
+    finally:
+        progress.end(complete=False)
+        tell(stream.notices)
+    print(json.dumps(summary, indent=2) if options.json else describe(summary))
+    if not options.json:
+        if options.look or sys.stdout.isatty():
+            print(sketch(options.out))
+        print(f'plan files     {options.out}')
+    return FINE
+
+
+def describe(summary: dict[str, Any]) -> str:
+    """Return the summary in words and shop units."""
+    lines = [
+        f'program        {summary["program"]} on {summary["machine"]}',
+        f'blocks         {summary["blocks"]} in {summary["segments"]} segments, '
+        f'{summary["path_length"] / MM:.1f} mm',
+        f'cycle time     {summary["cycle_time"]:.3f} s',
+        f'planning time  {summary["planning_time"]:.3f} s '
+        f'(the motion takes {summary["cycle_time"] / max(summary["planning_time"], 1e-9):.3g} '
+        'times as long)',
+    ]
+    for name, use in summary['largest_use'].items():
+        values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
+        lines.append(f'{name:<15}{values}')
+    contour, orientation, height = (
+        summary[key] / MM
+        for key in ('largest_contour_error', 'largest_orientation_error', 'flank_height')
+    )
+    used, curves = summary['tolerance_used'], summary['curves']
+    lines.append(
+        f'deviation      contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
+        f'{height:g} mm; {used["contour"]:.0%} and {used["orientation"]:.0%} of the tolerances'
+    )
+    if curves['blocks']:
+        lines.append(
+            f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '
+            f'{curves["spans"] / curves["blocks"]:.2f} a block'
+        )
+    return '\n'.join(lines)
+
+
+def sketch(directory: Path) -> str:
+    """Draw the feed profile of a plan with what the output can show."""
+    from cnc_interp.report.sketch import EIGHTHS, feed_sketch
+
+    try:
+        EIGHTHS.encode(sys.stdout.encoding or 'ascii')
+        unicode = os.environ.get('TERM') != 'dumb'
+    except UnicodeEncodeError:
+        unicode = False
+    return feed_sketch(directory, min(shutil.get_terminal_size().columns, WIDEST), unicode)

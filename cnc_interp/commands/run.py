@@ -1,0 +1,89 @@
+"""`cnc-interp run` and `panel`: programs through the ROS 2 nodes, and the page to operate them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import (
+    FAILED,
+    FINE,
+    command,
+    page_options,
+    program_options,
+)
+
+
+def add_run_command(commands: Any) -> None:
+    """Declare `run`."""
+    run = command(
+        commands, 'run', run_command,
+        'stream a program through the ROS 2 nodes to the simulated machine',
+        'cnc-interp run examples/pyramid.apt --out out/pyramid',
+    )  # fmt: skip
+    program_options(run)
+    run.add_argument(
+        '--then', type=Path, action='append', default=[], metavar='PROGRAM',
+        help='a further program, which waits for the end of the one before; may be repeated',
+    )  # fmt: skip
+    run.add_argument(
+        '--out', type=Path, metavar='DIR', help='write what the machine executed as plan files'
+    )
+    run.add_argument(
+        '--record', type=Path, metavar='BAG', help='record all messages of the run into a bag'
+    )
+    run.add_argument(
+        '--panel', action='store_true', help='the operator page beside it, until Ctrl-C'
+    )
+    page_options(run)
+
+
+def add_panel_command(commands: Any) -> None:
+    """Declare `panel`."""
+    panel = command(
+        commands, 'panel', panel_command,
+        'serve the operator page: see the machine and operate it from a browser',
+        'cnc-interp panel examples/pyramid.ngc',
+    )  # fmt: skip
+    panel.add_argument(
+        'program', type=Path, nargs='?', metavar='PROGRAM', help='program to lay on the desk'
+    )
+    panel.add_argument(
+        '--machine', default='xyzac', metavar='M', help='machine to simulate (xyzac)'
+    )
+    panel.add_argument(
+        '--attach', action='store_true', help='join nodes that run already; start none'
+    )
+    panel.add_argument(
+        '--namespace', default='/', metavar='NS', help='ROS namespace of the nodes (/)'
+    )
+    panel.add_argument('--domain', type=int, metavar='N', help='ROS domain (ROS_DOMAIN_ID)')
+    page_options(panel)
+
+
+def run_command(options: argparse.Namespace) -> int:
+    """Stream one or more programs through the nodes."""
+    from cnc_interp.client.session import RunRequest, run_session
+
+    beside = None
+    if options.panel:
+        from cnc_interp.client.page.command import PanelBeside, PanelRequest
+
+        beside = PanelBeside(PanelRequest.from_options(options))
+    results = run_session(RunRequest.from_options(options), beside)
+    if options.json:
+        found = [result.to_json() for result in results]
+        print(json.dumps(found if options.then else found[0], indent=2))
+    else:
+        print('\n\n'.join(result.text() for result in results))
+    return FINE if all(result.ok for result in results) else FAILED
+
+
+def panel_command(options: argparse.Namespace) -> int:
+    """Serve the operator page."""
+    from cnc_interp.client.page.command import PanelRequest, run_panel
+
+    run_panel(PanelRequest.from_options(options))
+    return FINE

@@ -39,7 +39,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import Chain
-from cnc_interp.run.path_chain import BATCH
+from cnc_interp.run.path_chain import BATCH, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
 
@@ -106,8 +106,8 @@ def run(machine: Machine, blocks: Blocks, curves: bool, directory: Path) -> dict
     chain = Chain(machine, settings, time.process_time)
     with PlanWriter(directory, machine, settings) as writer:
         writer.blocks(blocks)
-        for first in range(0, len(blocks), BATCH):
-            chain.push(blocks[first : first + BATCH])
+        for batch in batches(blocks):
+            chain.push(batch)
             chain.drain(writer)
         chain.finish()
         chain.drain(writer)

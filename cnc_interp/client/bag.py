@@ -1,4 +1,4 @@
-"""Bags (rosbag2, MCAP): every message of a run as it was sent, with its type and its QoS."""
+"""Bags (rosbag2, MCAP): every message of a run with its type and quality of service."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def offered(profile: QoSProfile) -> Qos:
 
 class BagWriter:
     """
-    A bag being written; complete once it is closed.
+    A bag that is written; it is complete once it is closed.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class BagWriter:
     Raises
     ------
     InterpError
-        If it is there already.
+        If the folder exists already.
 
     """
 
@@ -119,7 +119,7 @@ class BagWriter:
         }  # fmt: skip
 
     def note(self, node: str, parameters: dict[str, Any]) -> None:
-        """Write down the parameters of a node."""
+        """Write the parameters of a node into the bag."""
         for name, value in parameters.items():
             self._writer.set_custom_data(f'{PARAMETER}{node}.{name}', json.dumps(value))
 
@@ -135,7 +135,7 @@ class BagWriter:
 
 class Bag:
     """
-    A bag to be read, and what its messages are.
+    A bag that is read.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class Bag:
             try:
                 sealed = topic in SEALED
                 found.append(opened(data, kind) if sealed else deserialize_message(data, kind))
-            except StreamError:  # spoilt on its way: the receiver asked again
+            except StreamError:  # damaged on the wire; its receiver asked for it again
                 continue
         return found
 

@@ -1,4 +1,4 @@
-"""Replay of a bag: its setpoints computed again from its blocks, and its pictures shown again."""
+"""Replay of a bag: setpoints computed again from its blocks, or its messages published again."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
 
-#: Topics that are shown again. The streams are not: a live machine would follow them.
+#: Topics that are published again. The streams are left out: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
-#: What is compared of a setpoint.
+#: Columns of a setpoint that are compared.
 COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's')
 
 
 @dataclass(frozen=True)
 class Comparison:
     """
-    A plan of a run as recorded and as computed again.
+    Setpoints of one plan as recorded and as computed again.
 
     Parameters
     ----------
@@ -52,11 +52,11 @@ class Comparison:
     recorded : int
         Setpoints that were recorded.
     same : int
-        How many of them, from the first, are the same bit for bit.
+        Number of setpoints, from the first on, that are the same bit for bit.
     difference : float
         Largest difference of a position [m, rad]; infinite where setpoints are missing.
     overridden : bool
-        True where the feed override changed on the way: it cannot be known behind which setpoint.
+        True if the feed override changed during the run; after which setpoint is unknown.
 
     """
 
@@ -68,11 +68,11 @@ class Comparison:
 
     @property
     def ok(self) -> bool:
-        """True where nothing speaks against the record."""
+        """True if all setpoints are the same, or if they differ because of the override."""
         return self.same == self.recorded or self.overridden
 
     def text(self) -> str:
-        """Say it in words."""
+        """Return the comparison in words."""
         run = self.run_id
         attempt = f', attempt {run.attempt}' if run.attempt else ''
         name = f'run {run.program_id}{attempt}, plan {run.plan}: {self.recorded} setpoints'
@@ -200,7 +200,7 @@ def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
 
 
 def _same(samples: Setpoints, again: Setpoints) -> int:
-    """Count the setpoints that are the same from the first on."""
+    """Count the setpoints, from the first on, that are the same bit for bit."""
     n = min(len(samples), len(again))
     same = np.ones(n, dtype=bool)
     for name in COLUMNS:
@@ -218,18 +218,18 @@ def _difference(samples: Setpoints, again: Setpoints) -> float:
 
 def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
     """
-    Publish what the machine told, at the pace at which it came; returns the number of messages.
+    Publish the machine's messages of a bag again, at their pace; return their number.
 
     Parameters
     ----------
     bag : Bag
         The bag.
     namespace : str
-        Where to publish.
+        ROS namespace to publish in.
     rate : float
         Times as fast as it was [-].
     clock : bool
-        Publish the time of the bag on ``/clock`` too.
+        Publish the time of the bag on ``/clock``, too.
 
     """
     stay_on_this_host()

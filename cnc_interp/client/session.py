@@ -1,4 +1,4 @@
-"""`cnc-interp run`: the four nodes as processes, one program, and what came of it."""
+"""One session of `cnc-interp run`: starts the four nodes, runs programs, ends the nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.declaration import Stage, choices
 
-#: Domains that are safe on Linux whatever the ports of other programs.
+#: Domains whose ports no other program on Linux takes, and all domains.
 DOMAINS = range(1, 102)
 ALL_DOMAINS = range(233)
 
@@ -27,20 +27,20 @@ ALL_DOMAINS = range(233)
 @dataclass(frozen=True)
 class RunRequest:
     """
-    What shall be run, and how; SI units.
+    Programs to run, and how; SI units.
 
     Parameters
     ----------
     program : Path
         Program file.
     then : tuple of Path
-        Further programs; each starts when the one before it has reached its end.
+        Further programs. Each starts when the one before it has reached its end.
     machine : str
         Bundled machine or YAML file.
     settings : Settings
         The user's choices.
     out : Path, optional
-        Folder for plan files of what the machine received.
+        Folder for plan files of what the machine executed.
     record : Path, optional
         Bag to record all messages into.
     quiet : bool
@@ -180,24 +180,36 @@ def underruns(count: int) -> str:
 
 
 class Companion(Protocol):
-    """Something that lives beside the nodes of a run, such as the operator page."""
+    """A process beside the nodes of a run, such as the operator page."""
 
     def start(self, namespace: str, domain: int) -> None:
-        """Begin, while the nodes start."""
+        """Start it while the nodes start."""
 
     def finish(self, result: RunResult) -> None:
-        """See the result; the nodes live until this returns."""
+        """Take the result of the run. The nodes end after this returns."""
 
 
 def run_session(request: RunRequest, companion: Companion | None = None) -> list[RunResult]:
     """
-    Run one or more programs through the real nodes and end them again.
+    Start the nodes, run one or more programs through them, and end the nodes.
+
+    Parameters
+    ----------
+    request : RunRequest
+        Programs to run, and how.
+    companion : Companion, optional
+        Process beside the nodes.
+
+    Returns
+    -------
+    list of RunResult
+        One for each program that was started.
 
     Raises
     ------
     InterpError
-        For bad input (program, machine file, a block that the machine cannot execute), where
-        nothing moved, and when a node cannot start.
+        If the first program cannot be read or executed (nothing has moved then), if the machine
+        file is wrong, or if a node cannot start.
 
     """
     started = time.monotonic()
@@ -229,19 +241,19 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
 
 
 def chosen_domain() -> int:
-    """Return the user's ROS domain; one of one's own keeps parallel runs apart."""
+    """Return the user's ROS domain, or a random one, which keeps parallel runs apart."""
     chosen = os.environ.get('ROS_DOMAIN_ID', '')
     return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
 
 
 def check_place(namespace: str, domain: int) -> None:
     """
-    Refuse a place that ROS 2 does not know.
+    Refuse a namespace or a domain that ROS 2 does not allow.
 
     Raises
     ------
     InterpError
-        For a wrong namespace or domain.
+        If one of them is wrong; the message says what is allowed.
 
     """
     from rclpy.exceptions import InvalidNamespaceException

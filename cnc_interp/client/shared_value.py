@@ -1,4 +1,4 @@
-"""A value that several may set: what one of them sees while its own words are on their way."""
+"""A value that several clients may set, as one of them must show it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections import deque
 
 class SharedValue:
     """
-    A value as heard on a topic, and the wishes of this end that were not heard there yet.
+    The last value heard on a topic, and the values sent from here that have not come back yet.
 
-    While one is on its way, what is heard is an echo of an older one, however slow the computer
-    is: the last wish counts.
+    While a sent value is on its way, a value that is heard may be older. So the last value sent
+    counts until it is heard, or until ``patience`` is over.
 
     Parameters
     ----------
     value : float
-        What counts before anything is heard.
+        Counts until a value is heard.
     patience : float
-        After this a wish counts as lost to that of another [s].
+        After this time a sent value counts as replaced by that of another client [s].
 
     """
 
@@ -27,19 +27,19 @@ class SharedValue:
         self._until = 0.0
 
     def wish(self, value: float, now: float) -> None:
-        """Note what this end sends."""
+        """Note a value that is sent from here at the time ``now`` [s]."""
         if now >= self._until:
             self._wishes.clear()
         self._wishes.append(value)
         self._until = now + self._patience
 
     def hear(self, value: float) -> None:
-        """Note what came over the topic; the wishes before it are not heard any more."""
+        """Note a value that was heard; values sent before it will not be heard any more."""
         if value in self._wishes:
             while self._wishes.popleft() != value:
                 pass
         self._heard = value
 
     def at(self, now: float) -> float:
-        """Return the value that counts for this end."""
+        """Return the value that counts at the time ``now`` [s]."""
         return self._wishes[-1] if self._wishes and now < self._until else self._heard

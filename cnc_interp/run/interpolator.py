@@ -14,7 +14,7 @@ from cnc_interp.kinematics.axis_path import evaluate
 @dataclass(frozen=True)
 class Setpoints:
     """
-    What the drives are told, one row per interpolation period.
+    Commanded positions and their derivatives, one row per interpolation period.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Interpolator:
         )
 
     def finish(self) -> Setpoints:
-        """Return the last sample, at rest on the end of the path."""
+        """Return the last sample, at rest at the end of the path."""
         assert self._rest is not None, 'nothing was pushed'
         return self._rest
 

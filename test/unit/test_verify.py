@@ -173,6 +173,23 @@ def test_a_motion_faster_than_its_block_is_caught(tmp_path):
     assert '6000 mm/min, limit 5900 mm/min' in failure
 
 
+@pytest.mark.parametrize('words', ['feed', 'duration'])
+def test_a_feed_override_of_the_run_is_allowed(tmp_path, words):
+    content = line_x(MACHINE)
+    if words == 'duration':
+        content['blocks']['feed'][:] = np.nan
+        content['blocks']['duration'] = np.array([1.0, 15, 15, 30]) * MM / (6000 * MM_PER_MIN)
+        content['blocks']['duration'] *= 1.2
+    else:
+        content['blocks']['feed'] /= 1.2
+    only_failure(proof_of(tmp_path, content), 'tip feed')
+    content['summary']['largest_override'] = 1.2
+    proof = proof_of(tmp_path, content)
+    assert proof.ok, proof.failures
+    content['summary']['largest_override'] = 1.19
+    only_failure(proof_of(tmp_path, content), 'tip feed')
+
+
 def test_inverse_time_and_rapid_blocks(tmp_path):
     content = line_x(MACHINE)
     content['blocks']['feed'][:] = np.nan

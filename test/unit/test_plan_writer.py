@@ -15,7 +15,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run import chain as pipeline
+from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
 from cnc_interp.settings.choices import Settings
 
@@ -144,7 +144,7 @@ def test_a_refusal_leaves_what_was_there(program, tmp_path):
 
 @pytest.mark.thorough
 def test_memory_does_not_grow_with_the_program(tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline, 'BATCH', 16)
+    monkeypatch.setattr(path_chain, 'BATCH', 16)
     peaks = []
     for rows in (10, 10, 60):
         path = tmp_path / 'long.ngc'

@@ -18,8 +18,8 @@ from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 
-#: Blocks checked together, and length up to which the text is kept for those who show it [bytes].
-BATCH, LONGEST_TEXT = 512, 16 << 20
+#: Length up to which the text is kept for those who show it [bytes].
+LONGEST_TEXT = 16 << 20
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import MachineState
 
-from cnc_interp.cli import main, parser
+from cnc_interp.cli import main
 from cnc_interp.client.alarms import Alarm
 from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.preview import DRAWN, Preview, thinned
@@ -23,8 +23,6 @@ from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.command_line import command_words, settings_from
 
 PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F1500\nM30\n'
 
@@ -155,12 +153,6 @@ def test_the_preview_is_the_plan(planned):
 def test_long_paths_are_thinned_with_their_ends():
     rows = thinned(np.zeros((5 * DRAWN, 3)), np.zeros((5 * DRAWN, 3)))
     assert len(rows) == DRAWN and rows[0] == 0 and rows[-1] == 5 * DRAWN - 1
-
-
-def test_choices_are_understood_by_the_command():
-    settings = Settings(12e-6, 34e-6, 0.025, True, 0.0375)
-    words = ['plan', 'x', '--out', 'y', *command_words(settings)]
-    assert settings_from(parser().parse_args(words)) == settings
 
 
 def test_program_text_is_shown_as_text():

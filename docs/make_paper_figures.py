@@ -51,7 +51,7 @@ POCKET_STEP, PYRAMID_STEP = 0.05 * MM, 0.002 * MM
 #: L2/L1 in the tables; None: chosen for each corner.
 RATIOS = (1.4, 2.0, None)
 #: Like for like: the same curves (the paper's top, its ratio), only the parametrization differs.
-PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'ratio': 1.4}
+PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'corner_ratio': 1.4}
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.report.series import Series, extremes, series_of
 
-PICTURE = Path(__file__).parent / 'pictures' / 'five_axes.png'
+PICTURES = Path(__file__).parent / 'pictures'
 INK, QUIET, GRID, BLUE, ORANGE = '#22303c', '#9aa5b1', '#e6eaee', '#1f6fb2', '#e08a1e'
 #: Tool axes that are drawn along the path, and points of a curve.
 SPOKES, POINTS = 90, 3000
@@ -112,7 +112,7 @@ def main() -> None:
         figure = plt.figure(figsize=(10.4, 5.2))
         draw_path(series, figure, options.elevation, options.azimuth)
         draw_axes(plan, series, figure)
-        figure.savefig(PICTURE, dpi=130)
+        figure.savefig(PICTURES / 'five_axes.png', dpi=130)
 
 
 if __name__ == '__main__':

@@ -11,7 +11,9 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
+from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.machine_report import machine_report
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
@@ -57,6 +59,11 @@ class Peers:
         """Forget how long the others were silent: this node was not listening."""
         self._seen = dict.fromkeys(self._seen, now)
         self._state_seen = now
+
+    @property
+    def machine(self) -> MachineReport | None:
+        """What the machine said last; None before it was heard."""
+        return None if self.state is None else machine_report(self.state)
 
     @property
     def period(self) -> float:

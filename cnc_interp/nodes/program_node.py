@@ -2,42 +2,40 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1Block, LoadedProgram
+from cnc_interp_msgs.msg import G1Block, LoadedProgram, MachineState
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.block_feed import BlockFeed
 from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.program_check import prepare
-from cnc_interp.nodes.program_queue import Queue
+from cnc_interp.nodes.program_check import Prepared, prepare
+from cnc_interp.nodes.program_queue import ProgramQueue, answer
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.stream_outlet import Outlet
-from cnc_interp.run.run_id import NO_RUN
+from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
 from cnc_interp.settings.choices import Settings
-from cnc_interp.wire.path_messages import block_messages
-from cnc_interp.wire.settings_messages import pairs_of
+from cnc_interp.wire.run_messages import add_executed, run_feedback
 
 Result = RunProgram.Result
-#: Blocks queued for sending at a time, and time between feedbacks [s].
-QUEUE, FEEDBACK = 512, 0.1
+#: Time between feedbacks [s].
+FEEDBACK = 0.1
 #: How often a button is pressed until it has had its effect [s].
 PRESS_AGAIN = 0.25
-#: After a longer pause of its own the node has slept, not the others [s].
+#: After a longer pause of its own, silence of the other nodes does not count [s].
 FROZEN = 0.5
 
 
@@ -54,10 +52,14 @@ class ProgramNode(Node):
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self)
-        self._outlet = Outlet(self, 'blocks', G1Block, self._values['resend_after'], self._encode)
+        self._feed = BlockFeed()
+        self._outlet = Outlet(
+            self, 'blocks', G1Block, self._values['resend_after'], self._feed.message
+        )
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
+        self._state: MachineState | None = None  # the last one of the run
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
-        self._queue = Queue(self._answer)
+        self._queue = ProgramQueue()
         self._buttons = {
             name: self.create_client(Trigger, name) for name in ('feed_hold', 'reset')
         }
@@ -71,64 +73,57 @@ class ProgramNode(Node):
         self._diagnostics.say('program', OK, 'no program')
 
     def _accept(self, handle: Any) -> None:
-        """
-        Read the program of a goal and put it into the queue; the timer brings it forward.
-
-        rclpy polls an awaiting execute callback without pause, at most of a core. So the goal is
-        only handed to ``execute`` when its result is there.
-        """
+        """Read the program of a goal and put it into the queue; the timer brings it forward."""
         run = ProgramRun(handle.request)
-        run.preparing = self._worker.submit(
-            prepare, handle.request, self._transform, self._settings, run.has_checked
+        run.preparation.future = self._worker.submit(
+            prepare,
+            handle.request,
+            self._transform,
+            self._settings,
+            run.preparation.has_checked,
         )
         self._queue.add(run, handle)
 
-    def _answer(self, handle: Any, result: RunProgram.Result) -> None:
-        """End a goal with its result."""
-
-        def execute(goal: Any) -> RunProgram.Result:
-            if result.code == Result.SUCCEEDED:
-                goal.succeed()
-            elif result.code == Result.CANCELED and goal.is_cancel_requested:
-                goal.canceled()
-            else:
-                goal.abort()
-            return result
-
-        handle.execute(execute)
-
     def _work(self) -> None:
         """Bring the run forward by one step."""
+        now = time.monotonic()
         if self._run is None and (following := self._queue.next()) is not None:
-            self._run, self._goal = following
-            self._run.take_turn()
+            (self._run, self._goal), self._state = following, None
+            self._run.take_turn(now)
         self._queue.watch()
         run = self._run
         if run is None:
             self._see_unknown_run()
             return
-        now = time.monotonic()
         if now - self._worked_at > FROZEN:
             self._peers.trust(now)
         self._worked_at = now
-        run.cancelled = run.cancelled or self._goal.is_cancel_requested
-        if run.prepared is None:
-            outcome = run.see_prepared()
-        elif not run.started:
-            outcome = run.may_start(self._peers, now, self._values['peer_timeout'])
-            if run.started:
-                self._outlet.sender.begin(run.run_id)
-                self._loaded.publish(run.loaded())
-        else:
-            run.fill(self._outlet.sender, QUEUE)
+        if self._goal.is_cancel_requested:
+            run.preparation.cancelled = True
+        state = self._peers.state
+        if state is not None and state.program_id == run.run_id.program_id:
+            self._state = state
+        before = run.phase
+        outcome = run.step(self._peers, now, self._values['peer_timeout'])
+        if before is Phase.WAITING and run.phase is Phase.OFFERED:
+            self._begin(run)
+            self._loaded.publish(run.loaded())
+        if run.phase in SENDING:
+            self._feed.fill(self._outlet.sender)
             self._outlet.pump()
-            outcome = run.watch(self._peers, now, self._values['peer_timeout'])
-            self._tell_progress(run, now)
+            self._tell_progress(run.preparation.prepared, now)
         self._tell_programs(run)
         if outcome is not None:
-            self._finish(run, *outcome)
-        elif run.started:
-            self._help(run)
+            self._finish(run, outcome)
+        elif run.phase in SENDING:
+            self._help(run, now)
+
+    def _begin(self, run: ProgramRun) -> None:
+        """Send the blocks of a run from the first one on."""
+        assert run.preparation.prepared is not None
+        self._feed.begin(
+            run.preparation.prepared, run.run_id, run.continue_at, self._outlet.sender
+        )
 
     def _see_unknown_run(self) -> None:
         """Say what to do where cycle_start was asked for a run that this node has not begun."""
@@ -137,78 +132,54 @@ class ProgramNode(Node):
             text = 'the program of this run is not known here any more; reset, then run it again'
             self._diagnostics.say('program', WARN, text)
 
-    def _help(self, run: ProgramRun) -> None:
-        """Bring a cancelled run to its end, and one that lost a node on again."""
-        if run.cancelled:
-            self._press('reset' if run.rests else 'feed_hold')
+    def _help(self, run: ProgramRun, now: float) -> None:
+        """Bring a cancelled run to its end; begin one again after the loss of a node."""
+        if run.preparation.cancelled:
+            self._press('reset' if run.rests else 'feed_hold', now)
         elif run.may_go_on():
-            run.begin_again(self._outlet.sender)
+            run.begin_again(now)
+            self._begin(run)
 
     def _tell_programs(self, run: ProgramRun) -> None:
-        """Say what runs, what waits behind it, and what keeps it from going on."""
+        """Tell what runs, what waits, and what keeps the run from going on."""
         waiting = ', '.join(self._queue.names)
         values: dict[str, object] = {WAITING: waiting}
         text = f'running {run.name}'
-        if not run.started:
-            text = f'checking the program {run.name}: {run.checked:.0%}'
-            values[CHECKED] = run.checked
+        if run.phase not in SENDING and run.phase is not Phase.ENDED:
+            text = f'checking the program {run.name}: {run.preparation.checked:.0%}'
+            values[CHECKED] = run.preparation.checked
         text += f'; then {waiting}' if waiting else ''
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
         self._diagnostics.say('program', level, text, **values)
 
-    def _press(self, button: str) -> None:
-        """Use a service of the machine, now and then: what goes to a lost node has no answer."""
-        now = time.monotonic()
+    def _press(self, button: str, now: float) -> None:
+        """Use a service of the machine, now and then: a lost node does not answer."""
         if now - self._pressed_at > PRESS_AGAIN:
             self._pressed_at = now
             self._buttons[button].call_async(Trigger.Request())
 
-    def _encode(self, row: int, sequence: int) -> G1Block:
-        """Make the message of one block."""
-        run = self._run
-        if run is None or run.prepared is None:
-            raise StreamError('a block was asked for after its run')
-        blocks = run.prepared.blocks
-        (message,) = block_messages(
-            blocks[row : row + 1], run.run_id, sequence, run.prepared.settings.flank_height,
-            end=sequence == run.last_sequence,
-        )  # fmt: skip
-        if sequence == 0:
-            message.continue_at = run.continue_at
-            message.settings = pairs_of(run.prepared.settings)
-        return message
-
-    def _tell_progress(self, run: ProgramRun, now: float) -> None:
+    def _tell_progress(self, program: Prepared | None, now: float) -> None:
         """Publish feedback now and then."""
-        state = self._peers.state
-        if now - self._feedback_at < FEEDBACK or state is None or run.prepared is None:
-            return
-        if state.program_id != run.run_id.program_id:
-            return
-        self._feedback_at = now
-        share = min(1.0, max(0.0, state.path_position / run.prepared.path_length))
-        elapsed = state.samples * self._peers.period
-        driven = (state.samples - state.approach_samples) * self._peers.period
-        self._goal.publish_feedback(
-            RunProgram.Feedback(
-                sequence=state.sequence,
-                line_number=state.line_number,
-                progress=share,
-                remaining_time=driven * (1.0 - share) / share if share > 0.0 else math.nan,
-                elapsed_time=elapsed,
-            )
-        )
+        due = now - self._feedback_at > FEEDBACK
+        if due and self._state is not None and program is not None:
+            self._feedback_at = now
+            self._goal.publish_feedback(run_feedback(self._state, program.path_length))
 
-    def _finish(self, run: ProgramRun, code: int, message: str) -> None:
+    def _finish(self, run: ProgramRun, outcome: Outcome) -> None:
         """End the run and hand its result over."""
-        result = run.result(code, message, self._peers, self._outlet.sender.sent)
-        level = OK if code == Result.SUCCEEDED else WARN
-        self._diagnostics.say('program', level, message, **{WAITING: ''})
-        self._outlet.sender.begin(NO_RUN)
-        run.close()
+        result = run.result(outcome)
+        result.blocks_sent = max(0, self._outlet.sender.sent - 1)
+        if self._state is not None:
+            add_executed(result, self._state)
+        succeeded = outcome.code is Code.SUCCEEDED
+        self._diagnostics.say(
+            'program', OK if succeeded else WARN, outcome.message, **{WAITING: ''}
+        )
+        self._feed.end(self._outlet.sender)
+        run.preparation.close()
         self._run = None
-        self._answer(self._goal, result)
-        if code != Result.SUCCEEDED:
+        answer(self._goal, result)
+        if not succeeded:
             self._queue.give_up(run.name)
 
     def close(self) -> None:

@@ -1,17 +1,16 @@
-"""Goals that wait behind the program that runs: one starts when the one before it has ended."""
+"""Goals that wait while a program runs: each starts when the one before it has ended."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from cnc_interp_msgs.action import RunProgram
 
 from cnc_interp.nodes.program_run import ProgramRun
+from cnc_interp.run.run_phase import Code, Outcome
 
-Result = RunProgram.Result
 #: Programs that may wait; each holds what was read of it.
 MOST = 16
 #: Time between feedbacks to a goal that waits [s].
@@ -25,19 +24,30 @@ class Waiting(NamedTuple):
     handle: Any
 
 
-class Queue:
+def answer(handle: Any, result: RunProgram.Result) -> None:
     """
-    First in, first out; a goal leaves when its turn comes, when it is cancelled or refused.
+    End a goal with its result.
 
-    Parameters
-    ----------
-    answer : callable
-        Ends a goal: its handle and its result.
-
+    rclpy polls an awaiting execute callback without pause, at most of a core. So a goal is only
+    handed to ``execute`` when its result is there.
     """
 
-    def __init__(self, answer: Callable[[Any, RunProgram.Result], None]):
-        self._answer = answer
+    def execute(goal: Any) -> RunProgram.Result:
+        if result.code == Code.SUCCEEDED:
+            goal.succeed()
+        elif result.code == Code.CANCELED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+    handle.execute(execute)
+
+
+class ProgramQueue:
+    """First in, first out. A goal also leaves when it is cancelled or refused."""
+
+    def __init__(self) -> None:
         self._entries: deque[Waiting] = deque()
         self._told_at = 0.0
 
@@ -47,7 +57,7 @@ class Queue:
             self._entries.append(Waiting(run, handle))
             return
         full = f'{MOST} programs wait already; send it again when one has ended'
-        self._end(Waiting(run, handle), Result.BUSY, full)
+        self._end(Waiting(run, handle), Outcome(Code.BUSY, full))
 
     def next(self) -> Waiting | None:
         """Hand out the goal whose turn it is."""
@@ -59,18 +69,18 @@ class Queue:
         return [entry.run.name for entry in self._entries]
 
     def watch(self) -> None:
-        """Answer goals that were cancelled while they wait; a refused one ends all behind it."""
+        """Answer goals that were cancelled or refused; a refused one ends all after it."""
         for entry in list(self._entries):
-            if entry not in self._entries:  # it stood behind one that was refused
+            if entry not in self._entries:  # it came after one that was refused
                 continue
             if entry.handle.is_cancel_requested:
                 self._entries.remove(entry)
-                self._end(entry, Result.CANCELED, 'cancelled while it waited; nothing moved')
-            elif entry.run.prepared is None and (outcome := entry.run.see_prepared()) is not None:
-                behind = list(self._entries).index(entry) + 1
-                self._drop(behind, entry.run.name)
+                text = 'cancelled while it waited; nothing moved'
+                self._end(entry, Outcome(Code.CANCELED, text))
+            elif (outcome := entry.run.preparation.look()) is not None:
+                self._drop(list(self._entries).index(entry) + 1, entry.run.name)
                 self._entries.remove(entry)
-                self._end(entry, *outcome)
+                self._end(entry, outcome)
         now = time.monotonic()
         if now - self._told_at > FEEDBACK:
             self._told_at = now
@@ -86,8 +96,9 @@ class Queue:
         while len(self._entries) > first:
             entry = self._entries.pop()
             text = f'not started: {name} before it did not reach its end; send it again'
-            self._end(entry, Result.NOT_STARTED, text)
+            self._end(entry, Outcome(Code.NOT_STARTED, text))
 
-    def _end(self, entry: Waiting, code: int, message: str) -> None:
-        entry.run.close()
-        self._answer(entry.handle, entry.run.unmoved(code, message))
+    def _end(self, entry: Waiting, outcome: Outcome) -> None:
+        """End a run that moved nothing."""
+        entry.run.preparation.close()
+        answer(entry.handle, entry.run.result(outcome))

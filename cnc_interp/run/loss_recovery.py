@@ -1,0 +1,48 @@
+"""When a run goes on after the loss of a node: the operator wants it and nothing moves."""
+
+from __future__ import annotations
+
+import math
+
+from cnc_interp.run.machine_report import MachineReport, Motion
+
+SETTLED = 0.1
+"""A machine that rests for so long after cycle_start has nothing to execute [s]."""
+
+
+class LossRecovery:
+    """
+    Watch a machine after a node was restarted.
+
+    A machine that still has setpoints starts at once on cycle_start. The rest of the program is
+    sent again only where the machine goes on resting: it must not move meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self.node = ''  # the node that has forgotten the run
+        self._restarted = False  # the machine went on with what it had
+        self._wants_since, self._waits = math.inf, -math.inf  # by the machine's clock [s]
+        self._report: MachineReport | None = None
+
+    def see(self, report: MachineReport) -> None:
+        """Take a report of the machine on this run."""
+        before, self._report = self._report, report
+        held = before is not None and before.motion is Motion.HELD
+        if self.node and held and report.motion is Motion.MOVING:
+            self._restarted = True
+        wants = report.start_wanted or (self._restarted and report.motion is Motion.STARVED)
+        wants = wants and report.rests_on_path
+        self._wants_since = min(self._wants_since, report.time) if wants else math.inf
+        self._waits = report.time - self._wants_since
+
+    @property
+    def is_due(self) -> bool:
+        """Tell whether the program is to be sent again now."""
+        report = self._report
+        rests = report is not None and report.rests_on_path
+        return bool(self.node) and rests and self._waits >= SETTLED
+
+    def begin_again(self) -> None:
+        """Forget the loss."""
+        self.node, self._restarted = '', False
+        self._wants_since, self._waits = math.inf, -math.inf

@@ -1,0 +1,99 @@
+"""The phases of a run on the sending side, and how it ends: one table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from cnc_interp.core.errors import Refusal
+
+
+class Phase(Enum):
+    """What a run is doing."""
+
+    QUEUED = 'waits for the programs before it'
+    CHECKING = 'is read and checked'
+    WAITING = 'waits until all nodes answer and the machine rests'
+    OFFERED = 'blocks are sent; look-ahead and planner have not taken the run yet'
+    STREAMING = 'blocks are sent and executed'
+    LOST = 'a node has forgotten the run; cycle_start is needed'
+    ENDED = 'has its result'
+
+
+class Step(Enum):
+    """What changes the phase."""
+
+    TURN = 'the programs before it have ended'
+    CHECKED = 'it is known to run'
+    START = 'all nodes answer and the machine rests'
+    TAKEN = 'look-ahead and planner are on the run'
+    LOSE = 'a node was restarted'
+    BEGIN_AGAIN = 'the program is sent once more'
+    END = 'there is a result'
+
+
+P, S = Phase, Step
+TABLE: dict[tuple[Phase, Step], Phase] = {
+    (P.QUEUED, S.TURN): P.CHECKING,
+    (P.CHECKING, S.CHECKED): P.WAITING,
+    (P.WAITING, S.START): P.OFFERED,
+    (P.OFFERED, S.TAKEN): P.STREAMING,
+    (P.OFFERED, S.LOSE): P.LOST,
+    (P.STREAMING, S.LOSE): P.LOST,
+    (P.LOST, S.LOSE): P.LOST,
+    (P.LOST, S.BEGIN_AGAIN): P.STREAMING,
+    **{(phase, S.END): P.ENDED for phase in P},
+}
+#: Phases in which blocks are sent.
+SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)
+
+
+class Code(IntEnum):
+    """How a run ended; the constants of the action ``RunProgram``."""
+
+    SUCCEEDED = 0
+    BAD_PROGRAM = 1
+    REFUSED = 2
+    STREAM_LOST = 3
+    STOPPED = 4
+    CANCELED = 5
+    BUSY = 6
+    NOT_STARTED = 7
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    How a run ended.
+
+    Parameters
+    ----------
+    code : Code
+        For programs.
+    message : str
+        What happened and what to do, for people.
+
+    """
+
+    code: Code
+    message: str
+
+
+def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
+    """
+    Return the outcome of a run that a node has refused.
+
+    Parameters
+    ----------
+    kind : Refusal
+        Why.
+    reason : str
+        The node's words for it.
+    moved : bool
+        True where a part of the program was executed.
+
+    """
+    if kind is Refusal.BAD_PATH:
+        return Outcome(Code.REFUSED, reason)
+    stopped = moved or kind in (Refusal.GIVEN_UP, Refusal.MACHINE_FAULT)
+    return Outcome(Code.STOPPED if stopped else Code.REFUSED, reason)

@@ -1,0 +1,58 @@
+"""Messages about a whole run: how far it is, and its result."""
+
+from __future__ import annotations
+
+import math
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState
+
+from cnc_interp.run.run_phase import Outcome
+
+
+def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> RunProgram.Result:
+    """Make the result of a run that moved nothing."""
+    return RunProgram.Result(
+        code=outcome.code, message=outcome.message, program_id=program_id, notices=list(notices)
+    )
+
+
+def add_executed(result: RunProgram.Result, state: MachineState) -> None:
+    """Add to a result what the machine has executed of the run."""
+    count, period = state.samples - state.approach_samples, state.interpolation_period
+    result.cycle_time = max(0, count - 1) * period
+    result.approach_time = state.approach_samples * period
+    result.path_length = max(0.0, state.path_position)
+    result.blocks_executed = state.sequence
+    result.samples = count
+    result.starvations = state.starvations
+    result.least_buffered_time = state.least_buffered_time
+    result.contour_error = state.largest_contour_error
+    result.following_error = state.largest_following_error
+    result.velocity_use = state.velocity_use
+    result.acceleration_use = state.acceleration_use
+    result.jerk_use = state.jerk_use
+
+
+def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback:
+    """
+    Make the feedback of a run that moves.
+
+    Parameters
+    ----------
+    state : MachineState
+        The machine's last message about the run.
+    path_length : float
+        Length of the smoothed path [m].
+
+    """
+    period = state.interpolation_period
+    share = min(1.0, max(0.0, state.path_position / path_length))
+    driven = (state.samples - state.approach_samples) * period
+    return RunProgram.Feedback(
+        sequence=state.sequence,
+        line_number=state.line_number,
+        progress=share,
+        remaining_time=driven * (1.0 - share) / share if share > 0.0 else math.nan,
+        elapsed_time=state.samples * period,
+    )

@@ -1,0 +1,162 @@
+"""One run on the sending side: its phases, its outcomes, and going on after a lost node."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import MachineState, StreamStatus
+
+from cnc_interp.core.errors import Refusal
+from cnc_interp.nodes.program_run import PATIENCE, ProgramRun
+from cnc_interp.run.loss_recovery import SETTLED
+from cnc_interp.run.run_phase import TABLE, Code, Phase, Step
+from cnc_interp.wire.machine_report import machine_report
+
+HELD, RUNNING, STARVED = MachineState.HELD, MachineState.RUNNING, MachineState.STARVED
+
+
+class Heard:
+    """What the nodes said: all answer and are on the run, nothing is refused."""
+
+    def __init__(self):
+        self.machine = None
+        self.silent, self.forgot, self.refused = '', '', (Refusal.NONE, '')
+
+    def refusal(self, _run_id):
+        return self.refused
+
+    def missing(self, _now, _timeout):
+        return self.silent
+
+    def knows(self, stream, _run_id):
+        return stream != self.forgot
+
+    def say(self, run, state, time=0.0, **fields):
+        """A state of the machine on a run."""
+        message = MachineState(program_id=run.run_id.program_id, state=state, **fields)
+        message.header.stamp.nanosec = round(time * 1e9)
+        self.machine = machine_report(message)
+
+
+def waiting():
+    """A run that is checked and waits for the machine."""
+    run, peers = ProgramRun(RunProgram.Goal(text='M30')), Heard()
+    run.preparation.prepared = SimpleNamespace(notices=())
+    assert run.phase is Phase.QUEUED
+    run.take_turn(0.0)
+    assert run.step(peers, 0.0, 3.0) is None and run.phase is Phase.WAITING
+    return run, peers
+
+
+def streaming():
+    """A run that look-ahead and planner have taken."""
+    run, peers = waiting()
+    peers.machine = machine_report(MachineState(state=MachineState.IDLE))
+    assert run.step(peers, 0.0, 3.0) is None and run.phase is Phase.OFFERED
+    assert run.step(peers, 0.0, 3.0) is None and run.phase is Phase.STREAMING
+    return run, peers
+
+
+def go_on_at(course):
+    """The first time at which the run goes on; states are (time, state, start_wanted)."""
+    run, peers = streaming()
+    peers.forgot = 'blocks'
+    run.step(peers, 0.0, 3.0)
+    assert run.phase is Phase.LOST and run.recovery.node == 'lookahead_node'
+    for time, code, wanted in course:
+        peers.say(run, code, time, start_wanted=wanted, plan_over=code != RUNNING)
+        run.step(peers, 0.0, 3.0)
+        if run.may_go_on():
+            run.begin_again(0.0)
+            assert run.phase is Phase.STREAMING and run.run_id.attempt == 1
+            return time
+    return None
+
+
+STEP = 0.7 * SETTLED
+
+
+def test_with_nothing_to_execute_it_goes_on_a_moment_after_cycle_start():
+    course = [(0.0, HELD, False), *((0.2 + k * STEP, HELD, True) for k in range(4))]
+    assert go_on_at(course) == 0.2 + 2 * STEP
+
+
+def test_a_machine_that_starts_at_once_executes_first_what_it_has():
+    course = [(0.0, HELD, False), (0.1, HELD, True), (0.1 + STEP, RUNNING, False)]
+    starved = [(0.5 + k * STEP, STARVED, False) for k in range(4)]
+    assert go_on_at(course) is None
+    assert go_on_at(course + starved) == 0.5 + 2 * STEP
+
+
+@pytest.mark.parametrize('code', [HELD, STARVED])
+def test_without_cycle_start_it_never_goes_on(code):
+    assert go_on_at([(0.0, RUNNING, False), *((k * STEP, code, False) for k in range(9))]) is None
+
+
+def test_a_run_waits_for_a_machine_that_is_free_and_not_for_ever():
+    run, peers = waiting()
+    peers.machine = machine_report(MachineState(state=RUNNING, program_id='other'))
+    assert run.step(peers, PATIENCE, 3.0) is None
+    assert run.step(peers, PATIENCE + 0.1, 3.0).code is Code.BUSY and run.phase is Phase.ENDED
+    run, peers = waiting()
+    peers.silent = 'machine_node'
+    assert run.step(peers, PATIENCE + 0.1, 3.0).code is Code.STREAM_LOST
+    run, peers = waiting()
+    peers.machine = machine_report(MachineState(state=MachineState.FAULT))
+    assert run.step(peers, 0.0, 3.0).code is Code.STOPPED
+
+
+def test_a_run_that_nobody_takes_ends():
+    run, peers = waiting()
+    peers.machine = machine_report(MachineState(state=MachineState.IDLE))
+    run.step(peers, 20.0, 3.0)
+    peers.forgot = 'blocks'
+    assert run.step(peers, 20.0 + PATIENCE, 3.0) is None
+    assert run.step(peers, 20.1 + PATIENCE, 3.0).code is Code.BUSY
+
+
+@pytest.mark.parametrize(
+    ('kind', 'unmoved', 'moved'),
+    [
+        (Refusal.BAD_PATH, Code.REFUSED, Code.REFUSED),
+        (Refusal.BAD_MESSAGE, Code.REFUSED, Code.STOPPED),
+        (Refusal.NOT_READY, Code.REFUSED, Code.STOPPED),
+        (Refusal.GIVEN_UP, Code.STOPPED, Code.STOPPED),
+        (Refusal.MACHINE_FAULT, Code.STOPPED, Code.STOPPED),
+    ],
+)
+def test_the_kind_of_a_refusal_decides_the_outcome_once_the_machine_rests(kind, unmoved, moved):
+    run, peers = streaming()
+    peers.refused = kind, 'why'
+    outcome = run.step(peers, 0.0, 3.0)
+    assert (outcome.code, outcome.message) == (unmoved, 'why')
+    run, peers = streaming()
+    peers.refused = kind, 'why'
+    peers.say(run, RUNNING)
+    assert run.step(peers, 0.0, 3.0) is None
+    peers.say(run, HELD)
+    assert run.step(peers, 0.0, 3.0).code is moved
+
+
+def test_a_run_whose_path_was_refused_has_not_succeeded_at_the_end_of_its_sound_part():
+    run, peers = streaming()
+    peers.refused = Refusal.BAD_PATH, 'block 7'
+    peers.say(run, MachineState.IDLE, completed=True)
+    assert run.step(peers, 0.0, 3.0).code is Code.REFUSED
+
+
+def test_a_reset_after_the_end_of_a_run_does_not_undo_its_success():
+    run, peers = streaming()
+    peers.refused = Refusal.GIVEN_UP, 'given up by reset'
+    peers.say(run, MachineState.IDLE, completed=True)
+    assert run.step(peers, 0.0, 3.0).code is Code.SUCCEEDED
+
+
+def test_codes_and_phases_are_complete():
+    assert all(getattr(RunProgram.Result, code.name) == code for code in Code)
+    assert all(getattr(StreamStatus, kind.name) == kind for kind in Refusal if kind < Refusal.GAP)
+    assert set(TABLE.values()) == set(Phase) - {Phase.QUEUED}
+    assert {step for _, step in TABLE} == set(Step)

@@ -1,4 +1,4 @@
-"""The move from where the machine stands to the start pose of a program: straight in the axes."""
+"""The approach: from where the machine stands to the start pose, straight in the axes."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def approach(
     flank_height : float
         Height that measures rotations [m].
     start, end : ndarray, shape (n_axes,)
-        Axis positions [m, rad].
+        Axis positions where the machine stands, and of the start pose [m, rad].
 
     Returns
     -------
     AxisPath or None
-        Block 0, with s from below 0 to 0; None where the machine is there.
+        Block 0, with s from below 0 to 0 [m]; None where the machine is there already.
 
     Raises
     ------

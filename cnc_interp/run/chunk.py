@@ -1,4 +1,4 @@
-"""Chunk: consecutive setpoints with the stop behind them (the arrow from stream to machine)."""
+"""Chunk: consecutive setpoints and their stop tail; the arrow from stream to machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cnc_interp.run.interpolator import Setpoints
 
 
 class Wait(IntEnum):
-    """What the machine does at rest behind the last setpoint of a chunk."""
+    """What the machine does at rest after the last setpoint of a chunk."""
 
     NOTHING = 0  # goes on with the next chunk
     OVERRIDE = 1  # rests while the feed override is 0
@@ -20,16 +20,16 @@ class Wait(IntEnum):
 @dataclass(frozen=True)
 class Chunk:
     """
-    Consecutive setpoints and the stop behind them.
+    Consecutive setpoints and the stop after them.
 
     Parameters
     ----------
     samples : Setpoints
-        What is to be executed.
+        The setpoints to be executed.
     tail : Setpoints
-        From the last of them to rest on the path; empty when that is at rest already.
+        From the last of them to rest on the path; empty where that is at rest already.
     wait : Wait
-        What comes behind the last one.
+        What the machine waits for after the last one.
 
     """
 
@@ -39,5 +39,15 @@ class Chunk:
 
 
 def part_of(samples: Setpoints, first: int, last: int) -> Setpoints:
-    """Take consecutive setpoints."""
+    """
+    Take consecutive setpoints.
+
+    Parameters
+    ----------
+    samples : Setpoints
+        All setpoints, length K.
+    first, last : int
+        First row, and the row after the last one.
+
+    """
     return Setpoints(*(getattr(samples, field.name)[first:last] for field in fields(Setpoints)))

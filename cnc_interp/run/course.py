@@ -1,4 +1,4 @@
-"""The course: the path of a run from the last place released on, cut into legs."""
+"""The course: the path of a run that is still needed, cut into legs."""
 
 from __future__ import annotations
 
@@ -18,20 +18,19 @@ PORTION = 500
 """Cells of the path planned at a time."""
 
 FINE = 64
-"""Cells planned at a time where the drives wait for the first of them."""
+"""Cells planned at a time where the drives wait for the first setpoint."""
 
 AHEAD = 4000
-"""Cells of the path looked at for a stop."""
+"""Cells of the path that a stop may use."""
 
 ENVELOPE = 24
 """Cells into which the way down to a lower feed is cut."""
 
 ABOVE = 1.02
-"""How far the feed may lie above the fastest stop on the way down."""
-
+"""Feed allowed on the way down, as a multiple of the fastest stop [-]."""
 
 SAME = 1e-13
-"""Places nearer than this are one: no cell is made so short [m]."""
+"""Places nearer than this are the same place; no cell is so short [m]."""
 
 
 @dataclass(frozen=True)
@@ -42,25 +41,25 @@ class LegEnd:
 
 
 class Course:
-    """Parts of the path and the ends of legs between them, in order."""
+    """Parts of the path, and the ends of legs between them, in order."""
 
     def __init__(self) -> None:
         self.items: deque[AxisPath | LegEnd] = deque()
 
     def push(self, path: AxisPath) -> list[AxisPath]:
-        """Take a part of the path; returns it in portions."""
+        """Take a part of the path and return it in portions."""
         portions = portions_of(path, PORTION)
         self.items.extend(portions)
         return portions
 
     def end_leg(self, wait: Wait) -> LegEnd:
-        """End the leg here."""
+        """End the leg at the end of the path known so far."""
         end = LegEnd(wait)
         self.items.append(end)
         return end
 
     def release(self, s: float) -> None:
-        """Forget what lies before a place."""
+        """Forget the path before a place [m]."""
         while len(self.items) > 1:
             first = self.items[0]
             if isinstance(first, AxisPath) and first.s[-1] >= s:
@@ -74,12 +73,12 @@ class Course:
 
     @property
     def first_block(self) -> int:
-        """The block in which the path kept begins; 0 where none is kept."""
+        """The block in which the kept path begins; 0 where none is kept."""
         parts = (item for item in self.items if isinstance(item, AxisPath))
         return next((int(part.cell_block[0]) for part in parts), 0)
 
     def ahead(self, s: float) -> AxisPath:
-        """Return the path from the part in which s lies up to the end of its leg."""
+        """Return the path from the part that contains s [m] to the end of its leg."""
         parts: list[AxisPath] = []
         cells = 0
         for item in self.items:
@@ -94,7 +93,7 @@ class Course:
         return AxisPath.join(parts)
 
     def after(self, s: float) -> deque[AxisPath | LegEnd]:
-        """Return all that follows a place, the part in which it lies cut there."""
+        """Return all items after a place [m]; the part that contains it is cut there."""
         rest: deque[AxisPath | LegEnd] = deque()
         passed = False
         for item in self.items:
@@ -109,13 +108,13 @@ class Course:
 
 
 def portions_of(path: AxisPath, cells: int) -> list[AxisPath]:
-    """Cut a path into portions of so many cells; the last may have fewer."""
+    """Cut a path into portions of ``cells`` cells; the last may have fewer."""
     borders = [*range(0, len(path.s) - 1, cells), len(path.s) - 1]
     return [cut(path, a, b) for a, b in pairwise(borders)]
 
 
 def finely(items: deque[AxisPath | LegEnd]) -> deque[AxisPath | LegEnd]:
-    """Cut the first parts into small portions: the first motion is there after few of them."""
+    """Cut the first parts into small portions, so that the first motion is planned soon."""
     rest: deque[AxisPath | LegEnd] = deque()
     cells = 0
     for item in items:
@@ -128,7 +127,7 @@ def finely(items: deque[AxisPath | LegEnd]) -> deque[AxisPath | LegEnd]:
 
 
 def from_place(path: AxisPath, s: float) -> AxisPath:
-    """Cut off what lies before a place inside."""
+    """Cut off the path before a place inside it [m]."""
     nearest = int(np.argmin(np.abs(path.s - s)))
     if abs(path.s[nearest] - s) <= SAME:
         return cut(path, nearest, len(path.s) - 1)
@@ -137,7 +136,7 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
 
 def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> AxisPath:
     """
-    Scale the programmed feed of a part; above it only where the motion cannot be slower yet.
+    Scale the programmed feed of a part; on the way down the feed lies above the stop.
 
     Parameters
     ----------
@@ -147,6 +146,11 @@ def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> Ax
         Factor on the feed of all but rapids [-].
     way_down : PlannedPiece or None
         A stop from where planning begins; the feed may lie a little above it.
+
+    Returns
+    -------
+    AxisPath
+        The part with the scaled feed; on the way down on a finer grid.
 
     """
     if way_down is None or path.s[0] >= way_down.path.s[-1]:
@@ -160,7 +164,24 @@ def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> Ax
 
 
 def fastest_in_cells(time: FloatArray, way_down: PlannedPiece, s: FloatArray) -> FloatArray:
-    """Return the largest speed of a stop in each cell between positions; 0 behind its end."""
+    """
+    Return the largest speed of a stop in each cell.
+
+    Parameters
+    ----------
+    time : ndarray, shape (L,)
+        Start times of the rows of its law [s].
+    way_down : PlannedPiece
+        The stop.
+    s : ndarray, shape (N,)
+        Borders of the cells [m].
+
+    Returns
+    -------
+    ndarray, shape (N - 1,)
+        Path speed [m/s]; 0 after the end of the stop.
+
+    """
     law = way_down.law
     instants = np.linspace(time[0], law.end_time, 20 * ENVELOPE)
     place, speed, _, _ = law.evaluate(instants)

@@ -1,4 +1,4 @@
-"""A leg: motion from rest to rest with a planner and a clock of its own."""
+"""A leg: motion from rest to rest, with a planner and a time axis of its own."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 
 SLICE = 0.5
-"""Motion that is interpolated at a time [s]."""
+"""Length of the slices in which motion is sampled [s]."""
 
 STILL = 1e-9
 """Speed below which the end of a law is rest [m/s]."""
 
 
 def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
-    """Cut the motion of a planned piece into short stretches, on the same path."""
+    """Cut the motion of a planned piece into slices, on the same path."""
     law = without_long_rows(piece.law)
     stretch = np.floor((law.time - law.time[0]) / SLICE)
     borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
@@ -40,7 +40,7 @@ def rows_of(law: MotionLaw, rows: IntArray) -> MotionLaw:
 
 
 def without_long_rows(law: MotionLaw) -> MotionLaw:
-    """Cut rows that are longer than a stretch: a slow line is one row of many minutes."""
+    """Cut rows that are longer than a slice: a slow line is one row of many minutes."""
     parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
     if (parts == 1).all():
         return law
@@ -64,9 +64,9 @@ class Leg:
     period : float
         Interpolation period [s].
     begun : int
-        Samples of the leg, on its own clock, that are there already.
+        Samples of the leg, on its own time axis, that are handed out already.
     start : tuple of float
-        s_dot and s_ddot at the last of them [m/s, m/s2]; without any, the leg begins at rest.
+        s_dot and s_ddot at the last of them [m/s, m/s2]; without samples, at rest.
 
     """
 
@@ -86,7 +86,15 @@ class Leg:
         self.number_of_zero: int | None = None  # number in the stream of the sample at time 0
 
     def push(self, path: AxisPath) -> None:
-        """Plan a part of the path."""
+        """
+        Plan a part of the path.
+
+        Raises
+        ------
+        PlanningError
+            If there is no law within the limits.
+
+        """
         for piece in self.planner.push(path):
             self.slices.extend(sliced(piece))
         self.moves = True
@@ -98,7 +106,7 @@ class Leg:
         self.wait = wait
 
     def drive(self, piece: PlannedPiece, wait: Wait) -> None:
-        """Take a law that is known already, down to rest, instead of planning."""
+        """Take a known law down to rest instead of planning."""
         self.slices.extend(sliced(piece))
         self.moves, self.wait = True, wait
 
@@ -110,11 +118,26 @@ class Leg:
         return float(self.slices[-1].law.end_time - self.slices[0].law.time[0])
 
     def state_at(self, number: int, piece: PlannedPiece) -> tuple[float, float, float]:
-        """Return s, s_dot and s_ddot at a sample that lies in a slice."""
+        """
+        Return the state of motion at a sample.
+
+        Parameters
+        ----------
+        number : int
+            Number of the sample in the stream.
+        piece : PlannedPiece
+            The slice in which it lies.
+
+        Returns
+        -------
+        tuple of float
+            s, s_dot and s_ddot [m, m/s, m/s2].
+
+        """
         assert self.number_of_zero is not None
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
-        if time >= piece.law.end_time and v < STILL:  # the sample at rest behind the last slice
+        if time >= piece.law.end_time and v < STILL:  # the sample at rest after the last slice
             return s, 0.0, 0.0
         return s, v, a
 

@@ -1,4 +1,4 @@
-"""Segments of one program -> chunks of one run, as they come; no ROS, no clock."""
+"""Segments of one program -> chunks of one run; no ROS, no clock."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.smoothing.segments import PathSegments
 
-#: A machine farther from the path than this is not on it [m, rad].
+#: A machine farther from the path than this does not stand on it [m, rad].
 ON_PATH = 1e-8
-#: Source lines that may come before those of executed blocks are looked for and forgotten.
+#: Source lines that are kept before those of executed blocks are looked for and forgotten.
 LINES_KEPT = 4096
 
 
@@ -30,7 +30,8 @@ class RunPlanner:
     """
     The planning of one run: the approach, then the program; or the rest of a program.
 
-    ``push``, ``work``, ``revise`` and ``resume`` may take long and run in one thread of their own.
+    ``push``, ``work``, ``resume`` and the stream's ``revision`` may take long. They run in one
+    thread of their own.
 
     Parameters
     ----------
@@ -72,7 +73,14 @@ class RunPlanner:
 
     def push(self, segments: PathSegments, pauses: set[int]) -> None:
         """
-        Take further segments; behind the blocks in ``pauses`` cycle_start is waited for.
+        Take further segments.
+
+        Parameters
+        ----------
+        segments : PathSegments
+            Consecutive segments.
+        pauses : set of int
+            Blocks after which cycle_start is waited for (M0, M1).
 
         Raises
         ------
@@ -93,7 +101,7 @@ class RunPlanner:
         self.stream.push(path)
 
     def _begin(self, path: AxisPath) -> AxisPath | None:
-        """Put the approach before the program, or skip what was executed before a loss."""
+        """Put the approach before the program, or skip the part executed before a loss."""
         if self._continue_at is None:
             start = np.array(path.cell_left[0, 0])
             way = approach(self._transform, self._flank_height, self._stands, start)
@@ -116,7 +124,15 @@ class RunPlanner:
         return from_place(path, self._continue_at)
 
     def finish(self) -> None:
-        """Let the path end here."""
+        """
+        Let the path end here.
+
+        Raises
+        ------
+        PlanningError
+            If the run was to go on from a place that lies after the end.
+
+        """
         if not self._begun:
             raise PlanningError('the program ends before the place to go on from; reset')
         self.stream.end_leg(Wait.END)
@@ -125,7 +141,23 @@ class RunPlanner:
         """
         Sample a slice of the motion, or plan another portion of the path.
 
-        The path before the place ``executed`` [m] is forgotten.
+        Parameters
+        ----------
+        sample : bool
+            Sample where there is planned motion; else plan.
+        executed : float
+            Path length executed; the path before it is forgotten [m].
+
+        Returns
+        -------
+        list of Chunk
+            The chunks that are complete now.
+
+        Raises
+        ------
+        PlanningError
+            If there is no law within the limits.
+
         """
         self.stream.release(executed)
         if sample and self.stream.can_sample:
@@ -135,12 +167,12 @@ class RunPlanner:
         return []
 
     def resume(self, s: float, settings: OperatorSettings) -> list[Chunk]:
-        """Plan anew from rest at a place on the path."""
+        """Plan anew from rest at a place on the path [m]; return no chunks yet."""
         self.stream.resume(s, settings)
         return []
 
     def _note_lines(self, segments: PathSegments) -> None:
-        """Remember the source line of each block; forget those of path that is forgotten."""
+        """Keep the source line of each block on the path that is kept."""
         lines = self._lines
         if len(lines) > LINES_KEPT + 2 * self._lines_left:
             first = self.stream.first_block

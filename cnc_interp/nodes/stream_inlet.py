@@ -149,19 +149,19 @@ class Inlet:
 
         """
         self.receiver.refuse(run_id, kind, reason)
-        self._name(ERROR, kind, reason)
+        self._name(ERROR, kind, reason, always=True)
         self.tell()
         self._on_refusal()
 
-    def _name(self, level: bytes, kind: Refusal, reason: str) -> None:
+    def _name(self, level: bytes, kind: Refusal, reason: str, always: bool = False) -> None:
         """
         Put a refusal into the diagnostics.
 
-        All are counted. Of each kind the 1st, 2nd, 4th, 8th ... are named: to name each one of a
-        burst would take the time to receive.
+        All are counted. Of messages of each kind the 1st, 2nd, 4th, 8th ... are named: to name
+        each one of a burst would take the time to receive. The refusal of a run is always named.
         """
         self._refused[kind] += 1
-        if self._refused[kind].bit_count() == 1:
+        if always or self._refused[kind].bit_count() == 1:
             self._named = level, reason
         self._diagnostics.say(self.receiver.stream, *self._named, refused=self._refused.total())
 

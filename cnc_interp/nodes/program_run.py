@@ -191,9 +191,7 @@ class ProgramRun:
         """Make the message about the program that is about to run."""
         program = self.preparation.prepared
         assert program is not None
-        message = loaded_program(
-            self.run_id.program_id, self.name, program.text, program.settings
-        )
+        message = loaded_program(self.run_id.program_id, self.name, program.text, program.settings)
         message.path_length = program.path_length
         return message
 

@@ -11,6 +11,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -307,7 +308,7 @@ def _choice(declared: Field[Any]) -> Choice:
 def shortest(value: float, unit: float) -> str:
     """Return the shortest number that is ``value`` again when it is multiplied by ``unit``."""
     for digits in range(1, DIGITS + 1):
-        text = f'{value / unit:.{digits}g}'
+        text = format(Decimal(f'{value / unit:.{digits}g}'), 'f')  # no exponent
         if float(text) * unit == value:
-            return text
+            break
     return text

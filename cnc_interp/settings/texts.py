@@ -16,6 +16,11 @@ def texts_of(settings: Settings) -> dict[str, str]:
     return {c.name: c.text(getattr(settings, c.name)) for c in choices(settings)}
 
 
+def changed(settings: Settings) -> list[str]:
+    """Return the names of the choices that differ from their defaults."""
+    return [c.name for c in choices(settings) if getattr(settings, c.name) != c.default]
+
+
 def values_of(settings: Settings) -> dict[str, Value]:
     """Return every choice as a value that JSON can hold; a path becomes text."""
     found = {choice.name: getattr(settings, choice.name) for choice in choices(settings)}

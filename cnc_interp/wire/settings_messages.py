@@ -19,7 +19,8 @@ from cnc_interp.settings.texts import texts_of, with_texts
 def pairs_of(settings: Settings, names: Iterable[str] | None = None) -> list[KeyValue]:
     """Return choices as messages: those of some names, or all."""
     texts = texts_of(settings)
-    return [KeyValue(key=name, value=texts[name]) for name in names or texts]
+    wanted = texts if names is None else names
+    return [KeyValue(key=name, value=texts[name]) for name in wanted]
 
 
 def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
@@ -42,9 +43,11 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
     return with_texts(settings, ((pair.key, pair.value) for pair in pairs))
 
 
-def goal_of(program: Path, settings: Settings) -> RunProgram.Goal:
-    """Return the goal that runs a program with these settings, all of them given."""
-    return RunProgram.Goal(program=str(program), settings=pairs_of(settings))
+def goal_of(
+    program: Path, settings: Settings, names: Iterable[str] | None = None
+) -> RunProgram.Goal:
+    """Return the goal that runs a program with settings: those of some names, or all."""
+    return RunProgram.Goal(program=str(program), settings=pairs_of(settings, names))
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:

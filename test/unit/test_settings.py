@@ -1,5 +1,7 @@
 """Settings: command line, parameters, goals, bags and the page are made of one declaration."""
 
+import subprocess
+import sys
 from argparse import ArgumentParser
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import add_settings, command_words, settings_from
 from cnc_interp.settings.declaration import Stage, choices
+from cnc_interp.settings.form import filled_in, offered, settings_filled_in
 from cnc_interp.settings.texts import texts_of, with_texts
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.settings_messages import (
@@ -26,6 +29,50 @@ from cnc_interp.wire.settings_messages import (
     settings_of_block,
     settings_of_goal,
 )
+
+#: Adds a choice to the declarations before anything else is imported, then looks for it.
+ONE_MORE = """
+from dataclasses import dataclass
+from pathlib import Path
+
+import cnc_interp.settings.choices as place
+from cnc_interp.settings.declaration import LENGTH, Stage, number
+
+@dataclass(frozen=True)
+class Settings(place.Settings):
+    peck_depth: float = number(
+        0.002, LENGTH, (0.001, 0.005), Stage.SMOOTHING, 'depth that a test adds'
+    )
+
+place.Settings = Settings
+
+from cnc_interp.cli import parser
+from cnc_interp.nodes import parameters
+from cnc_interp.settings.command_line import command_words, settings_from
+from cnc_interp.settings.form import filled_in, offered, settings_filled_in
+from cnc_interp.settings.form import filled_in, offered, settings_filled_in
+from cnc_interp.settings.texts import values_of
+from cnc_interp.wire.settings_messages import (
+    goal_of, loaded_program, pairs_of, settings_from as settings_told, settings_of_goal
+)
+
+words = ['plan', 'x', '--out', 'y', '--peck-depth', '3']
+told = settings_from(parser().parse_args(words))
+assert told.peck_depth == 0.003 and command_words(told) == ['--peck-depth=3']
+assert 'depth that a test adds (2 mm)' in ' '.join(
+    parser()._subparsers._group_actions[0].choices['plan'].format_help().split()
+)
+for node in ('program_node', 'lookahead_node'):
+    (declared,) = [p for p in parameters.NODES[node] if p.name == 'peck_depth']
+    assert (declared.default, declared.low, declared.high) == (0.002, 0.001, 0.005)
+    assert 'depth that a test adds [m]' in parameters.descriptor_of(declared).description.lower()
+assert settings_of_goal(goal_of(Path('x'), told), Settings()) == told
+assert settings_told(loaded_program('p', 'x', '', told).settings, Settings()) == told
+assert values_of(told)['peck_depth'] == 0.003
+(field,) = [choice for choice in offered() if choice.name == 'peck_depth']
+assert field.unit.name == 'mm' and filled_in(told)['peck_depth'] == '3'
+assert settings_filled_in(Settings(), filled_in(Settings()) | {'peck_depth': '3'}) == told
+"""
 
 ROOT = Path(__file__).parents[2]
 #: No choice has its default here; the numbers need all their digits.
@@ -220,3 +267,26 @@ def test_the_loaded_program_tells_the_settings_and_its_old_fields():
     assert {pair.key: pair.value for pair in told.settings} == texts_of(OTHERS)
     assert told.feedrate == OTHERS.feedrate and told.interpolation == 'axes'
     assert loaded_program('p', 'part.ngc', 'G0', Settings()).feedrate == 0.0
+
+
+def test_a_choice_added_in_one_place_is_found_in_all_five():
+    """On the command line, as parameter, in a goal, in bag and summary, and in the dialog."""
+    done = subprocess.run([sys.executable, '-c', ONE_MORE], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+
+
+def test_the_form_gives_the_settings_that_filled_it_in():
+    form = filled_in(OTHERS)
+    assert form['feedrate'] == '1000' and form['force_tolerances'] == 'true'
+    found = settings_filled_in(OTHERS, form)
+    for choice in offered():
+        value, wanted = getattr(found, choice.name), getattr(OTHERS, choice.name)
+        assert value == (pytest.approx(wanted, rel=1e-15) if choice.kind is float else wanted)
+    empty = settings_filled_in(
+        OTHERS, form | {'feedrate': '', 'setup': '', 'corner_ratio': 'auto'}
+    )
+    assert empty.feedrate is empty.setup is empty.corner_ratio is None
+    with pytest.raises(SettingsError, match='flank_height'):
+        settings_filled_in(OTHERS, form | {'flank_height': 'high'})
+    hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
+    assert hidden == {'parametrization', 'top', 'septic', 'interpolation_period'}

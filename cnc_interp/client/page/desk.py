@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import LoadedProgram
 
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.client.page.preview import Planner, Preview
@@ -20,14 +21,13 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.texts import changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from
 
 #: History that the charts show, and the rate it is kept at [s].
 SPAN, STEP = 30.0, 0.1
 #: Larger programs are not taken from a browser [bytes].
 LONGEST_PROGRAM = 64 << 20
-#: Paths of one program with the same options differ by less than this share.
-SAME_LENGTH = 1e-3
 
 
 def in_program(state: MachineState | None) -> bool:
@@ -59,6 +59,15 @@ class Job:
     status: str = 'planning'
     proven: bool | None = None
 
+    def is_run(self, program: LoadedProgram, settings: Settings) -> bool:
+        """Tell whether a run has the text and all the settings of this job."""
+        same_text = self.name == program.name and self.lines == program.text.splitlines()
+        return same_text and texts_of(self.settings) == texts_of(settings)
+
+    def goal(self) -> RunProgram.Goal:
+        """Return the goal that runs it; it gives the choices that are not defaults."""
+        return goal_of(self.path, self.settings, changed(self.settings))
+
 
 class Desk:
     """
@@ -78,6 +87,7 @@ class Desk:
         self.machine: Machine | None = None
         self.description: Description | None = None
         self.job: Job | None = None
+        self.settings = Settings()
         self.single_block = False
         self.tube, self.tube_number = b'', 0
         self._planner: Planner | None = None
@@ -110,9 +120,7 @@ class Desk:
         if job is None or job.plan is None or program is None:
             return None
         same = state.program_id == program.program_id == self._adopted
-        # A run with options that the planner was not told has another path.
-        told = math.isclose(job.plan.length, program.path_length, rel_tol=SAME_LENGTH)
-        return job.plan if same and told else None
+        return job.plan if same else None
 
     def feeds(self, state: MachineState) -> tuple[float, float]:
         """Return programmed feed and limit of the axes where the machine is; NaN if unknown."""
@@ -132,11 +140,10 @@ class Desk:
         if self._planner is None or program is None or program.program_id == self._adopted:
             return
         self._adopted = program.program_id
-        lines = program.text.splitlines()
-        if self.job is not None and self.job.lines == lines and self.job.name == program.name:
+        settings = settings_from(program.settings, Settings())
+        if self.job is not None and self.job.is_run(program, settings):
             self._running = self.job
             return
-        settings = settings_from(program.settings, Settings())
         self._running = self._lay(self._planner, program.name, program.text, settings)
 
     # The program --------------------------------------------------------------------------------
@@ -151,7 +158,7 @@ class Desk:
                 False,
                 'a program is running: load another one when it has ended, or press queue next',
             )
-        self._lay(self._planner, name, text, Settings())
+        self._lay(self._planner, name, text, self._for_nodes())
         return Answer(True, f'{name} loaded')
 
     async def queue(self, name: str, text: str) -> Answer:
@@ -159,8 +166,8 @@ class Desk:
         state = self.nodes.state
         if self._planner is None or not in_program(state):
             return Answer(False, 'no program is running: load this one and press cycle start')
-        path = self._planner.keep(name, text)
-        return await asyncio.wrap_future(self.nodes.start_program(goal_of(path, Settings())))
+        job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
+        return await asyncio.wrap_future(self.nodes.start_program(job.goal()))
 
     def empty_queue(self) -> Answer:
         """Let the programs go that wait."""
@@ -170,9 +177,30 @@ class Desk:
             f'{count} removed from the queue' if count else 'no program of this page is waiting',
         )
 
+    def choose(self, settings: Settings) -> Answer:
+        """Take the settings of the next run; a loaded program is planned again."""
+        if in_program(self.nodes.state):
+            return Answer(False, 'a program is running: change the settings when it has ended')
+        self.settings = settings
+        if self.job is not None and self._planner is not None:
+            self._set_job(self._planner, replace(self.job, settings=self._for_nodes(), plan=None))
+        return Answer(True, 'settings taken')
+
+    def _for_nodes(self) -> Settings:
+        """Return the settings with the period of the nodes, once it is known."""
+        state = self.nodes.state
+        if state is None:
+            return self.settings
+        return replace(self.settings, interpolation_period=state.interpolation_period)
+
     def _lay(self, planner: Planner, name: str, text: str, settings: Settings) -> Job:
         path = planner.keep(name, text)
-        job = self.job = Job(path.name, text.splitlines(), path, settings)
+        return self._set_job(planner, Job(path.name, text.splitlines(), path, settings))
+
+    def _set_job(self, planner: Planner, job: Job) -> Job:
+        """Make a job the one on the desk and plan it."""
+        job.status, job.proven = 'planning', None
+        self.job = job
         self._begin(self._plan(planner, job))
         return job
 
@@ -228,7 +256,7 @@ class Desk:
             return Answer(False, f'{self.nodes.silent} does not answer')
         if self.job is None:
             return Answer(False, 'no program is loaded: press load')
-        started = self.nodes.start_program(goal_of(self.job.path, self.job.settings))
+        started = self.nodes.start_program(self.job.goal())
         return await asyncio.wrap_future(started)
 
     async def trigger(self, name: str) -> Answer:

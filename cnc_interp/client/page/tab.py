@@ -14,8 +14,10 @@ from cnc_interp.client.page.contact import LATE, Contact, pressing
 from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.client.page.readings import NOTHING, alarms_html, program_html, progress, readings
 from cnc_interp.client.page.scene import MachineView
+from cnc_interp.client.page.settings_dialog import SettingsDialog
 from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.settings.choices import Settings
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
 PACE, CHART_EVERY = 0.1, 4
@@ -71,6 +73,7 @@ class Page:
                 self._build_keys()
             with ui.element('div').classes('charts'):
                 self._charts = Charts(desk.machine.axis_names if desk.machine else ())
+        self._settings = SettingsDialog(self._use)
         ui.timer(PACE, self._show)
         ui.context.client.on_connect(self._show_override_again)
 
@@ -148,7 +151,8 @@ class Page:
             self._loader = ui.button('load', on_click=lambda: self._pick(waits=False))
             self._follower = ui.button('queue next', on_click=lambda: self._pick(waits=True))
             self._checker = ui.button('check', on_click=lambda: self._command(check))
-            for button in (self._loader, self._follower, self._checker):
+            self._setter = ui.button('settings', on_click=self._open_settings)
+            for button in (self._loader, self._follower, self._checker, self._setter):
                 button.props('dense no-caps size=sm unelevated color=blue-grey-8')
                 marked(button, button.text)
             self._follower.tooltip('choose a program that starts when the running one has ended')
@@ -258,6 +262,14 @@ class Page:
             await self._command(self._answer(lambda: self._desk.load(name, text)))
         self._upload.reset()
 
+    def _open_settings(self) -> None:
+        """Show the settings of the next run."""
+        self._settings.open(self._desk.settings)
+
+    async def _use(self, settings: Settings) -> None:
+        """Take the settings of the dialog over."""
+        await self._command(self._answer(lambda: self._desk.choose(settings)))
+
     async def _set_single_block(self, event: events.ValueChangeEventArguments) -> None:
         if event.value != self._desk.single_block:
             await self._command(lambda: self._desk.set_single_block(event.value))
@@ -335,7 +347,7 @@ class Page:
         if self._changed('rights', rights):
             self._labels['rights'].set_text(rights)
             self._take.set_visibility(not self._in_charge)
-            buttons = (self._loader, self._follower, self._checker)
+            buttons = (self._loader, self._follower, self._checker, self._setter)
             for element in (*self._keys, self._single, self._slider, *buttons):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._access.may_stop(self._token))

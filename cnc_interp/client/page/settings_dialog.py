@@ -1,0 +1,81 @@
+"""The dialog for the settings of a run; its fields are made from the declarations."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import ui
+
+from cnc_interp.core.errors import SettingsError
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import Choice
+from cnc_interp.settings.form import filled_in, offered, settings_filled_in
+
+
+class SettingsDialog:
+    """
+    One field for each choice, its unit beside it.
+
+    Parameters
+    ----------
+    use : callable
+        Takes the settings when the operator presses `use`.
+
+    """
+
+    def __init__(self, use: Callable[[Settings], Awaitable[None]]):
+        self._use = use
+        self._settings = Settings()
+        self._fields: dict[str, Any] = {}
+        with ui.dialog() as self._dialog, ui.card().classes('settings'):
+            ui.label('settings of the next run').classes('title')
+            with ui.element('div').classes('fields'):
+                for choice in offered():
+                    self._fields[choice.name] = self._field(choice)
+            with ui.element('div').classes('ends'):
+                for text, act in (
+                    ('defaults', lambda: self._fill(Settings())),
+                    ('cancel', self._dialog.close),
+                    ('use', self._accept),
+                ):
+                    button = ui.button(text, on_click=act)
+                    button.props(f'dense no-caps unelevated data-mark="{text} settings"')
+
+    @staticmethod
+    def _field(choice: Choice) -> Any:
+        """Make the field of a choice, its sentence before it."""
+        ui.label(choice.sentence).classes('name')
+        field: Any
+        if choice.kind is bool:
+            field = ui.switch()
+        elif choice.values:
+            field = ui.select(list(choice.values))
+        else:
+            field = ui.input().props(f'suffix="{choice.unit.name}"')
+        return field.props(f'dense data-mark="setting {choice.name}"')
+
+    def open(self, settings: Settings) -> None:
+        """Show settings to be changed."""
+        self._fill(settings)
+        self._dialog.open()
+
+    def _fill(self, settings: Settings) -> None:
+        """Fill the fields in."""
+        self._settings = settings
+        for name, text in filled_in(settings).items():
+            field = self._fields[name]
+            field.set_value(text == 'true' if isinstance(field, ui.switch) else text)
+
+    async def _accept(self) -> None:
+        """Hand the settings over, or say which field is wrong."""
+        values = {name: field.value for name, field in self._fields.items()}
+        texts = {k: str(v).lower() if isinstance(v, bool) else v or '' for k, v in values.items()}
+        try:
+            settings = settings_filled_in(self._settings, texts)
+        except SettingsError as problem:
+            sentence = next(c.sentence for c in offered() if c.name == problem.name)
+            ui.notify(f'{sentence}: {problem.reason}', type='negative')
+            return
+        self._dialog.close()
+        await self._use(settings)

@@ -142,6 +142,17 @@ class Tab:
 
         self.wait(give)
 
+    def fill(self, name, text):
+        """Write into a field, as its user does."""
+        self.wait(
+            lambda: self.run(
+                f'(() => {{ const mark = document.querySelector(`[data-mark="{name}"]`);'
+                'const field = mark?.matches("input") ? mark : mark?.querySelector("input");'
+                'field?.focus(); field?.select(); return !!field; })()'
+            )
+        )
+        self.send('Input.insertText', text=text)
+
     def press_key(self, name, key, times=1):
         """Press a key on an element of a page in contact with its server."""
         self.wait(lambda: self.run(IN_CONTACT))

@@ -119,6 +119,27 @@ def stop_and_reset(panel, tab):
     panel.reset(tab)
 
 
+def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
+    tab = panel.open_in_charge()
+    tab.click('settings')
+    tab.fill('setting contour_tolerance', 'wide')
+    tab.click('use settings')
+    wrong = "largest deviation of the tool tip: 'wide' is not a number"
+    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{wrong}")'))
+    tab.fill('setting contour_tolerance', '0.1')
+    tab.click('use settings')
+    panel.load(tab, short_program)
+    panel.begin(tab)
+    told = {pair.key: pair.value for pair in panel.loaded[-1].settings}
+    assert float(told['contour_tolerance']) == pytest.approx(1e-4)
+    tab.wait(lambda: tab.text('programmed') == '2000')
+    assert tab.text('status') == 'planned', 'the page knows the run as its own'
+    stop_and_reset(panel, tab)
+    for key in ('settings', 'defaults settings', 'use settings'):
+        tab.click(key)
+    tab.wait(lambda: tab.text('status') == 'planned')
+
+
 def test_a_program_is_operated_from_the_page(panel, long_program, short_program):
     tab = panel.open()
     assert tab.text('rights') == 'in charge'

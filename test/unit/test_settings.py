@@ -290,3 +290,10 @@ def test_the_form_gives_the_settings_that_filled_it_in():
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
     assert hidden == {'parametrization', 'top', 'septic', 'interpolation_period'}
+
+
+def test_the_documentation_lists_every_choice_with_its_default():
+    page = (ROOT / 'docs' / 'operate' / 'operation.md').read_text(encoding='utf-8')
+    for choice in choices(Settings):
+        row = f'| `{choice.name}` | `--{choice.option}` | {choice.shown(choice.default)} |'
+        assert f'{row} {choice.sentence} |' in page

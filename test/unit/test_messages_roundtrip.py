@@ -171,7 +171,7 @@ def test_splines_keep_every_bit():
     ],
 )
 def test_every_way_to_make_a_corner_keeps_every_bit(options):
-    blocks = blocks_of(next(path for path in examples() if path.name == 'pyramid.apt'))
+    blocks = blocks_of(ROOT / 'examples' / 'pyramid.apt')
     segments = segments_of(blocks, **options)
     received = over_the_wire(messages.segment_messages(segments, P, 0, H, end=True))
     back = messages.segments_from(checked(received, soundness.check_segment))
@@ -180,7 +180,7 @@ def test_every_way_to_make_a_corner_keeps_every_bit(options):
 
 
 def test_a_parametrization_that_does_not_rise_from_0_to_1_is_refused():
-    blocks = blocks_of(next(path for path in examples() if path.name == 'pyramid.apt'))
+    blocks = blocks_of(ROOT / 'examples' / 'pyramid.apt')
     segments = segments_of(blocks, parametrization='paper')
     sent = messages.segment_messages(segments, P, 0, H, end=True)
     corner = next(m for m in sent if m.kind == CORNER)

@@ -86,6 +86,12 @@ def offered(profile: QoSProfile) -> Qos:
     )  # fmt: skip
 
 
+def refuse_existing(path: Path) -> None:
+    """Refuse to write a bag where something is; raises InterpError."""
+    if path.exists():
+        raise InterpError(f'{path} is there already; name a new folder for the bag')
+
+
 class BagWriter:
     """
     A bag that is written; it is complete once it is closed.
@@ -103,8 +109,7 @@ class BagWriter:
     """
 
     def __init__(self, path: Path):
-        if path.exists():
-            raise InterpError(f'{path} is there already; name a new folder for the bag')
+        refuse_existing(path)
         self.count = 0
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)

@@ -13,7 +13,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
 
-from cnc_interp.client.bag import TOPICS, BagWriter
+from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.nodes import parameters
@@ -111,6 +111,7 @@ def record(path: Path, namespace: str) -> int:
         If the bag cannot be made.
 
     """
+    refuse_existing(path)  # before ROS starts
     with stop_signals() as stop, OperatorClient('record', namespace) as client:
         recorder = Recorder(client.node, path)
         try:

@@ -222,15 +222,15 @@ write_stamp() {
   local kept_parts=$1 python path
   shift
   python=$("$venv/bin/python" -I -S -c 'import sys; print(sys.version[:4])')
-  {
+  ( # a subshell: the caller stays in its folder
     printf 'root %s\npython %s\n' "$root" "$python"
     fingerprints "$@"
     printf '%s\n' "$kept_parts"
-    cd "$venv" || return 1
+    cd "$venv" || exit 1
     for path in bin/* lib/*.so lib/python*/site-packages/* lib/python*/site-packages/*/*.so; do
       [ ! -s "$path" ] || printf 'file %s\n' "$path"
     done
-  } >"$stamp.new"
+  ) >"$stamp.new" || return 1
   mv "$stamp.new" "$stamp"
 }
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from cnc_interp.convert_splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import BlockError
+from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.branch import start_positions
 from cnc_interp.kinematics.machine import Machine
@@ -94,6 +94,12 @@ def convert(
 
     """
     transform = Transform.of(machine)
+    if program.blocks.extra.any():
+        raise ProgramError(
+            f'moves {" ".join(machine.extra_names)}; only programs without extra axes can be '
+            'converted',
+            program.source,
+        )
     try:
         if to == 'siemens-bspline':
             return _siemens(program, transform, settings, fit_tolerance)

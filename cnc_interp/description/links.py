@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.description.shapes import (
+    TURNING,
     UP,
     ZERO,
     Shape,
@@ -160,7 +161,13 @@ def describe_machine(machine: Machine) -> Description:
     # The tip is at X Y Z in M while the head is at zero; its pivots lie above the tip.
     arms = machine.tool_offset[::-1] * any(machine.rotary_on_head)  # primary pivot first
     on_head, on_table, table = arms.sum(axis=0), np.zeros(3), BASE
-    for k in range(3, len(machine.axis_names)):
+    first = len(machine.axis_names) - len(machine.extra_names)
+    for k, (name, along) in enumerate(
+        zip(machine.extra_names, machine.extra_direction, strict=True), start=first
+    ):
+        joint = axis_joint(machine, k, carrier, f'{name.lower()}_slide', ZERO, vector(along))
+        carrier = add(joint, Shape((0.06, 0.06, 0.5), (0.02, 0.0, 0.45), TURNING))
+    for k in range(3, first):
         arm, offset = arms[k - 3], machine.offsets[5 - k]
         letter, along = machine.axis_names[k].lower(), vector(machine.rotary_direction[k - 3])
         on_table = on_table + offset

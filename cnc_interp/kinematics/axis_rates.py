@@ -40,16 +40,16 @@ def jerk_rates(
 
     Returns
     -------
-    ndarray, shape (n, n_axes)
+    ndarray, shape (n, 3 or 5)
         q_s / J [s3/m] for one of the two branches; the other one differs by signs and by what
         the offsets between the rotary axes add. Not finite at the pole and out of reach.
 
     """
     machine = transform.machine
     if not machine.has_rotary:
-        return np.asarray(step / machine.max_jerk)
+        return np.asarray(step / machine.max_jerk[:3])
     rows = (np.ascontiguousarray(column) for column in (tip, axis, step, turn))
-    return np.asarray(rates(transform.packed, transform.outer, *rows) / machine.max_jerk)
+    return np.asarray(rates(transform.packed, transform.outer, *rows) / machine.max_jerk[:5])
 
 
 @njit(cache=True, nogil=True, error_model='numpy')  # at the pole they are not finite

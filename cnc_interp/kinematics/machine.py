@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ ROTARY_KEYS = {
     'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
 }
+#: Letters that an extra axis may have.
+EXTRA_LETTERS = ('U', 'V', 'W')
 #: Limits of a locked axis, which nothing ever reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
 #: Plausible size of velocity, acceleration and jerk limits in SI; beyond them a unit is wrong.
@@ -37,7 +39,11 @@ PLAUSIBLE = ((1e-6, 1e3), (1e-4, 1e5), (1e-3, 1e7))
 @dataclass(frozen=True)
 class Machine:
     """
-    A machine tool: linear axes X Y Z, then the rotary axes, primary first.
+    A machine tool: linear axes X Y Z, then the rotary axes, primary first, then extra axes.
+
+    An extra axis is a linear axis U, V or W that carries the tool beside X Y Z, such as the quill
+    W of a boring mill along Z: the tool stands at X Y Z plus the sum of ``w_k d_k``, with w_k its
+    position and d_k its direction.
 
     The tool axis at rest is machine +Z. A rotary axis carries either the workpiece (``table``) or
     the tool (``head``); the primary carries the secondary. With R_i the rotation of axis i about
@@ -53,7 +59,7 @@ class Machine:
     name : str
         Name of the machine.
     axis_names : tuple of str
-        ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes.
+        ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
     max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
         Limits [m/s or rad/s, per s, per s2].
     travel : ndarray, shape (n_axes, 2)
@@ -68,6 +74,8 @@ class Machine:
         On heads: from the tip to the secondary pivot, and from there to the primary pivot [m].
     singular_cone : float
         Smallest allowed angle between a turning tool axis and the pole [rad].
+    extra_direction : ndarray, shape (k, 3)
+        Unit vectors in M along which the extra axes move the tool [-].
     file : str
         Where it was read from; empty for bundled machines, which their name finds.
 
@@ -84,13 +92,14 @@ class Machine:
     offsets: FloatArray
     tool_offset: FloatArray
     singular_cone: float
+    extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     file: str = ''
 
     @cached_property
     def is_linear(self) -> BoolArray:
         """True for linear axes, False for rotary ones, shape (n_axes,)."""
         linear = np.ones(len(self.axis_names), dtype=np.bool_)
-        linear[3:] = False
+        linear[3 : len(linear) - len(self.extra_direction)] = False
         linear.flags.writeable = False
         return linear
 
@@ -113,6 +122,11 @@ class Machine:
     def axis(self, name: str) -> Axis:
         """Return the axis of that name."""
         return self.axes[self.axis_names.index(name)]
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Letters of the extra axes, the last ones of ``axis_names``."""
+        return self.axis_names[len(self.axis_names) - len(self.extra_direction) :]
 
     @property
     def has_rotary(self) -> bool:
@@ -179,6 +193,9 @@ def from_mapping(content: dict[str, Any]) -> Machine:
     names = ['X', 'Y', 'Z'] + [
         str(entry(rotary, key, 'rotary', 'name')) for key in ('primary', 'secondary') if rotary
     ]
+    linear = [name in 'XYZ' for name in names]
+    extra = extra_axes(content)
+    names, linear = names + list(extra), linear + [True] * len(extra)
     limits = content.get('limits')
     if not isinstance(limits, dict):
         raise MachineError('missing; it holds velocity, acceleration, jerk of each axis', 'limits')
@@ -187,8 +204,8 @@ def from_mapping(content: dict[str, Any]) -> Machine:
             raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
     rows = [
         LOCKED_LIMITS
-        if i >= 3 and is_locked(rotary, names[i])
-        else axis_limits(limits, name, linear=i < 3)
+        if not linear[i] and is_locked(rotary, names[i])
+        else axis_limits(limits, name, linear[i])
         for i, name in enumerate(names)
     ]
     table = np.array([row[0] for row in rows])
@@ -199,8 +216,25 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         max_acceleration=table[:, 1],
         max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
+        extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )
+
+
+def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
+    """Read letters and directions of the extra axes, in the order of the file."""
+    given = content.get('extra') or {}
+    if not isinstance(given, dict):
+        raise MachineError('must name axes U, V or W, each with along: X, Y or Z', 'extra')
+    found = {}
+    for name, values in given.items():
+        if name not in EXTRA_LETTERS:
+            raise MachineError(f'an extra axis is U, V or W, not {name}', f'extra.{name}')
+        along = values.get('along') if isinstance(values, dict) else None
+        if along not in ('X', 'Y', 'Z'):
+            raise MachineError("must be 'X', 'Y' or 'Z'", f'extra.{name}.along')
+        found[str(name)] = np.eye(3)['XYZ'.index(along)]
+    return found
 
 
 def is_locked(rotary: dict[str, Any], name: str) -> bool:

@@ -30,7 +30,7 @@ from cnc_interp.kinematics.sampling import (
 )
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.smoothing.orientation import norm, turned_by
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE, PathSegments
 
 #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_ANGLE = 1e-8
@@ -86,6 +86,8 @@ class AxisPathBuilder:
         self._rotary: FloatArray | None = None
         self._branch = 1.0
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
+        extra = 5 + np.arange(len(self.machine.extra_names))
+        self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
         self._s = 0.0
         self._stopped = True
         self._end: tuple[FloatArray, FloatArray] | None = None
@@ -131,6 +133,12 @@ class AxisPathBuilder:
             orientation cannot be reached; the message names line, axis and value.
 
         """
+        if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
+            raise BlockError(
+                f'the path moves {segments.extra.shape[2]} extra axes, but machine '
+                f'{self.machine.name} has {len(self.machine.extra_names)}; choose another machine',
+                int(segments.line_number[0]),
+            )
         motion = self._motions(segments)
         parts: list[Cells] = []
         first, n = 0, len(segments)
@@ -234,6 +242,7 @@ class AxisPathBuilder:
         still = replace(
             one,
             kind=np.array([ROTATION]),
+            extra=np.repeat(one.extra[:, :1], POINTS, axis=1),
             length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
             feed=np.full((1, 2), np.inf),
             stop=np.array([True]),
@@ -251,9 +260,10 @@ class AxisPathBuilder:
         status, counts, early, steps, left, right, tips, tools = sample_segments(
             self.transform.packed,
             float(np.sin(self.machine.singular_cone)),
-            len(self.machine.axis_names),
+            self._axes,
             segments.kind,
             shapes_of(segments),
+            segments.extra,
             segments.parametrization,
             segments.length,
             motion,
@@ -268,7 +278,7 @@ class AxisPathBuilder:
             self._refuse(status, int(segments.line_number[len(counts) - 1]))
         if turn is not None and segments.kind[0] == ROTATION:  # the tool follows the rotary axes
             q = np.concatenate([left[:, 0], right[-1:, 0]])
-            tools = self.transform.tool_axis(q[:, 3:])
+            tools = self.transform.tool_axis(q[:, 3:5])
         half = (np.arange(len(steps)) - (ends - counts)[segment] >= early[segment]).astype(int)
         stop = np.zeros(len(steps), dtype=bool)
         stop[ends[counts > 0] - 1] = segments.stop[counts > 0]

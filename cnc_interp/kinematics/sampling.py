@@ -18,7 +18,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
-from cnc_interp.kinematics.transform import OUTER, linear_jets, rotary_jets
+from cnc_interp.kinematics.transform import OUTER, SIZE, linear_jets, rotary_jets
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,
@@ -76,7 +76,7 @@ def shapes_of(segments: PathSegments) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
+def sample(packed, kind, shape, extra, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
     """
     Return the axes at one point of a segment.
 
@@ -88,6 +88,8 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
         Kind of the segment, and its length unless it is a curve [m].
     shape, f : ndarray, shapes (m, 3) and (spans, 8)
         Its geometry, and the parametrization of corners.
+    extra : ndarray, shape (6, k)
+        Control values of k extra axes, on the same basis as the bottom curve [m].
     rotary : ndarray, shape (5,)
         Rotary axes: with branch 0 they run linearly in u from the given positions at the given
         rates; otherwise they follow from the tool axis, on that branch and at the whole turns
@@ -99,8 +101,8 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
 
     Returns
     -------
-    q : ndarray, shape (4, 5)
-        Axes and three derivatives by path length.
+    q : ndarray, shape (4, 5 + k)
+        Axes, extra ones last, and three derivatives by path length.
     tip, tool : ndarray, shape (3,)
         Tool tip [m] and tool axis [-].
     sine_squared : float
@@ -131,12 +133,37 @@ def sample(packed, kind, shape, f, length, rotary, u, inside):  # type: ignore[n
         )
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     v = linear_jets(packed, p, first, second)
-    q = np.empty((4, 5))
+    count = extra.shape[1]
+    q = np.empty((4, 5 + count))
     for i, component in enumerate((v[0], v[1], v[2], first, second)):
         q[0, i], q[1, i], q[2, i], q[3, i] = jet.by_arc_length(component, speed)
+    for k in range(count):
+        w = extra_jet(kind, extra, k, u, inside)
+        j = 5 + k
+        q[0, j], q[1, j], q[2, j], q[3, j] = jet.by_arc_length(w, speed)
+        for i in range(3):  # (x, y, z) = XYZ + w d, so XYZ gives way
+            direction = packed[SIZE + 3 * k + i]
+            for order in range(4):
+                q[order, i] -= direction * q[order, j]
     tip = np.array([p[0][0], p[1][0], p[2][0]])
     tool = np.array([o[0][0], o[1][0], o[2][0]])
     return q, tip, tool, sine_squared
+
+
+@njit(cache=True, nogil=True)
+def extra_jet(kind, extra, k, u, inside):  # type: ignore[no-untyped-def]
+    """
+    Return the jet in u of extra axis k.
+
+    Its control values are the fourth coordinate of the bottom curve. On a line the axis runs
+    linearly with the tip. On a corner it joins both lines as smoothly as the tip does.
+    """
+    if kind == CORNER:
+        return corner_spline_jet(extra, k, u, inside > 0.5)
+    if kind == SPLINE:
+        return quintic_jet(extra, k, u)
+    rate = extra[1, k] - extra[0, k]
+    return (extra[0, k] + u * rate, rate, 0.0, 0.0)
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -169,10 +196,10 @@ def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def septic_fits(left, right, h, x, exact, n_axes, rounding):  # type: ignore[no-untyped-def]
+def septic_fits(left, right, h, x, exact, axes, rounding):  # type: ignore[no-untyped-def]
     """Tell whether the cell's septic at x has the exact axes and third derivatives."""
     coefficients, value = np.empty(8), np.empty(4)
-    for i in range(n_axes):
+    for i in axes:
         septic_coefficients(left[:, i], right[:, i], h, coefficients)
         septic_value(coefficients, x / h, h, value)
         if abs(value[0] - exact[0, i]) > CELL_ERROR:
@@ -223,7 +250,7 @@ def roomier(array, cells):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion, rotary):  # type: ignore[no-untyped-def]
+def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, motion, rotary):  # type: ignore[no-untyped-def]
     """
     Cut consecutive segments into cells.
 
@@ -233,9 +260,10 @@ def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion
         Geometry of the machine.
     cone_sine : float
         Sine of the singular cone [-].
-    n_axes : int
-        3 or 5.
-    kinds, shapes, f, lengths : ndarray, shapes (n,), (n, m, 3), (n, spans, 8), (n,)
+    axes : ndarray of int, shape (n_axes,)
+        The machine's own among X Y Z, first and second rotary axis, extra axes.
+    kinds, shapes, extra, f, lengths : ndarray
+        Shapes (n,), (n, m, 3), (n, 6, k), (n, spans, 8) and (n,).
         As in ``sample``, segment by segment.
     motion : ndarray of int, shape (n,)
         RESTING, FOLLOWING or LINEAR; for a linear one ``rotary`` holds the rates.
@@ -257,7 +285,7 @@ def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion
         Tool tip and axis at the cells' ends.
 
     """
-    n = len(kinds)
+    n, n_axes = len(kinds), len(axes)
     counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     capacity = 8 * n + MOST_CELLS
     steps = np.empty(capacity)
@@ -267,6 +295,7 @@ def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion
     branch, status, count, row = rotary[BRANCH], FINE, 0, 0
     for row in range(n):
         kind, shape, spans, length = kinds[row], shapes[row], f[row], lengths[row]
+        beside = extra[row]
         if count + MOST_CELLS > capacity:
             capacity = 2 * capacity + MOST_CELLS
             steps, left = roomier(steps, capacity), roomier(left, capacity)
@@ -283,34 +312,39 @@ def sample_segments(packed, cone_sine, n_axes, kinds, shapes, f, lengths, motion
         if kind == SPLINE and tip_rests(shape):
             status = STANDSTILL
             break
-        q_a, tip, tool, sine = sample(packed, kind, shape, spans, length, rotary, 0.0, 0.0)
+        q_a, tip, tool, sine = sample(packed, kind, shape, beside, spans, length, rotary, 0.0, 0.0)
         if count == 0:
             tips[0], tools[0] = tip, tool
         while waiting > 0 and sine >= least:
             b = ends[waiting - 1]
             middle = 0.5 * (a + b)
             if fresh:  # on a break the left end is another one than the last right end
-                q_a = sample(packed, kind, shape, spans, length, rotary, a, middle)[0]
+                q_a = sample(packed, kind, shape, beside, spans, length, rotary, a, middle)[0]
                 fresh = False
             if free:  # whole turns follow the left end of the cell
                 rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
-            q_m, _, _, sine = sample(packed, kind, shape, spans, length, rotary, middle, middle)
+            q_m, _, _, sine = sample(
+                packed, kind, shape, beside, spans, length, rotary, middle, middle
+            )
             if sine < least:
                 break
             if free:
                 rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
-            q_b, tip, tool, sine = sample(packed, kind, shape, spans, length, rotary, b, middle)
+            q_b, tip, tool, sine = sample(
+                packed, kind, shape, beside, spans, length, rotary, b, middle
+            )
             h = arc_length(kind, shape, length, a, b)
             half = arc_length(kind, shape, length, a, middle)
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
-            fits = not room or septic_fits(q_a, q_b, h, half, q_m, n_axes, rounding)
+            fits = not room or septic_fits(q_a, q_b, h, half, q_m, axes, rounding)
             if sine >= least and not fits:
                 ends[waiting] = middle
                 waiting += 1
                 continue
             waiting -= 1
             steps[count] = h
-            left[count], right[count] = q_a[:, :n_axes], q_b[:, :n_axes]
+            for i in range(n_axes):
+                left[count, :, i], right[count, :, i] = q_a[:, axes[i]], q_b[:, axes[i]]
             count += 1
             if b <= 0.5:
                 early[row] = count - begin

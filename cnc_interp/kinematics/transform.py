@@ -6,7 +6,8 @@ With T the product of the rotary axes that carry the workpiece and H of those th
     o_W = T^-1 H e_z = Rot(u, a) Rot(w, b) e_z
     (x, y, z) = Table(p_W) + Head(rotary) - Head(0)
 
-where the *outer* axis u turns about the pole and the *inner* axis w, next to the tool, tilts:
+with (x, y, z) where the tool stands in M: X Y Z plus the extra axes along their directions.
+The *outer* axis u turns about the pole and the *inner* axis w, next to the tool, tilts:
 table-table: u secondary, w primary, both negated; head-head: u primary, w secondary;
 one of each: u the table axis, negated, w the head axis.
 
@@ -31,6 +32,7 @@ from cnc_interp.kinematics.machine import Machine
 #: see ``Transform.of``; one flat array keeps the kernels' signatures short.
 PRIMARY, SECONDARY, WORKPIECE, SECOND_OFFSET, FIRST_OFFSET, TIP_ARM, HEAD_ARM = range(0, 21, 3)
 ON_HEAD, OUTER, OUTER_SIGN, INNER_SIGN, HEAD_ZERO, SIZE = 21, 23, 24, 25, 26, 29
+#: From SIZE on follow the directions of the extra axes, three values each.
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Transform:
     ----------
     machine : Machine
         The machine.
-    packed : ndarray, shape (29,)
-        Its geometry as one array.
+    packed : ndarray, shape (29 + 3 k,)
+        Its geometry as one array; the last 3 k values are directions of k extra axes.
 
     """
 
@@ -69,12 +71,22 @@ class Transform:
         packed[HEAD_ZERO : HEAD_ZERO + 3] = machine.tool_offset.sum(axis=0) * (
             first_on_head or second_on_head
         )
-        return Transform(machine, packed)
+        return Transform(machine, np.concatenate([packed, machine.extra_direction.ravel()]))
 
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Letters of the machine's axes."""
         return self.machine.axis_names
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Letters of the machine's extra axes."""
+        return self.machine.extra_names
+
+    @property
+    def extra_direction(self) -> FloatArray:
+        """Unit vectors in M along which the extra axes move the tool, shape (k, 3)."""
+        return self.machine.extra_direction
 
     @property
     def outer(self) -> int:
@@ -111,7 +123,7 @@ class Transform:
         Parameters
         ----------
         q : ndarray, shape (n, n_axes)
-            Axis positions [m, rad].
+            Axis positions [m, rad]; extra axes may be left out and count as 0 then.
 
         Returns
         -------
@@ -120,12 +132,20 @@ class Transform:
 
         """
         q = np.asarray(q, float)
-        if q.shape[1] == 3:
+        own = 5 if self.machine.has_rotary else 3
+        if q.shape[1] > own:
+            stands = q[:, :3] + q[:, own:] @ self.extra_direction
+            q = np.concatenate([stands, q[:, 3:own]], axis=1)
+        if own == 3:
             q = np.concatenate([q, np.zeros((len(q), 2))], axis=1)
         return forward(self.packed, q)  # type: ignore[no-any-return]
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return X Y Z [m], shape (n, 3), of tool tips [m] at given rotary positions [rad]."""
+        """
+        Return X Y Z [m], shape (n, 3), of tool tips [m] at given rotary positions [rad].
+
+        Extra axes stand at 0.
+        """
         return np.array(
             [linear_position(self.packed, p, r[0], r[1]) for p, r in zip(tip, rotary, strict=True)]
         )

@@ -104,7 +104,7 @@ class FeedrateNode(LifecycleNode):
             name = self.get_name()
             text = f'{name} is not active; activate it, then run the program again'
             raise StreamError(text, Refusal.NOT_READY)
-        check_segment(segment)
+        check_segment(segment, len(self._transform.extra_names))
 
     def _take(self, segment: PathSegment) -> None:
         """Queue a sound segment; the first one begins a run."""

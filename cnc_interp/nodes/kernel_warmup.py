@@ -42,6 +42,7 @@ def tiny_program(transform: Transform) -> Blocks:
         contour_tolerance=np.full(4, 0.02 * MM),
         orientation_tolerance=np.full(4, 0.02 * MM),
         line_number=np.arange(4),
+        extra=np.outer(np.arange(4), np.full(len(transform.extra_names), 1.0 * MM)),
     )
 
 

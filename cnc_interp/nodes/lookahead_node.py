@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 from cnc_interp_msgs.msg import G1Block, PathSegment
 from rclpy.node import Node
@@ -45,8 +46,9 @@ class LookaheadNode(Node):
         self._outlet = Outlet(
             self, 'segments', PathSegment, values['resend_after'], lambda message, _: message
         )
+        check = partial(check_block, extra_count=len(self._transform.extra_names))
         self._inlet = Inlet(
-            self, WindowedReceiver('blocks', values['block_window']), G1Block, check_block,
+            self, WindowedReceiver('blocks', values['block_window']), G1Block, check,
             self._take, self._end, self._diagnostics,
         )  # fmt: skip
         self.create_timer(0.01, self._work)

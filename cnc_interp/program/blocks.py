@@ -49,6 +49,9 @@ class Blocks:
         On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots of its curve
         [-]. It is 0 in the first row, in the last two rows and for a repeated knot. NaN on linear
         rows. Without ``top`` and ``knot_interval`` all rows are linear.
+    extra : ndarray, shape (n, k)
+        Positions of the k extra axes of the machine (U V W) at the end of the block [m]. They run
+        linearly with the tip. The default is k = 0.
     program_stop : ndarray of int, shape (n,)
         STOP (M0) or OPTIONAL_STOP (M1) if the program waits for the operator at the end of the
         block. Such a block has an exact stop. Otherwise GO_ON, which is the default.
@@ -68,6 +71,7 @@ class Blocks:
     top: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     knot_interval: FloatArray = field(default_factory=lambda: np.zeros(0))
     program_stop: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    extra: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         if len(self.knot_interval) != len(self.tip):
@@ -75,6 +79,8 @@ class Blocks:
             object.__setattr__(self, 'knot_interval', np.full(len(self.tip), np.nan))
         if len(self.program_stop) != len(self.tip):
             object.__setattr__(self, 'program_stop', np.full(len(self.tip), GO_ON))
+        if len(self.extra) != len(self.tip):
+            object.__setattr__(self, 'extra', np.zeros((len(self.tip), 0)))
         for column in fields(self):
             getattr(self, column.name).flags.writeable = False
 
@@ -94,5 +100,6 @@ class Blocks:
     @staticmethod
     def concatenate(parts: list[Blocks]) -> Blocks:
         """Join batches of blocks in order."""
+        parts = [part for part in parts if len(part)] or parts[:1]
         names = [column.name for column in fields(Blocks)]
         return Blocks(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))

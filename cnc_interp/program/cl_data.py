@@ -188,7 +188,7 @@ class ClReader:
         self.targets.add(
             (
                 x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *tolerances, self.line_number,
-                0.0, nan, *arc,
+                0.0, nan, *arc, 0.0, 0.0, 0.0,
             )
         )  # fmt: skip
 

@@ -40,7 +40,9 @@ from cnc_interp.settings.choices import Settings
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
 NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
 CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
-CENTRE, NORMAL, SWEEP, WIDTH = slice(19, 22), slice(22, 25), 25, 26
+CENTRE, NORMAL, SWEEP, EXTRA, WIDTH = slice(19, 22), slice(22, 25), 25, slice(26, 29), 29
+#: Letters of the columns EXTRA.
+EXTRA_LETTERS = 'UVW'
 #: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
 AT_M1, AT_M0 = 2.0, 3.0
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
@@ -78,6 +80,8 @@ class TargetColumns:
         self._parts: list[Blocks] = []
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
+        first = EXTRA.start
+        self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.extra_names]
 
     def add(self, row: tuple[float, ...]) -> None:
         """
@@ -85,13 +89,14 @@ class TargetColumns:
 
         Parameters
         ----------
-        row : tuple of 26 floats
+        row : tuple of 29 floats
             Point: tool tip, or axis positions minus those of the workpiece zero [m]; tool axis
             [-], NaN if rotary words give it; rotary positions [rad]; 1 if the program has used
             rotary words; 1 for the great circle, 0 for linear rotary axes; feedrate [m/s];
             duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance
             [m]; line number; 1 if the point is axis positions; feedrate of rotary axes [rad/s];
-            centre [m], normal [-] and sweep [rad] of an arc, NaN without.
+            centre [m], normal [-] and sweep [rad] of an arc, NaN without;
+            positions of the extra axes U V W [m].
 
         """
         if len(self._rows) >= self._full:
@@ -104,7 +109,7 @@ class TargetColumns:
 
         Parameters
         ----------
-        rows : ndarray, shape (n, 26)
+        rows : ndarray, shape (n, 29)
             Targets with the columns of ``add``.
 
         """
@@ -140,12 +145,13 @@ class TargetColumns:
         ----------
         curve : Blocks
             Control points of the spline, one per row.
-        end : tuple of 26 floats
+        end : tuple of 29 floats
             Target at the end of the spline, as for ``add``; the next motion starts there.
 
         """
         self._convert(last=True)
-        self._curve, self._before = curve, None
+        extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
+        self._curve, self._before = replace(curve, extra=extra), None
         self._rows.extend(end)
 
     @property
@@ -229,6 +235,7 @@ class TargetColumns:
             orientation_tolerance=end[:, ORIENTATION].copy(),
             line_number=end[:, LINE].astype(np.int64),
             program_stop=np.where(final, _waits(end), GO_ON),
+            extra=moves.extra(row, u)[:, [column - EXTRA.start for column in self._extra]],
         )
 
     def _piece_counts(self, moves: Moves) -> IntArray:
@@ -293,6 +300,7 @@ class TargetColumns:
             contour_tolerance=row[:, CONTOUR].copy(),
             orientation_tolerance=row[:, ORIENTATION].copy(),
             line_number=row[:, LINE].astype(np.int64),
+            extra=row[:, self._extra],
         )
 
 
@@ -311,7 +319,7 @@ class Moves:
         Kinematics of the machine.
     zero : ndarray, shape (3,)
         Axis positions of the workpiece zero, with the rotary axes at zero [m].
-    before, rows : ndarray, shape (n, 26)
+    before, rows : ndarray, shape (n, 29)
         Targets at the start and at the end of each motion.
 
     """
@@ -322,11 +330,16 @@ class Moves:
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
         self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
         self.axis_before = before[:, AXIS]
+        self._along = np.zeros((3, 3))
+        for letter, direction in zip(geometry.extra_names, geometry.extra_direction, strict=True):
+            self._along[EXTRA_LETTERS.index(letter)] = direction
         self._start = self._starts()
         self._arc = np.isfinite(rows[:, SWEEP])
         # Axis positions and tool tips are equal while the rotary axes are at zero.
         turned = (np.abs(rows[:, ROTARY]) > 0.0) | (np.abs(before[:, ROTARY]) > 0.0)
-        self._by_axes = (rows[:, AXES] != 0.0) & turned.any(axis=1)
+        beside = (rows[:, EXTRA] != 0.0) | (before[:, EXTRA] != 0.0)
+        turned = turned.any(axis=1) | beside.any(axis=1)
+        self._by_axes = (rows[:, AXES] != 0.0) & turned
 
     def _starts(self) -> FloatArray:
         """Return the start points of the motions, in the same coordinates as their ends."""
@@ -334,15 +347,24 @@ class Moves:
         was, now = self._before[:, AXES] != 0.0, self.rows[:, AXES] != 0.0
         to_tips, to_axes = was & ~now, ~was & now
         if to_tips.any():
-            points[to_tips] = self._tips(points[to_tips], self._before[to_tips, ROTARY])
+            before = self._before[to_tips]
+            points[to_tips] = self._tips(points[to_tips], before[:, ROTARY], before[:, EXTRA])
         if to_axes.any():
             linear = self._geometry.linear(points[to_axes], self._before[to_axes, ROTARY])
-            points[to_axes] = linear - self._zero
+            points[to_axes] = linear - self._zero - self._before[to_axes, EXTRA] @ self._along
         return points
 
-    def _tips(self, points: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return the tool tips of axis positions, shape (n, 3) [m]."""
-        return self._geometry.forward(np.concatenate([points + self._zero, rotary], axis=1))[0]
+    def _tips(self, points: FloatArray, rotary: FloatArray, extra: FloatArray) -> FloatArray:
+        """Tool tips of axis positions, of the rotary axes and of U V W [m], shape (m, 3)."""
+        stands = points + extra @ self._along
+        if np.isnan(rotary).all():  # a machine without rotary axes
+            return np.asarray(stands)
+        return self._geometry.forward(np.concatenate([stands + self._zero, rotary], axis=1))[0]
+
+    def extra(self, row: IntArray, u: FloatArray) -> FloatArray:
+        """Return positions of U V W at shares of motions, shape (m, 3) [m]."""
+        start, end = self._before[row, EXTRA], self.rows[row, EXTRA]
+        return np.where((u == 1.0)[:, None], end, start + u[:, None] * (end - start))
 
     def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
         """
@@ -396,7 +418,8 @@ class Moves:
         rotary = self.rotary(row, u)
         by_axes = self._by_axes[row]
         if by_axes.any():
-            point[by_axes] = self._tips(point[by_axes], rotary[by_axes])
+            extra = self.extra(row[by_axes], u[by_axes])
+            point[by_axes] = self._tips(point[by_axes], rotary[by_axes], extra)
         axis = end[:, AXIS].copy()
         between = ~final
         circle = between & (end[:, GREAT_CIRCLE] != 0.0)
@@ -479,6 +502,9 @@ def _moves_nothing(rows: FloatArray, following: FloatArray) -> BoolArray:
     on_circle = following[:, GREAT_CIRCLE] != 0.0
     still &= on_circle | ~(change[:, ROTARY].max(axis=1) > _SAME)
     still &= np.isnan(following[:, SWEEP])
+    still &= ~(np.abs(following[:, EXTRA] - rows[:, EXTRA]).max(axis=1) > _SAME)
     # Equal numbers mean nothing if one row has tool tips and the other axis positions.
     same_terms = following[:, AXES] == rows[:, AXES]
-    return np.asarray(still & (same_terms | (np.abs(rows[:, ROTARY]).max(axis=1) == 0.0)))
+    at_zero = np.abs(rows[:, ROTARY]).max(axis=1) == 0.0
+    at_zero &= np.abs(rows[:, EXTRA]).max(axis=1) == 0.0
+    return np.asarray(still & (same_terms | at_zero))

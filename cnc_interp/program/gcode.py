@@ -347,8 +347,7 @@ class GcodeReader:
             if letter in 'STDH':
                 self.notice(letter, 'passed on, it does not move the tool')
             elif letter in 'ABCUVW':
-                raise self.fault(f'the machine has no axis {letter}; remove the word',
-                                 words.texts[letter])  # fmt: skip
+                raise self.fault(self._why_not(letter), words.texts[letter])
             elif letter == 'L' and len(values) == 1:
                 raise self.fault(
                     f'the subprogram L{values[letter]:g} is not supported; put it into this file',
@@ -356,6 +355,12 @@ class GcodeReader:
                 )
             elif self._cycle is None or letter not in 'QRPKL':
                 raise self.fault('this word has no meaning here', words.texts[letter])
+
+    def _why_not(self, letter: str) -> str:
+        """Say why an axis word cannot be obeyed."""
+        if letter in self.mover.extra_letters:
+            return f'{letter} moves in G0 and G1 blocks only; give it a block of its own'
+        return f'the machine has no axis {letter}; remove the word'
 
     def _dwell(self, words: BlockWords) -> None:
         """Process G4: its P, X, F, S or U is a time."""

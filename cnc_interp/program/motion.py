@@ -15,7 +15,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
-from cnc_interp.program.columns import NO_ARC, TargetColumns
+from cnc_interp.program.columns import EXTRA_LETTERS, NO_ARC, TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import JobSetup
@@ -66,7 +66,9 @@ class Mover:
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)
-        self.rotary_letters = tuple(geometry.axis_names[3:5])
+        self.extra_letters = tuple(geometry.extra_names)
+        own = len(geometry.axis_names) - len(self.extra_letters)
+        self.rotary_letters = tuple(geometry.axis_names[3:own])
         # Modal settings, with the names of codes.SETTINGS.
         self.motion: int | None = None
         self.plane, self.unit, self.incremental, self.centre_absolute = 'G17', MM, False, False
@@ -87,6 +89,11 @@ class Mover:
         self.point = np.zeros(3)
         self.rotary = np.zeros(2) if self.rotary_letters else np.full(2, nan)
         self.named = 0.0
+        #: Positions of the extra axes U V W, which count from their machine zero [m].
+        self.extra = np.zeros(3)
+        self._along = np.zeros((3, 3))
+        for letter, direction in zip(geometry.extra_names, geometry.extra_direction, strict=True):
+            self._along[EXTRA_LETTERS.index(letter)] = direction
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
 
@@ -102,8 +109,13 @@ class Mover:
 
     @property
     def by_axes(self) -> bool:
-        """Whether axis words are axis positions: rotary axes exist and TCP is off."""
-        return bool(self.rotary_letters) and not self.tcp
+        """True where axis words are axis positions: with rotary or extra axes, without TCP."""
+        return bool(self.rotary_letters or self.extra_letters) and not self.tcp
+
+    @property
+    def on_great_circle(self) -> bool:
+        """True where the tool axis turns on a great circle, or cannot turn."""
+        return self.great_circle and not (self.by_axes and self.rotary_letters)
 
     def here(self) -> FloatArray:
         """Return the position in program coordinates, shape (5,) [m, rad]."""
@@ -118,14 +130,15 @@ class Mover:
         if word:
             if self.frames.length:
                 raise self.fault(LENGTH_WITH_TCP, word)
-            if self.rotary.any():
-                q = np.concatenate([self.point + self.zero, self.rotary])[None]
+            if self.rotary.any() or self.extra.any():
+                stands = self.point + self.zero + self.extra @ self._along
+                q = np.concatenate([stands, self.rotary])[None]
                 self.point = self.geometry.forward(q)[0][0]
         else:
             self._rotary_of_vector()
-            if self.rotary.any():
+            if self.rotary.any() or self.extra.any():
                 linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
-                self.point = linear - self.zero
+                self.point = linear - self.zero - self.extra @ self._along
         self.tcp = word
 
     def _rotary_of_vector(self) -> None:
@@ -174,6 +187,7 @@ class Mover:
             target = self.target(words)
             point = self.frames.point(target[:3])
         rotary = self._rotary_target(words, target, machine)
+        self.extra = self._extra_target(words, machine)
         arc: tuple[float, ...] = NO_ARC
         if self.motion >= 2 and arc_words is not None:
             if machine:
@@ -191,7 +205,8 @@ class Mover:
                     f'the machine has no axis {letter}, only {" ".join(self.geometry.axis_names)}',
                     words.texts[letter],
                 )
-        return any(letter in words.values for letter in ('X', 'Y', 'Z', *self.rotary_letters))
+        letters = ('X', 'Y', 'Z', *self.rotary_letters, *self.extra_letters)
+        return any(letter in words.values for letter in letters)
 
     def target(self, words: BlockWords) -> FloatArray:
         """
@@ -222,6 +237,20 @@ class Mover:
                 target[i] = value * size
             if i >= 3:
                 target[i] = self._turned(float(here[i]), float(target[i]), way)
+        return target
+
+    def _extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
+        """Take the words of extra axes out and return their positions, shape (3,) [m]."""
+        target = self.extra.copy()
+        for letter in self.extra_letters:
+            value = words.values.pop(letter, None)
+            if value is None:
+                continue
+            i = EXTRA_LETTERS.index(letter)
+            way = words.ways.get(letter, 'IC' if self.incremental and not machine else '')
+            target[i] = value * self.unit + (target[i] if way == 'IC' else 0.0)
+            if not abs(target[i]) <= FARTHEST:
+                raise self.fault('a coordinate beyond 100,000 mm', f'{letter}{value:g}')
         return target
 
     def _turned(self, here: float, angle: float, way: str) -> float:
@@ -323,7 +352,7 @@ class Mover:
         elif self.named and self.vector is not None and not self.tcp:
             self.vector = None
         axis = (nan, nan, nan) if self.rotary_letters else (0.0, 0.0, 1.0)
-        named, circle = self.named, self.great_circle and not self.by_axes
+        named, circle = self.named, self.on_great_circle
         if self.vector is not None:
             axis, named, circle = tuple(self.vector), 0.0, True
         feedrate, duration, turn_rate = feed
@@ -331,7 +360,7 @@ class Mover:
             (
                 *point, *axis, *rotary, named, float(circle), feedrate, duration, rapid,
                 self.stop_always or self.stop_once, self.contour, self.orientation,
-                self.flow.main_line, self.by_axes, turn_rate, *arc,
+                self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
             )
         )  # fmt: skip
 

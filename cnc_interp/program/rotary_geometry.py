@@ -12,7 +12,15 @@ class RotaryGeometry(Protocol):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Return the letters of the axes, linear axes first: ('X', 'Y', 'Z', 'A', 'C')."""
+        """Letters of the axes, X Y Z first, extra axes last: ('X', 'Y', 'Z', 'A', 'C', 'W')."""
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Letters of the extra axes (U V W), the last ones of the axes."""
+
+    @property
+    def extra_direction(self) -> FloatArray:
+        """Unit vectors in M along which the extra axes move the tool, shape (k, 3)."""
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """

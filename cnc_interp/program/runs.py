@@ -18,6 +18,7 @@ from cnc_interp.program.columns import (
     CONTOUR,
     DURATION,
     EXACT_STOP,
+    EXTRA,
     FEEDRATE,
     GREAT_CIRCLE,
     LINE,
@@ -102,7 +103,8 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         rows[:, AXIS] = (0.0, 0.0, 1.0)
     named = np.maximum.accumulate(rotary_words.any(axis=1)) | bool(mover.named)
     rows[:, NAMED] = named[moves]
-    rows[:, GREAT_CIRCLE] = mover.great_circle and not mover.by_axes
+    rows[:, GREAT_CIRCLE] = mover.on_great_circle
+    rows[:, EXTRA] = mover.extra
     rows[:, FEEDRATE], rows[:, DURATION], rows[:, TURN_RATE] = feeds
     rows[:, RAPID], rows[:, EXACT_STOP] = rapid, mover.stop_always
     rows[:, CONTOUR], rows[:, ORIENTATION] = mover.contour, mover.orientation

@@ -112,7 +112,7 @@ class Splines:
             (
                 *mover.point, *rows.axis[-1], *mover.rotary, 0.0, 1.0, np.inf, nan, 0.0,
                 float(stop or mover.stop_always), mover.contour, mover.orientation,
-                mover.flow.main_line, float(mover.by_axes), nan, *NO_ARC,
+                mover.flow.main_line, float(mover.by_axes), nan, *NO_ARC, *mover.extra,
             ),
         )  # fmt: skip
 

@@ -31,9 +31,11 @@ BLOCK_COLUMNS = {
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
 PATH_CELLS = ('cell_left', 'cell_right')
-# Columns that a program needs only for rotary words, durations (G93), exact stops or splines.
+# Columns that a program needs only for rotary words, durations (G93), exact stops, splines or
+# extra axes.
 OPTIONAL_BLOCK_COLUMNS = {
     'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
+    'extra_axes': 'k',
 }  # fmt: skip
 MAY_BE_UNBOUNDED = frozenset(
     {'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration', 'top', 'knot_interval'}
@@ -158,6 +160,7 @@ def _complete_blocks(columns: Columns) -> Columns:
         'exact_stop': np.zeros(rows, dtype=bool),
         'top': np.full((rows, 3), np.nan),
         'knot_interval': np.full(rows, np.nan),
+        'extra_axes': np.zeros((rows, 0)),
     }
     return defaults | dict(columns)
 

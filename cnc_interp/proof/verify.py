@@ -203,9 +203,9 @@ def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
         row, position = plan.block[ruled], plan.position[ruled].copy()
         rotary = plan.blocks['rotary']
         first, way = rotary[row - 1], rotary[row] - rotary[row - 1]
-        share = np.sum((position[:, -2:] - first) * way, axis=1)
+        share = np.sum((position[:, 3:5] - first) * way, axis=1)
         share = np.clip(share / np.maximum(np.sum(way**2, axis=1), 1e-300), 0.0, 1.0)
-        position[:, -2:] = first + share[:, None] * way
+        position[:, 3:5] = first + share[:, None] * way
         turned = Transform.of(machine).forward(position)[1]
         gap = tip[ruled] - plan.blocks['tip'][row] + plan.flank_height * (axis[ruled] - turned)
         distance = np.linalg.norm(gap, axis=1)
@@ -310,8 +310,10 @@ def _prove_completeness(
             f'the motion is {gap * 1e3:.3g} mm away from the {name} pose of the program '
             f'(line {blocks["line"][row]})',
         )
-    if plan.position.shape[1] == 5:
+    if machine.has_rotary:
         _prove_rotary_words(ledger, plan, where)
+    if machine.extra_names:
+        _prove_extra_words(ledger, plan, machine, where)
     stops = np.flatnonzero(blocks['exact_stop'])
     if len(stops):
         ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
@@ -367,7 +369,7 @@ def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> Non
     if not len(rows):
         return
     flat = np.zeros((len(plan.position), 1))
-    points = np.hstack([plan.position[:, -2:], flat])
+    points = np.hstack([plan.position[:, 3:5], flat])
     words = np.hstack([np.nan_to_num(rotary), np.zeros((len(rotary), 1))])
     angle = vertex_tolerances(plan)[1] / max(plan.flank_height, 1e-3)
     gap, passed = _search_vertices(plan, points, words, angle)
@@ -377,6 +379,34 @@ def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> Non
     ledger.judge('rotary word missed', gap[still], angle[still], slack=SLACK, rows=still)
     # A turn of the tool about its own axis is not visible in the workpiece frame.
     where[still] = passed[still]
+
+
+def _prove_extra_words(ledger: Ledger, plan: PlanFiles, machine: Machine, where: IntArray) -> None:
+    """
+    Demand that extra axes end on their words.
+
+    A word is met between the last sample of its block and the next sample. A rounded vertex may
+    miss it by the contour tolerance, as the tip does. Where the tip rests, only these axes show
+    where the block ends.
+    """
+    words = plan.blocks['extra_axes']
+    if words.shape[1] != len(machine.extra_names):
+        ledger.require(False, f'blocks.npz has no words for the axes {machine.extra_names}')
+        return
+    rows = np.arange(len(words))
+    label = np.maximum.accumulate(plan.block)
+    after = np.clip(np.searchsorted(label, rows, 'right'), 1, len(label) - 1)
+    contour, _ = vertex_tolerances(plan)
+    resting = np.r_[False, np.abs(np.diff(plan.blocks['tip'], axis=0)).max(axis=1) < SLACK]
+    for k, name in enumerate(machine.extra_names):
+        position = plan.position[:, machine.axis_names.index(name)]
+        ends = np.stack([position[after - 1], position[after]])
+        gap = np.maximum(words[:, k] - ends.max(axis=0), ends.min(axis=0) - words[:, k])
+        gap = np.maximum(gap, 0.0)
+        ledger.judge(f'word missed by {name}', gap, contour, slack=SLACK, rows=rows)
+        alone = resting & (np.r_[0.0, np.abs(np.diff(words[:, k]))] > SLACK)
+        nearer = np.abs(ends - words[:, k]).argmin(axis=0)
+        where[alone] = (after - 1 + nearer)[alone]
 
 
 def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:

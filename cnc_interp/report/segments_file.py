@@ -43,7 +43,9 @@ def read_segments(directory: Path) -> PathSegments | None:
         return None
     try:
         with np.load(file, allow_pickle=False) as archive:
-            segments = PathSegments(**{f.name: archive[f.name] for f in fields(PathSegments)})
+            # a plan of a machine without extra axes need not carry them
+            names = {f.name for f in fields(PathSegments)} - ({'extra'} - set(archive.files))
+            segments = PathSegments(**{name: archive[name] for name in names})
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
         raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
     count = len(segments)

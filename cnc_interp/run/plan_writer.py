@@ -88,8 +88,9 @@ class PlanWriter:
     def segments(self, segments: PathSegments) -> None:
         """Write further segments."""
         self.figures.segments(segments)
-        columns = {field.name: getattr(segments, field.name) for field in fields(segments)}
-        self._archives['segments'].append(columns)
+        if len(segments):  # an empty batch does not know how many extra axes there are
+            columns = {field.name: getattr(segments, field.name) for field in fields(segments)}
+            self._archives['segments'].append(columns)
 
     def piece(self, piece: PlannedPiece) -> None:
         """Write the path of a further piece; its law has one row for every cell."""
@@ -217,7 +218,8 @@ class _Column:
 
 def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[str, Any]:
     """Return the columns of ``blocks.npz``; ``tip_before`` as for `effective_feed`."""
-    return {
+    extra = {'extra_axes': blocks.extra} if blocks.extra.shape[1] else {}
+    return extra | {
         'tip': blocks.tip,
         'axis': blocks.axis,
         'feed': effective_feed(blocks, tip_before),

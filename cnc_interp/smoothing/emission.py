@@ -13,7 +13,15 @@ from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, corners_at
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.orientation import norm, turned_by
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments, padded
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    POINTS,
+    ROTATION,
+    SPLINE,
+    PathSegments,
+    padded,
+)
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,7 @@ class Emission:
             line_number=spans.line_number,
             stop=final & (self.vertex[row + 1] == STOP),
             deviation=spans.deviation,
+            extra=np.repeat(self.rows.blocks.extra[row, None], POINTS, axis=1),
         )
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
@@ -100,10 +109,10 @@ class Emission:
         swept = np.where(
             programmed, np.sqrt((np.diff(rotary, axis=1)[:, 0] ** 2).sum(axis=1)), legs.turn[:last]
         )
-        length = np.where(resting, self.style.height * swept, end - start)
+        length = np.where(resting, self._resting_way(np.arange(last), swept), end - start)
         line = rows.count[1 : last + 1] == 0
         kept = np.flatnonzero(
-            line & np.where(resting, swept > 0.0, end - start > 1e-12 * legs.length[:last])
+            line & np.where(resting, length > 0.0, end - start > 1e-12 * legs.length[:last])
             | (line & stop[1 : last + 1] & (end - start > 0.0))
         )
         share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
@@ -136,28 +145,65 @@ class Emission:
             line_number=blocks.line_number[kept + 1],
             stop=stop[1 : last + 1][kept],
             deviation=rows.used[kept + 1],
+            extra=self._extra_on_lines(last, start, end)[kept],
         )
+
+    def _resting_way(self, rows: IntArray, swept: FloatArray) -> FloatArray:
+        """
+        Return the path length of blocks whose tip rests [m], shape (n,).
+
+        It is flank height times angle; where extra axes move, too, both count at right angles.
+        """
+        moved = self.legs.extra_step[rows]
+        turned = self.style.height * swept
+        return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
+
+    def _extra_on_lines(self, last: int, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return control values of the extra axes on what corners leave of lines."""
+        blocks, legs = self.rows.blocks, self.legs
+        found = np.zeros((last, POINTS, blocks.extra.shape[1]))
+        rate = legs.extra_rate[:last]
+        found[:, 0] = blocks.extra[:last] + start[:, None] * np.where(
+            legs.resting[:last, None], 0.0, rate
+        )
+        short = (end < legs.length[:last]) & ~legs.resting[:last]
+        found[:, 1] = np.where(
+            short[:, None], blocks.extra[:last] + end[:, None] * rate, blocks.extra[1 : last + 1]
+        )
+        return found
+
+    def _extra_on_corners(self, rows: IntArray, inner: FloatArray) -> FloatArray:
+        """Return control values of the extra axes on corners: linear on both legs."""
+        blocks, legs, outer = self.rows.blocks, self.legs, self.outer[rows]
+        found = np.zeros((len(rows), POINTS, blocks.extra.shape[1]))
+        found[:, 2] = blocks.extra[rows]
+        for side, rate in ((0, -legs.extra_rate[rows - 1]), (1, legs.extra_rate[rows])):
+            found[:, 4 * side] = found[:, 2] + outer[:, side, None] * rate
+            found[:, 1 + 2 * side] = found[:, 2] + inner[:, None] * rate
+        return found
 
     def _feed(self, rows: IntArray, swept: FloatArray) -> FloatArray:
         """
         Return the programmed ds/dt of the blocks after the vertices ``rows``, shape (k,) [m/s].
 
         A duration (G93) gives length / duration. A rotation with the tip at rest is limited only
-        by its duration or by the axes.
+        by its duration or by the axes. Where only extra axes move, F is their
+        speed.
         """
         blocks, legs = self.rows.blocks, self.legs
         duration = blocks.duration[rows + 1]
         timed = np.isfinite(duration)
         resting = legs.resting[rows]
-        length = np.where(resting, self.style.height * swept, legs.length[rows])
-        programmed = np.where(resting, np.inf, blocks.feedrate[rows + 1])
+        length = np.where(resting, self._resting_way(rows, swept), legs.length[rows])
+        alone = resting & ~(legs.extra_step[rows].any(axis=1) & (swept == 0.0))
+        programmed = np.where(alone, np.inf, blocks.feedrate[rows + 1])
         return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
 
     def _corners(self, rows: IntArray) -> PathSegments:
         """Return the corners at these vertices."""
         n, lines = len(rows), self.rows
         blocks, corners = lines.blocks, corners_at(lines.blocks, self.legs, rows)
-        _, _, curves, deviation = corner.fit(
+        inner, _, curves, deviation = corner.fit(
             corners, self.inner[rows], self.outer[rows], self.style
         )
         beyond = np.flatnonzero((deviation > corners.tolerances * (1.0 + 1e-6)).any(axis=1))
@@ -185,6 +231,7 @@ class Emission:
             line_number=blocks.line_number[rows + 1],
             stop=np.zeros(n, dtype=bool),
             deviation=deviation + np.maximum(lines.used[rows], lines.used[rows + 1]),
+            extra=self._extra_on_corners(rows, inner),
         )
 
 

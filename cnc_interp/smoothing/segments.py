@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import sqrt
 
 import numpy as np
@@ -67,6 +67,9 @@ class PathSegments:
         Whether the tool rests at the end of the segment.
     deviation : ndarray, shape (n, 2)
         Contour and orientation deviation of curves [m], 0 for lines and rotations.
+    extra : ndarray, shape (n, 6, k)
+        Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the
+        path. A rotation uses the first two, like a line. The default is k = 0.
 
     """
 
@@ -84,10 +87,13 @@ class PathSegments:
     line_number: IntArray
     stop: BoolArray
     deviation: FloatArray
+    extra: FloatArray = field(default_factory=lambda: np.zeros((0, POINTS, 0)))
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            getattr(self, field.name).flags.writeable = False
+        if len(self.extra) != len(self.kind):
+            object.__setattr__(self, 'extra', np.zeros((len(self.kind), POINTS, 0)))
+        for column in fields(self):
+            getattr(self, column.name).flags.writeable = False
 
     def __len__(self) -> int:
         """Return the number of segments."""
@@ -95,12 +101,13 @@ class PathSegments:
 
     def __getitem__(self, rows: slice | IntArray) -> PathSegments:
         """Return the segments at these indices."""
-        return PathSegments(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return PathSegments(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     @staticmethod
     def concatenate(parts: list[PathSegments]) -> PathSegments:
         """Join batches of segments in order."""
-        names = [field.name for field in fields(PathSegments)]
+        parts = [part for part in parts if len(part)] or parts[:1]
+        names = [column.name for column in fields(PathSegments)]
         return PathSegments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 

@@ -12,7 +12,7 @@ from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE
+from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
 from cnc_interp.wire.path_messages import (
     CONNECTION_POINTS,
     CURVES,
@@ -25,11 +25,12 @@ from cnc_interp.wire.settings_messages import settings_from
 UNIT = 1e-9
 
 
-def check_block(message: G1Block) -> None:
-    """Refuse a block with values that no program can mean."""
+def check_block(message: G1Block, extra_count: int = 0) -> None:
+    """Refuse a block with values that no program can mean; the machine has so many extra axes."""
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
     _check_control_point(name, message)
+    _check_extra(name, message.extra_axes, extra_count)
     for field in ('contour_tolerance', 'orientation_tolerance', 'flank_height'):
         value = getattr(message, field)
         if not 0.0 < value < np.inf:
@@ -68,6 +69,16 @@ def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray
         raise StreamError(f'{name}: name both rotary axes, or none (NaN)')
 
 
+def _check_extra(name: str, values: array[float], count: int) -> None:
+    """Refuse positions of extra axes that are not finite or not those of the machine."""
+    if len(values) != count:
+        raise StreamError(
+            f'{name}: extra_axes holds {len(values)} values, the machine needs {count}'
+        )
+    if not np.isfinite(values).all():
+        raise StreamError(f'{name}: extra_axes is not finite; send numbers')
+
+
 def _check_control_point(name: str, message: G1Block) -> None:
     """Refuse a control point of splines that is not finite or lies off the tool axis."""
     if not message.spline:
@@ -82,8 +93,8 @@ def _check_control_point(name: str, message: G1Block) -> None:
         raise StreamError(f'{name}: top must be a point on the tool axis above the tip')
 
 
-def check_segment(message: PathSegment) -> None:
-    """Refuse a segment whose curves or values do not fit its kind."""
+def check_segment(message: PathSegment, extra_count: int = 0) -> None:
+    """Refuse a segment that does not fit its kind or the machine's number of extra axes."""
     name = f'segment {message.sequence} (line {message.line_number})'
     kind, curved = message.kind, message.kind in CURVES
     if kind not in (LINE, CORNER, ROTATION, SPLINE):
@@ -95,6 +106,7 @@ def check_segment(message: PathSegment) -> None:
             raise StreamError(f'{name}: connection must hold 6 or 8 points of 3 values')
     if kind == CORNER:
         _check_parametrization(f'{name}: parametrization', message.parametrization)
+    _check_extra(name, message.extra_axes, POINTS * extra_count)
     for rotary in (message.rotary_start, message.rotary_end):
         _check_pose(name, np.zeros(3), message.axis, rotary)
     values = [*message.rotation, message.contour_deviation, message.orientation_deviation]

@@ -54,6 +54,7 @@ def block_messages(
             tip=blocks.tip[i],
             axis=blocks.axis[i],
             rotary=blocks.rotary[i],
+            extra_axes=packed(blocks.extra[i]),
             spline=bool(spline[i]),
             top=blocks.top[i],
             knot_interval=float(blocks.knot_interval[i]),
@@ -94,6 +95,7 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
         top=top,
         knot_interval=knot_interval,
         program_stop=column('program_stop', np.int64),
+        extra=column('extra_axes').reshape(len(messages), len(messages[0].extra_axes)),
     )
 
 
@@ -124,6 +126,7 @@ def _segment_message(
         rotation=segments.rotation[i],
         rotary_start=segments.rotary[i, 0],
         rotary_end=segments.rotary[i, 1],
+        extra_axes=packed(segments.extra[i]),
         length=float(segments.length[i]),
         feedrate=segments.feed[i],
         contour_deviation=float(segments.deviation[i, 0]),
@@ -190,6 +193,8 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
                 connection[i] = np.frombuffer(message.connection).reshape(-1, 3)
             if len(message.parametrization.knots):
                 parametrization[i] = _spans_of(message.parametrization)
+    count = len(messages[0].extra_axes) // POINTS if n else 0
+    extra = np.array([m.extra_axes for m in messages], dtype=float).reshape(n, POINTS, count)
     return PathSegments(
         kind=np.array([m.kind for m in messages], dtype=np.int64),
         bottom=bottom,
@@ -205,4 +210,5 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
         line_number=np.array([m.line_number for m in messages], dtype=np.int64),
         stop=np.array([m.stop for m in messages], dtype=np.bool_),
         deviation=np.array([(m.contour_deviation, m.orientation_deviation) for m in messages]),
+        extra=extra,
     )

@@ -15,6 +15,7 @@ class TableAC:
     """A table-tilting AC machine, both rotary axes through the workpiece zero."""
 
     axis_names = ('X', 'Y', 'Z', 'A', 'C')
+    extra_names, extra_direction = (), ()
 
     def tool_axis(self, rotary):
         a, c = rotary[:, 0], rotary[:, 1]

@@ -14,7 +14,7 @@ from the orientation tolerance alone. All functions work on many corners at once
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -50,6 +50,8 @@ class Corners:
         Rotation vector per metre of path on the lines before and after [rad/m].
     tolerances : ndarray, shape (n, 2)
         Contour and orientation tolerance [m].
+    extra_rates : ndarray, shape (n, 2, k)
+        What the extra axes move by per metre of path on the lines before and after [-].
 
     """
 
@@ -58,10 +60,15 @@ class Corners:
     legs: FloatArray
     rates: FloatArray
     tolerances: FloatArray
+    extra_rates: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 0)))
+
+    def __post_init__(self) -> None:
+        if len(self.extra_rates) != len(self.tip):
+            object.__setattr__(self, 'extra_rates', np.zeros((len(self.tip), 2, 0)))
 
     def __getitem__(self, rows: IntArray) -> Corners:
         """Return the corners at these indices."""
-        return Corners(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Corners(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def axis_at(self, side: int, x: FloatArray) -> FloatArray:
         """
@@ -145,6 +152,9 @@ def initial_lengths(
     available = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
     inner = available.min(axis=1) / LEAST_RATIO
     bend = norm(corners.legs[:, 0] + corners.legs[:, 1])
+    # an extra axis is a fourth coordinate: its middle deviates by L1 |w_2 - w_1| / 4 likewise
+    drift = np.abs(corners.extra_rates[:, 1] - corners.extra_rates[:, 0])
+    bend = np.maximum(bend, drift.max(axis=1, initial=0.0))
     allowed = 4.0 * corners.tolerances[:, 0]
     bound = bend * inner > allowed
     inner = np.where(bound, allowed / np.where(bound, bend, 1.0), inner)  # Eq. 3 and A.3

@@ -40,6 +40,10 @@ class Legs:
         Rotation vector per metre of path [rad/m].
     resting : ndarray of bool, shape (n,)
         Whether the tip stands still.
+    extra_step : ndarray, shape (n, k)
+        What the extra axes move by over the block [m].
+    extra_rate : ndarray, shape (n, k)
+        The same per metre of path [-].
 
     """
 
@@ -49,6 +53,8 @@ class Legs:
     turn: FloatArray
     rate: FloatArray
     resting: BoolArray
+    extra_step: FloatArray
+    extra_rate: FloatArray
 
     @staticmethod
     def of(blocks: Blocks) -> Legs:
@@ -72,7 +78,11 @@ class Legs:
         direction = step / np.where(resting, 1.0, length)[:, None]
         rotation = rotations_between(blocks.axis[:-1], blocks.axis[1:])
         rate = rotation / np.where(resting, 1.0, length)[:, None]
-        return Legs(length, direction, rotation, norm(rotation), rate, resting)
+        extra_step = np.diff(blocks.extra, axis=0)
+        extra_rate = extra_step / np.where(resting, 1.0, length)[:, None]
+        return Legs(
+            length, direction, rotation, norm(rotation), rate, resting, extra_step, extra_rate
+        )
 
 
 def refuse_reversals(rows: Rows, legs: Legs) -> None:
@@ -120,7 +130,8 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
     sharp = cosine < np.cos(sharpest)
     bend = norm(np.diff(legs.direction, axis=0))
     twist = norm(np.diff(legs.rate, axis=0)) * flank_height
-    straight = (bend < STRAIGHT) & (twist < STRAIGHT)
+    drift = np.abs(np.diff(legs.extra_rate, axis=0)).max(axis=1, initial=0.0)
+    straight = (bend < STRAIGHT) & (twist < STRAIGHT) & (drift < STRAIGHT)
     kind[1:-1] = np.where(straight, PASS, ROUND)
     at_pole = np.zeros(len(kind) - 2, dtype=bool)
     if machine.pole is not None:
@@ -165,4 +176,5 @@ def corners_at(blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
         legs=np.stack([-legs.direction[rows - 1], legs.direction[rows]], axis=1),
         rates=np.stack([legs.rate[rows - 1], legs.rate[rows]], axis=1),
         tolerances=np.stack(tolerances, axis=1),
+        extra_rates=np.stack([legs.extra_rate[rows - 1], legs.extra_rate[rows]], axis=1),
     )

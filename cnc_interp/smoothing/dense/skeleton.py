@@ -179,8 +179,10 @@ class SkeletonBuilder:
         rotary = np.where(words[:, None], raw.rotary, 0.0)
         spins = words[1:] & words[:-1] & (np.abs(np.diff(rotary, axis=0)).max(axis=1) > 1e-9)
         tolerance = raw.orientation_tolerance[1:]
+        # A block that moves an extra axis stays a line: curves exist only where those axes rest.
+        beside = (np.diff(raw.extra, axis=0) != 0.0).any(axis=1)
         resting = length < STANDSTILL
-        resting &= (height * turn > thinning.DROP * tolerance) | (spins & (turn < 1e-12))
+        resting &= (height * turn > thinning.DROP * tolerance) | (spins & (turn < 1e-12)) | beside
         n = len(raw)
         near, at_pole = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         if self._pole is not None:
@@ -193,7 +195,8 @@ class SkeletonBuilder:
         kind = np.full(n, SHORT)
         narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
         kind[1:][length > np.minimum(self._longest_block, LONGEST * narrow)] = LONG
-        fixed = resting | raw.rapid[1:] | reversed_axis | ((near[1:] | near[:-1]) & (turn > 0.0))
+        fixed = resting | beside | raw.rapid[1:] | reversed_axis
+        fixed |= (near[1:] | near[:-1]) & (turn > 0.0)
         kind[1:][fixed] = FIXED
         if self._joined and self.skeleton is not None and len(self.skeleton) == 1:
             kind[1:2] = FIXED
@@ -271,7 +274,7 @@ class SkeletonBuilder:
             rapid=raw.rapid[kept], exact_stop=raw.exact_stop[kept],
             contour_tolerance=raw.contour_tolerance[kept],
             orientation_tolerance=raw.orientation_tolerance[kept],
-            line_number=raw.line_number[kept],
+            line_number=raw.line_number[kept], extra=raw.extra[kept],
         )  # fmt: skip
         du = np.sqrt(0.5 * (length**2 + top_length**2))
         u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]

@@ -22,7 +22,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.native.joining import Jets, connected, shortest_tool, span_jets
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segments import SPLINE, PathSegments
+from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments
 
 #: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
 SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
@@ -391,4 +391,5 @@ class SplineRun:
             line_number=rows.line_number[own],
             stop=np.array([stop for _, stop in pieces]),
             deviation=np.stack([piece.deviation for piece, _ in pieces]),
+            extra=np.repeat(rows.extra[own, None], POINTS, axis=1),
         )

@@ -29,7 +29,7 @@ PROGRAMS = {'pyramid': pyramid, 'zigzag': lambda: zigzag(0), 'fine': lambda: zig
 
 @cache
 def path_of(name) -> AxisPath:
-    return path_chain.path_of(PROGRAMS[name](), Transform.of(MACHINE), Settings(compress=False))
+    return path_chain.path_of(PROGRAMS[name](), Transform.of(MACHINE), Settings())
 
 
 def stream_of(name):

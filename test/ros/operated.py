@@ -45,7 +45,7 @@ def blocks_of(text):
 
 
 def path_of(text):
-    return path_chain.path_of(blocks_of(text), TRANSFORM, Settings(compress=False))
+    return path_chain.path_of(blocks_of(text), TRANSFORM, Settings())
 
 
 class Bench(NodesUnderTest):

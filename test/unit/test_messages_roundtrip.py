@@ -60,7 +60,7 @@ def blocks_of(path):
 
 
 def segments_of(blocks, **settings):
-    return path_chain.segments_of(blocks, TRANSFORM, Settings(compress=False, **settings))
+    return path_chain.segments_of(blocks, TRANSFORM, Settings(**settings))
 
 
 def over_the_wire(sent):

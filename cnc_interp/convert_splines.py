@@ -181,7 +181,7 @@ class SplineMoves:
 
     def losses(self) -> list[str]:
         """
-        State what changes on a control with u_top = u_bottom that does not connect curves.
+        List the effects on a control that uses one parameter for both curves and joins none.
 
         Returns
         -------
@@ -204,7 +204,7 @@ class SplineMoves:
         return notes
 
     def _plain_jump(self) -> float:
-        """Return the largest jump of o_s between lines and corners of five points each [rad/m]."""
+        """Return the largest jump of o_s where lines meet plain corners [rad/m]."""
         segments, largest = self.segments, 0.0
         for i in np.flatnonzero(segments.kind == CORNER):
             for near, step in ((i - 1, 1), (i + 1, -1)):

@@ -77,7 +77,7 @@ class IsoScallopPaths:
 
     @property
     def iterations(self) -> tuple[float, float, float]:
-        """Mean iterations per posture: bracketing and solution of stage 1, stage 2."""
+        """Mean iterations per posture: bracketing of stage 1, solution of stage 1, stage 2."""
         marched = np.concatenate([p.right.marched for p in self.passes])
         refined = np.concatenate([p.right.refined for p in self.passes])
         fitted = [p.iterations for p in self.passes if not p.fresh]
@@ -195,7 +195,7 @@ class _Run:
         return self.checked(self.finished(curve, angles, none, fresh=True), number)
 
     def next_pass(self, before: Pass, number: int) -> Pass:
-        """Continue the previous pass exactly, or start afresh beside it."""
+        """Return the next pass: exact if the last one can be continued, else a new start."""
         reach, stepover = before.reach, self.options.stepover
         middle = self.half_width_at(before.plane) if stepover is None else 0.5 * stepover
         stray = self.options.stray

@@ -36,7 +36,7 @@ GRID_EVERY, SHORTEST = 10, 1e-6
 @dataclass(frozen=True)
 class RecordedRun:
     """
-    The last run in a bag that moved.
+    The last run in a bag in which the machine moved.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from cnc_interp.nodes import parameters
 ASKED = {
     node: parameters.NODES[node] for node in ('lookahead_node', 'feedrate_node', 'machine_node')
 }
-#: Topics that a run cannot do without; a recorder that hears them hears the run.
+#: Topics that every run has. A recorder that receives all of them is connected to the run.
 STREAMS = ('blocks', 'segments', 'setpoints', 'executed_setpoints')
 #: Topics from which plan files are written.
 NEEDED = ('loaded_program', 'blocks', 'segments', 'executed_setpoints', 'feed_override')

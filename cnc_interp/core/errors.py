@@ -120,7 +120,7 @@ class Refusal(IntEnum):
     GAP = 16  # messages before it are missing
     SPOILT = 17  # its checksum is wrong
     REPEAT = 18  # it was received before
-    FOREIGN_RUN = 19  # it belongs to another run
+    FOREIGN_RUN = 19  # the message belongs to another run
     LATE = 20  # it comes after the end of its run
     PLAN_OVER = 21  # its plan has ended by a stop; no error: it was on its way
 

@@ -190,7 +190,7 @@ def limit_use(
         t = duration[i]
         j, last = jerk[i], points[i] - 1
         for step in range(points[i]):
-            # The two ends come first, because use[1] needs them alone.
+            # The first two instants are the ends of the cell, because use[1] is taken there only.
             p = 0 if step == 0 else last if step == 1 else step - 1
             dt = t * p / last
             s = dt * (v[i] + dt * (a[i] / 2 + dt * j / 6))

@@ -229,7 +229,7 @@ def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-unt
     across = cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]
     square = jet.multiply(cosine, cosine)
     sine_squared = radius * radius - square[0]
-    if x[0] > 0.0:  # the same number without cancellation near the pole +u
+    if x[0] > 0.0:  # an equivalent formula that loses no digits near the pole +u
         sine_squared = (across / (1.0 + x[0]) + (radius + c0 - 1.0)) * (radius + cosine[0])
     elif radius - c0 > 1.0 - 1e-12:
         sine_squared = across / (1.0 - x[0]) * (radius - cosine[0])

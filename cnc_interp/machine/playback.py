@@ -142,7 +142,7 @@ class Playback:
 
     @property
     def left(self) -> bool:
-        """Tell whether the plan was left by a stop tail: its further setpoints are void."""
+        """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
         on_tail = not self.state.resting and self._current is None
         return on_tail or self.state.plan_over
 

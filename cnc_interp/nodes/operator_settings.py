@@ -20,7 +20,7 @@ MOST = 1.5
 
 class OperatorInputs:
     """
-    The topic and the services by which the operator sets something, and what is set now.
+    Inputs of the operator (feed override, single block, optional stop) and their current values.
 
     Parameters
     ----------

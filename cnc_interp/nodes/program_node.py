@@ -153,7 +153,7 @@ class ProgramNode(Node):
         self._diagnostics.say('program', level, text, **values)
 
     def _press(self, button: str, now: float) -> None:
-        """Use a service of the machine, now and then: a lost node does not answer."""
+        """Call a service of the machine at intervals, because a lost node never answers."""
         if now - self._pressed_at > PRESS_AGAIN:
             self._pressed_at = now
             self._buttons[button].call_async(Trigger.Request())

@@ -303,7 +303,7 @@ class ClReader:
             self._circle = None
 
     def _arc_to(self, circle: _Circle, end: FloatArray) -> tuple[float, ...]:
-        """Return the arc to a point; if the point is not on the circle, leave the circle."""
+        """Return the arc to a point; a point off the circle ends the CIRCLE statement."""
         first, start = circle.turned == 0.0, np.array(self._point)
         before, after = circle.across(start), circle.across(end)
         off = abs(float(np.linalg.norm(after)) - circle.radius)

@@ -113,7 +113,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         turned = np.abs(np.diff(np.vstack([mover.rotary, rotary[moves]]), axis=0))
         cutting = turned.max(axis=1) * ~rapid
         if cutting.max() > LONG_WAY:
-            return False  # the general reader gives a notice for this
+            return False  # a long way round: the general reader gives the notice
     _set_state(mover, motion, values[:, scan.F], points, rotary, named)
     mover.targets.extend(rows)
     return True

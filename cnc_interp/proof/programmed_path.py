@@ -124,7 +124,7 @@ class ProgrammedPath:
         self, tip: FloatArray, axis: FloatArray, block: IntArray, reach: FloatArray | None = None
     ) -> Deviation:
         """
-        Measure poses against the rows near the executed ones.
+        Return the deviation of poses from the program rows near those being executed.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Settings: every choice of the user, once."""
+"""Settings: all choices of the user, each declared in one place."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ Item = TypeVar('Item')
 REMEMBERED = 64
 #: Time that a repetition asked for may take to arrive [s].
 SETTLE = 0.05
-#: A sender waits no longer than this many times its first patience.
+#: Longest time before a repetition, as a multiple of the first one.
 MOST_PATIENT = 16.0
 
 

@@ -25,7 +25,7 @@ from cnc_interp.settings.command_line import command_words
 
 #: Points that are drawn at most.
 DRAWN = 20000
-#: Of the planning process: the nodes always come first, yet it gets on beside other work.
+#: Niceness of the planning process: lower priority than the nodes.
 NICENESS = 5
 
 

@@ -136,7 +136,7 @@ class End:
 
     def residuals(self, f: FloatArray, free_length: FloatArray) -> FloatArray:
         """
-        Return the difference (rho o - D) in the first three derivatives by u.
+        Return the first three derivatives by u of rho o - D, with D the top minus the bottom curve.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ CHORD, CORNER_PART = 20.0, 14.0
 REACH = 30.0
 #: Largest distance of the blocks from the chord, in tolerances.
 OFF = 0.3
-#: Shortest block on a chord that keeps its own program row, in tolerances.
+#: A block on a chord keeps its own program row if it is longer than this [tolerances].
 CUT = 0.5
 #: A curve begins inside a long block, at most this many longest spacings before the end of the
 #: block, and within this part of its length.

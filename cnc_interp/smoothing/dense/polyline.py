@@ -145,7 +145,7 @@ class Polyline:
 
     def line_jet(self, k: int, end: bool, height: float) -> FloatArray:
         """
-        Return the motion of tip and top on segment k at one of its ends.
+        Return position and derivatives of tip and top at one end of segment k.
 
         The tip moves straight. The top T = p + h o moves on an arc with o_u = w x o.
 

@@ -19,7 +19,7 @@ STANDSTILL = 1e-9
 REPEATED = 1e-10
 #: Kinds of segments: short enough for a curve, too long, or never part of a curve.
 SHORT, LONG, FIXED = 0, 1, 2
-#: A block longer than this is too long in any case, in tolerances: a curve would not be straight.
+#: A block longer than this always stays a straight line [tolerances].
 LONGEST = 500.0
 #: Smallest movement of the tip on a curve, as part of the movement of the top [-].
 LEAST_TIP = 0.02

@@ -142,7 +142,7 @@ class SplineRun:
         self._rows: Blocks | None = None  # control points that later spans may need
         self._offset = 0  # number in the curve of the first of them
         self._next = 1  # number in the curve of the next span
-        # The last span, whose end is still open, and the jets that it takes at its start.
+        # The last span, which is not ended yet, and the derivatives at its start.
         self._held: tuple[Piece, Jets | None] | None = None
         #: Whether the path continues into the curve without rest; None if not known yet.
         self.flows: bool | None = None

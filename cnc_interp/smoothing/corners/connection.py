@@ -136,7 +136,7 @@ class End:
 
     def residuals(self, f: FloatArray, free_length: FloatArray) -> FloatArray:
         """
-        Return the first three derivatives by u of rho o - D, with D the top minus the bottom curve.
+        Return the first three derivatives by u of rho o - D; D is top minus bottom curve.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""How punctual a thread is, and what the system grants it: real-time scheduling, locked memory."""
+"""Punctuality of a periodic thread; real-time scheduling and locked memory where permitted."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 
 from cnc_interp.core.units import MS
 
-#: `mlockall` of <sys/mman.h>: all pages that are there, and all to come.
+#: Flags of `mlockall` in <sys/mman.h>: all present pages, and all future ones.
 LOCK_CURRENT, LOCK_FUTURE = 1, 2
-#: Width of a class of the histogram, and the latest that is told apart [s].
+#: Width of a class of the histogram, and the upper end of the last class [s].
 CLASS, LATEST = 2e-6, 100.0 * MS
 
 
 def ask_for_priority(priority: int) -> str:
     """
-    Ask for real-time scheduling of the calling thread; says what it got.
+    Ask for real-time scheduling of the calling thread; return what was granted, in words.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ def ask_for_priority(priority: int) -> str:
 
 
 def niceness() -> str:
-    """Say how the calling thread is scheduled without real time."""
+    """Return how the calling thread is scheduled without real time, in words."""
     return f'ordinary scheduling, niceness {os.getpriority(os.PRIO_PROCESS, 0)}'
 
 
 def lock_memory() -> str:
-    """Keep the pages of this process in memory, those to come too; says whether it may."""
+    """Lock all present and future pages of this process in memory; return the result in words."""
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft != hard:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))
@@ -54,7 +54,7 @@ def lock_memory() -> str:
 
 class Lateness:
     """
-    How late a periodic thread woke up: a histogram, so that memory stays flat.
+    Histogram of how late a periodic thread woke up; its memory does not grow.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Lateness:
         self.largest = 0.0
 
     def add(self, late: float) -> None:
-        """Take note of one wake-up, ``late`` [s] after its deadline."""
+        """Count one wake-up, ``late`` [s] after its deadline."""
         late = max(late, 0.0)
         self._counts[min(int(late / CLASS), len(self._counts) - 1)] += 1
         self.count += 1
@@ -78,7 +78,7 @@ class Lateness:
         self.largest = max(self.largest, late)
 
     def quantile(self, share: float) -> float:
-        """Return the lateness that a share of the wake-ups did not pass, to one class [s]."""
+        """Return the lateness that a share of the wake-ups did not exceed, to one class [s]."""
         below = np.cumsum(np.frombuffer(self._counts, dtype=np.uint64))
         found = int(np.searchsorted(below, share * self.count))
         return min((found + 1) * CLASS, self.largest)

@@ -1,4 +1,4 @@
-"""What setpoints must be before drives follow them: inside the travel and the limits."""
+"""Checks of setpoints before the drives follow them: travel and limits."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from cnc_interp.core.differences import largest_differences, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 
-# Differences of sound setpoints pass a limit by rounding only.
+# Differences of valid setpoints exceed a limit by rounding at most.
 ROUNDING = 1.01
-# Soft limits forgive rounding [m, rad].
+# Soft limits allow for rounding [m, rad].
 TRAVEL_SLACK = 1e-9
 
 
 def beyond_travel(machine: Machine, positions: FloatArray) -> str:
     """
-    Say which axis would leave its travel first, and where to; empty when none does.
+    Return which axis would leave its travel first and where, in words; empty if none does.
 
     Parameters
     ----------

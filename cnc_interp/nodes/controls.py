@@ -1,4 +1,4 @@
-"""The operator's services of the machine: feed_hold, cycle_start, emergency_stop, reset."""
+"""Services of the machine for the operator: feed_hold, cycle_start, emergency_stop, reset."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cnc_interp.machine.playback import Playback
 
 class Controls:
     """
-    Services that act on the playback at once, whatever became of the other nodes.
+    Services that act on the playback at once, without the other nodes.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Controls:
             node.create_service(Trigger, name, self._answering(act, gives_up))
 
     def _answering(self, act: Callable[[], None], gives_up: str) -> Callable[[Any, Any], Any]:
-        """Make a service of an action that raises when it is not possible."""
+        """Make a service of an action; an action that is not possible raises."""
 
         def serve(_request: Any, response: Any) -> Any:
             try:

@@ -1,4 +1,4 @@
-"""What a node says about itself on ``/diagnostics``: once a second, and news at once."""
+"""The diagnostics of a node on ``/diagnostics``: once a second, and changes at once."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Diagnostics:
         node.create_timer(1.0, self.publish)
 
     def say(self, part: str, level: bytes, message: str, **values: object) -> None:
-        """Set the status of a part; news go out at once and into the log."""
+        """Set the status of a part; a change is published and logged at once."""
         status = DiagnosticStatus(
             level=level,
             name=f'{self._node.get_name()}: {part}',

@@ -1,4 +1,4 @@
-"""Runs a tiny built-in path, so that every compiled kernel is loaded before anything moves."""
+"""A tiny built-in path: it loads every compiled kernel before anything moves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-#: The tiny path in several windows: some kernels serve only where a window follows another.
+#: The tiny path has several windows, because some kernels are used after the first one only.
 SHORT_WINDOWS = PlanOptions(window_cells=8)
 
 
@@ -81,7 +81,7 @@ def warm_kinematics(transform: Transform, settings: Settings) -> AxisPath:
 
 
 def warm_all(transform: Transform, period: float) -> None:
-    """Load the kernels from corners to setpoints; curves need no others behind the look-ahead."""
+    """Load the kernels from corners to setpoints; curves need no others after the look-ahead."""
     path = warm_kinematics(transform, Settings(compress=False, interpolation_period=period))
     for options in (PlanOptions(), SHORT_WINDOWS):
         planner = FeedPlanner(transform.machine, options)

@@ -56,7 +56,7 @@ class Strip:
         self._first_changed = 0
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Forget all points."""
         self._markers, self._last, self._first_changed = [], None, 0
 
     def add(self, place: Iterable[float]) -> None:
@@ -90,7 +90,7 @@ class Strip:
 
 
 class MarkersNode(Node):
-    """Draws what the blocks ask for and what the drives were told."""
+    """Draws the programmed path and the executed path."""
 
     def __init__(self) -> None:
         super().__init__('markers_node')
@@ -117,7 +117,7 @@ class MarkersNode(Node):
 
     def _see_block(self, block: G1Block) -> None:
         self._begin(block.program_id)
-        if block.sequence > self._sequence:  # one that is sent again is known
+        if block.sequence > self._sequence:  # a repeated block is known already
             self._sequence = block.sequence
             self._programmed.add(block.tip)
 
@@ -130,7 +130,7 @@ class MarkersNode(Node):
             self._executed.add(tip[0])
 
     def _tell(self) -> None:
-        """Send what has changed; everything when somebody new looks."""
+        """Publish what has changed; everything if there is a new subscriber."""
         viewers = self.count_subscribers('markers')
         everything, self._viewers = viewers > self._viewers, viewers
         markers = self._programmed.news(everything) + self._executed.news(everything)
@@ -141,7 +141,7 @@ class MarkersNode(Node):
             self._publisher.publish(MarkerArray(markers=markers))
 
     def close(self) -> None:
-        """End; nothing depends on this node."""
+        """Do nothing at the end; no node depends on this one."""
 
 
 def main(arguments: list[str] | None = None) -> int:

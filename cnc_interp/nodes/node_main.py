@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from cnc_interp.core.errors import InterpError
 
-#: The events executor needs a finite timeout; this is also how soon a signal is seen [s].
+#: The events executor needs a finite timeout; signals are noticed after it at the latest [s].
 SPIN_TIMEOUT = 0.1
 #: Niceness of the nodes where it is permitted: setpoints must not wait for other programs.
 NICENESS = -10
@@ -60,9 +60,9 @@ def run_node(
         executor = EventsExecutor()
         executor.add_node(node)
         gc.collect()
-        gc.freeze()  # what exists now lives as long as the node: no collection walks over it
+        gc.freeze()  # objects that exist now live as long as the node; the collector ignores them
         run = multiprocessing.parent_process()
-        # Nodes that a run started end with it, however it ends.
+        # A node that was started by a run ends when the run ends.
         while not stop and rclpy.ok() and (run is None or run.is_alive()):
             executor.spin_once(timeout_sec=SPIN_TIMEOUT)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -94,7 +94,7 @@ def come_first() -> None:
 
 
 def stay_on_this_host() -> None:
-    """Be found by programs of this host only, unless the environment says otherwise."""
+    """Let discovery find this node on this computer only, unless the environment differs."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 

@@ -26,7 +26,7 @@ from cnc_interp.core.errors import InterpError
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 #: What the fork server loads before it forks.
 PRELOADED = 'cnc_interp.nodes.preloaded'
-#: Loading takes longer than this only where the kernels must be compiled first [s].
+#: Loading takes longer than this only if the kernels must be compiled first [s].
 SLOW_START = 15.0
 COMPILING = 'compiling the kernels, once; takes a minute or two'
 #: A node that has not ended by itself after this is killed [s].
@@ -35,7 +35,7 @@ LAST_WAIT = 5.0
 
 @dataclass(frozen=True)
 class Started:
-    """One node that runs."""
+    """A running node."""
 
     name: str
     process: ForkServerProcess
@@ -49,13 +49,13 @@ def begin_loading() -> None:
 
 
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
-    """Be a node; the whole life of a forked process."""
-    os.setsid()  # Ctrl-C is for the run, which ends the nodes in order
+    """Run a node in a forked process, until it ends."""
+    os.setsid()  # the run receives Ctrl-C and ends the nodes in order
     os.environ.update(environment)
     with log.open('wb') as output, open(os.devnull, 'rb') as nothing:
         for stream, number in ((nothing, 0), (output, 1), (output, 2)):
             os.dup2(stream.fileno(), number)
-    with contextlib.suppress(OSError):  # what ps, top and pgrep call it
+    with contextlib.suppress(OSError):  # the name in ps, top and pgrep
         Path('/proc/self/comm').write_text(node, encoding='ascii')
     sys.exit(importlib.import_module(f'cnc_interp.nodes.{node}').main([node, *arguments]))
 
@@ -102,7 +102,7 @@ class Children:
         slow.cancel()
 
     def _start(self, node: str) -> Started:
-        """Start one node; what it prints goes to a file."""
+        """Start one node; its output goes to a file."""
         arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
         arguments += ['--params-file', str(self._file)]
         for name, value in self._parameters.get(node, {}).items():
@@ -149,7 +149,7 @@ class Children:
         return {node.name: node.process.exitcode for node in self._nodes.values()}
 
     def end(self) -> None:
-        """Ask all nodes to end, wait, and kill only what does not."""
+        """Ask all nodes to end, wait, and kill those that do not end."""
         for node in self._nodes.values():
             node.process.terminate()
         deadline = time.monotonic() + LAST_WAIT

@@ -1,4 +1,4 @@
-"""What the other nodes say, kept for those that watch over them."""
+"""The last messages of the other nodes, and which nodes are silent."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ RECEIVERS = {
     'setpoints': 'machine_node',
 }
 
-#: What the machine may wait for that comes without the operator's cycle_start.
+#: The machine continues by itself, without cycle_start, if it waits for one of these.
 STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE)
 
 
 class Peers:
     """
-    The last word of every other node and when it came.
+    The last message of every other node and when it arrived.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Peers:
 
     @property
     def machine(self) -> MachineReport | None:
-        """What the machine said last; None before it was heard."""
+        """The last state of the machine; None before the first one."""
         return None if self.state is None else machine_report(self.state)
 
     @property
@@ -102,7 +102,7 @@ class Peers:
 
 class SenderWatch:
     """
-    Names the sender of a stream when it is lost, and takes that back when it is heard again.
+    Reports the sender of a stream as lost, and withdraws that when it is heard again.
 
     Parameters
     ----------
@@ -137,14 +137,14 @@ class SenderWatch:
             self.hear()
 
     def hear(self) -> None:
-        """Take note of a word of the sender."""
+        """Note that the sender was heard."""
         self._silence.hear(time.monotonic())
         if self._lost:
             self._lost = False
             self._diagnostics.say(self._part, OK, f'{self._sender} is there again')
 
     def look(self, waits: bool) -> None:
-        """Say so when the sender is silent for too long though something is wanted of it."""
+        """Report the sender as lost if it is silent while something is expected from it."""
         silence = self._silence.waited(waits, time.monotonic())
         if silence > self._timeout and not self._lost:
             self._lost = True

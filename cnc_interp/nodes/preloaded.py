@@ -1,5 +1,5 @@
 """
-All that the nodes need, loaded once: imported by the process that they are forked from.
+Everything that the nodes need, imported once by the process that they are forked from.
 
 Importing this module is its purpose: libraries, the nodes' own modules and the compiled kernels
 are in memory afterwards, and no thread of ours runs, so that a fork is safe.
@@ -20,4 +20,4 @@ SETTINGS = Settings()
 warm_lookahead(TRANSFORM, SETTINGS)
 warm_all(TRANSFORM, SETTINGS.interpolation_period)
 gc.collect()
-gc.freeze()  # lives as long as the nodes: no collection walks over it, its memory stays shared
+gc.freeze()  # these objects live as long as the nodes; ignored by the collector, their memory stays shared

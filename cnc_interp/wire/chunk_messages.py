@@ -1,4 +1,4 @@
-"""Chunks of setpoints <-> ROS messages, bit for bit; ``soundness`` checks them first."""
+"""Chunks of setpoints <-> ROS messages, bit for bit; ``message_checks`` checks them first."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _counts(values: IntArray) -> array[int]:
 
 
 def setpoints_from(message: SetpointChunk) -> Setpoints:
-    """Return the setpoints of a message, checked before; time counts from the plan's first one."""
+    """Return the setpoints of a checked message; time 0 is the first setpoint of the plan."""
     n = len(message.sequences)
     return _setpoints(
         message, n, (message.first_sample + np.arange(n)) * message.period, message.positions,
@@ -77,7 +77,7 @@ def setpoints_from(message: SetpointChunk) -> Setpoints:
 
 
 def chunk_from(message: SetpointChunk) -> Chunk:
-    """Return the chunk of a message, checked before."""
+    """Return the chunk of a checked message."""
     samples, n = setpoints_from(message), len(message.tail_sequences)
     last = message.first_sample + len(samples)
     tail = _setpoints(

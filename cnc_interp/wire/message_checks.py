@@ -1,4 +1,4 @@
-"""What a message must be like to be let in: finite, of the right shape, meaning something."""
+"""Checks of received messages: finite values, right shapes, values that make sense."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cnc_interp.wire.path_messages import (
 )
 from cnc_interp.wire.settings_messages import settings_from
 
-#: A tool axis may differ from length 1 by rounding only.
+#: Largest difference of the length of a tool axis from 1.
 UNIT = 1e-9
 
 
@@ -49,7 +49,7 @@ def check_block(message: G1Block, extra_count: int = 0) -> None:
 
 
 def _check_settings(name: str, message: G1Block) -> None:
-    """Refuse choices that do not exist, and choices in the middle of a program."""
+    """Refuse unknown settings, and settings after the first block of a program."""
     if message.sequence > 0:
         raise StreamError(f'{name}: settings belong to block 0')
     try:
@@ -59,7 +59,7 @@ def _check_settings(name: str, message: G1Block) -> None:
 
 
 def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray) -> None:
-    """Refuse a tip or a tool axis that is none."""
+    """Refuse a tip that is not finite or a tool axis that is not a unit vector."""
     if not np.isfinite(tip).all():
         raise StreamError(f'{name}: the tool tip is not finite; send numbers')
     length = float(np.sqrt((axis**2).sum()))
@@ -122,7 +122,7 @@ def check_segment(message: PathSegment, extra_count: int = 0) -> None:
 
 
 def _check_spline(name: str, spline: BSpline, kind: int) -> None:
-    """Refuse a curve of another shape than its kind has."""
+    """Refuse a curve whose degree, knots or control points do not fit its kind."""
     degree, knots, points = CURVES.get(kind, LINE_CURVE)
     count = 3 * points
     if (spline.degree, spline.dimension, spline.knots) != (degree, 3, knots):
@@ -198,7 +198,7 @@ def check_chunk(
 
 
 def _check_rows(name: str, values: array[float], count: int) -> None:
-    """Refuse a list of another length than it must have, or with values that are no numbers."""
+    """Refuse a list of a wrong length or with values that are not finite."""
     if len(values) != count:
         raise StreamError(f'{name} has {len(values)} values, not {count}')
     if not np.isfinite(np.frombuffer(values)).all():

@@ -1,4 +1,4 @@
-"""Arrows of the flow <-> ROS messages, bit for bit; ``soundness`` checks them first."""
+"""Blocks and path segments <-> ROS messages, bit for bit; ``message_checks`` checks them first."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def block_messages(
 
 
 def blocks_from(messages: list[G1Block]) -> Blocks:
-    """Collect messages, checked before, into rows."""
+    """Collect checked messages into the rows of a program."""
 
     def column(field: str, kind: Any = np.float64) -> Any:
         return np.array([getattr(message, field) for message in messages], dtype=kind)
@@ -163,7 +163,7 @@ def _parametrization(spans: FloatArray) -> BSpline:
 
 
 def _spans_of(spline: BSpline) -> FloatArray:
-    """Take a parametrization apart into its spans, shape (k, 8)."""
+    """Divide a parametrization into its spans, shape (k, 8)."""
     points = np.frombuffer(spline.control_points)
     first = np.arange(0, len(points) - 1, SPAN_DEGREE)
     starts = np.frombuffer(spline.knots)[first + SPAN_DEGREE]
@@ -172,12 +172,12 @@ def _spans_of(spline: BSpline) -> FloatArray:
 
 
 def packed(values: FloatArray) -> array[float]:
-    """Flatten to the message's array type without touching a bit."""
+    """Flatten an array to the array type of messages, bit for bit."""
     return array('d', np.ascontiguousarray(values, dtype=np.float64).tobytes())
 
 
 def segments_from(messages: list[PathSegment]) -> PathSegments:
-    """Collect messages, checked before, into segments."""
+    """Collect checked messages into path segments."""
     n = len(messages)
     bottom, top = np.zeros((n, POINTS, 3)), np.zeros((n, POINTS, 3))
     points_of_e = max([len(m.connection) // 3 for m in messages], default=0)

@@ -1,4 +1,4 @@
-"""Setpoints to come as `trajectory_msgs/JointTrajectory`, as ros2_control takes them."""
+"""Coming setpoints as `trajectory_msgs/JointTrajectory`, the message of ros2_control."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.buffer import Row
 
-#: Every so many setpoints become a point: the controller interpolates with their derivatives [s].
+#: Time between points; the controller interpolates between them [s].
 SPACING = 0.004
 
 

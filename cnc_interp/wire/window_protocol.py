@@ -95,7 +95,7 @@ class WindowedSender(Generic[Item]):
 
     def due(self, now: float) -> list[Numbered[Item]]:
         """
-        Return the items to send now, the window and lost ones considered.
+        Return the items to send now, within the window, lost ones included.
 
         The very first item may always go: only with it does the receiver learn of the program.
         """
@@ -115,14 +115,14 @@ class WindowedSender(Generic[Item]):
         return found
 
     def take_back(self, items: int) -> None:
-        """Count the last few items returned by ``due`` as not sent: the line was busy."""
+        """Count the last items returned by ``due`` as not sent, because publishing failed."""
         self._in_flight = max(0, self._in_flight - items)
 
     def acknowledge(
         self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
         """
-        Take note of what the receiver says; words about another program are ignored.
+        Use a status of the receiver; a status of another run is ignored.
 
         On a gap sending starts again at once, but not again before that had time to arrive.
         """
@@ -223,7 +223,7 @@ class WindowedReceiver:
             )
 
     def take(self, run_id: RunId, count: int = 1, end: bool = False) -> None:
-        """Count an item that ``expect`` let through and that is sound."""
+        """Count an item that ``expect`` accepted and that is valid."""
         if run_id != self.run_id:
             self._begin(run_id)
         self.next_number += count
@@ -243,17 +243,17 @@ class WindowedReceiver:
         self.refused, self.refusal_text = kind, reason
 
     def close(self, reason: str) -> None:
-        """Expect nothing more of this plan; what was on its way is passed over for the reason."""
+        """Expect nothing more of this plan; messages on their way are ignored."""
         self.complete, self._closed = True, reason
 
     def consume(self, count: int) -> None:
-        """Open the window by items that were worked off."""
+        """Open the window by the number of processed items."""
         self.consumed += count
 
 
 class Silence:
     """
-    Time spent waiting for somebody; no clock of its own.
+    Time spent waiting for another node; the caller gives the time.
 
     Work of one's own does not count, nor the time in which nothing was wanted.
     """
@@ -263,10 +263,10 @@ class Silence:
         self._waits_since = math.inf
 
     def hear(self, now: float) -> None:
-        """Take note of a word."""
+        """Note that the other node was heard."""
         self._heard = now
 
     def waited(self, waits: bool, now: float) -> float:
-        """Return how long the others have been silent while something was wanted of them [s]."""
+        """Return how long the other node was silent while something was expected from it [s]."""
         self._waits_since = min(self._waits_since, now) if waits else math.inf
         return now - max(self._heard, self._waits_since) if waits else 0.0

@@ -20,4 +20,4 @@ SETTINGS = Settings()
 warm_lookahead(TRANSFORM, SETTINGS)
 warm_all(TRANSFORM, SETTINGS.interpolation_period)
 gc.collect()
-gc.freeze()  # these objects live as long as the nodes; ignored by the collector, their memory stays shared
+gc.freeze()  # ignored by the collector from here on, so that the memory stays shared

@@ -21,11 +21,11 @@ make_environment() {
   trap 'stop_background' EXIT
   if sound && base_python_unchanged; then
     say 'bringing .venv up to date'
-    install_system_packages
+    install_system_packages "$@"
   else
-    start_over
+    start_over "$@"
   fi
-  complete_environment "$@" || { start_over; complete_environment "$@"; } \
+  complete_environment "$@" || { start_over "$@"; complete_environment "$@"; } \
     || fail "the environment does not work, also after a new setup; see $log"
   trap - EXIT
   exec 9<&-
@@ -83,13 +83,22 @@ packages_for() {
   fi
 }
 
+# OpenCASCADE, which reads STEP files, is linked to OpenGL, though nothing is drawn.
+lacks_opengl() {
+  [[ " $* " == *' step '* ]] && ! grep -q 'libGL\.so\.1' <<<"$(/sbin/ldconfig -p)"
+}
+
 install_system_packages() {
-  local apt=() packages
-  if [ -n "$(find_python --complete)" ] && command -v c++ >/dev/null && command -v cc >/dev/null
-  then return; fi
-  command -v apt-get >/dev/null \
-    || fail 'needs Python 3.11 or 3.12 with venv and headers, and g++; install them and try again'
-  packages=$(packages_for "$(find_python)") || exit 1
+  local apt=() packages=''
+  if [ -z "$(find_python --complete)" ] || ! command -v c++ >/dev/null || ! command -v cc >/dev/null
+  then
+    command -v apt-get >/dev/null \
+      || fail 'needs Python 3.11 or 3.12 with venv and headers, and g++; install them and try again'
+    packages=$(packages_for "$(find_python)") || exit 1
+  fi
+  if lacks_opengl "$@"; then packages+=' libgl1 libx11-6 libexpat1'; fi
+  [ -n "$packages" ] || return 0
+  command -v apt-get >/dev/null || fail "needs these packages; install them and try again:$packages"
   if [ "$(id -u)" != 0 ]; then
     sudo -n true 2>/dev/null || {
       say 'needs system packages; install them with this line, then run the command again:'
@@ -117,7 +126,7 @@ start_over() {
   free=$(df -Pk "$root" | awk 'NR == 2 {print int($4 / 1024)}')
   [ "$free" -ge 2000 ] || fail "needs 2 GB of free disk space in $root; there are $free MB"
   mkdir "$venv"
-  install_system_packages
+  install_system_packages "$@"
   local python
   python=$(find_python --complete)
   say "making the virtual environment with $python"

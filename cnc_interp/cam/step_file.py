@@ -15,6 +15,7 @@ from cnc_interp.cam.surface import Surface, SurfaceError
 
 #: What to do where the optional package is missing.
 INSTALL = 'reading STEP needs OpenCASCADE: pip install cadquery-ocp-novtk'
+SYSTEM_LIBRARY = 'OpenCASCADE cannot be loaded: apt-get install libgl1'
 
 
 def read_step_face(
@@ -81,8 +82,10 @@ def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
         from OCP.TopAbs import TopAbs_ShapeEnum
         from OCP.TopExp import TopExp_Explorer
         from OCP.TopLoc import TopLoc_Location
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise SurfaceError(f'{path}: {INSTALL}') from error
+    except ImportError as error:  # installed, but a library of the system is missing
+        raise SurfaceError(f'{path}: {SYSTEM_LIBRARY} ({error})') from error
     messenger = Message.DefaultMessenger_s()
     for printer in list(messenger.Printers()):  # they write to standard output
         messenger.RemovePrinter(printer)

@@ -141,8 +141,7 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
 
 
 def test_a_program_is_operated_from_the_page(panel, long_program, short_program):
-    tab = panel.open()
-    assert tab.text('rights') == 'in charge'
+    tab = panel.open_in_charge()
     panel.load(tab, long_program)
     panel.begin(tab)
     held = hold(panel, tab, long_program)
@@ -274,7 +273,7 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
     panel.begin(second)
     stranger.show()
     stranger.run('contact.stop("emergency_stop")')
-    stranger.wait(lambda: 'view only: take over' in stranger.run('document.body.innerText'))
+    stranger.wait(lambda: 'view only: press' in stranger.run('document.body.innerText'))
     stranger.wait(lambda: stranger.text('contact') == '')
 
     # Closing the page in charge neither stops the motion nor keeps the keys.

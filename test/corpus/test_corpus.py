@@ -151,7 +151,7 @@ def rows():
                 yield pytest.param(number, machine, case[kind], marks=marks, id=name)
 
 
-@pytest.mark.parametrize(('number', 'machine', 'wanted'), rows())
+@pytest.mark.parametrize(('number', 'machine', 'wanted'), list(rows()))
 def test_inputs_that_broke_us(number, machine, wanted):
     expect(number, machine, wanted)
 

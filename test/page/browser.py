@@ -143,15 +143,19 @@ class Tab:
         self.wait(give)
 
     def fill(self, name, text):
-        """Write into a field, as its user does."""
+        """
+        Write into a field, as its user does.
+
+        Focus and text come in one step: a dialog that is just opening takes the focus to itself.
+        """
         self.wait(
             lambda: self.run(
                 f'(() => {{ const mark = document.querySelector(`[data-mark="{name}"]`);'
                 'const field = mark?.matches("input") ? mark : mark?.querySelector("input");'
-                'field?.focus(); field?.select(); return !!field; })()'
+                'field?.focus(); field?.select();'
+                f'return !!field && document.execCommand("insertText", false, `{text}`); }})()'
             )
         )
-        self.send('Input.insertText', text=text)
 
     def press_key(self, name, key, times=1):
         """Press a key on an element of a page in contact with its server."""

@@ -32,7 +32,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 
 from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.nodes import qos
@@ -48,7 +47,6 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
     'joint_states': (JointState, qos.JOINTS),
-    'feed_override': (Float64, qos.OVERRIDE),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }
 #: Topics whose messages end with a checksum.

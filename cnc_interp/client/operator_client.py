@@ -27,7 +27,7 @@ from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING
 from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, STATE
+from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, OVERRIDE, STATE
 
 __all__ = ['STATE_NAMES', 'STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 
@@ -110,14 +110,13 @@ class OperatorClient:
         self.program: LoadedProgram | None = None
         self._override = SharedValue(1.0, ECHO)
         self.machine = ''
-        if on_state is not None:
-            node.create_subscription(MachineState, 'machine_state', on_state, STATE)
+        self._on_state = on_state
+        node.create_subscription(MachineState, 'machine_state', self._see_state, STATE)
         node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
-        node.create_subscription(Float64, 'feed_override', self._see_override, LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._single_block = node.create_client(SetBool, 'single_block')
-        self._set_override = node.create_publisher(Float64, 'feed_override', LOADED)
+        self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
         self._parameters = node.create_client(GetParameters, 'machine_node/get_parameters')
         self._action = ActionClient(node, RunProgram, 'run_program')
         node.create_timer(0.5, self._ask_for_machine)
@@ -151,8 +150,10 @@ class OperatorClient:
     def _see_program(self, message: LoadedProgram) -> None:
         self.program = message
 
-    def _see_override(self, message: Float64) -> None:
-        self._override.hear(message.data)
+    def _see_state(self, state: MachineState) -> None:
+        self._override.hear(state.feed_override)
+        if self._on_state is not None:
+            self._on_state(state)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
         """Take note of alarms, of the programs that wait and of the check of the next one."""

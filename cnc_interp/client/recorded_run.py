@@ -126,7 +126,7 @@ def recorded_run(bag: Bag) -> RecordedRun:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
     last = run_id_of(executed[-1])
     names = {m.program_id: m.name for m in bag.read('loaded_program')}
-    overrides = [m.data for m in bag.read('feed_override') if np.isfinite(m.data)]
+    states = [m for m in bag.read('machine_state') if m.program_id == last.program_id]
     return RecordedRun(
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
@@ -134,7 +134,7 @@ def recorded_run(bag: Bag) -> RecordedRun:
         blocks=stream_of(bag, 'blocks', last),
         segments=stream_of(bag, 'segments', last),
         chunks=[m for m in executed if m.program_id == last.program_id],
-        largest_override=max([1.0, *overrides]),
+        largest_override=max([1.0, *(m.feed_override for m in states)]),
     )
 
 

@@ -25,7 +25,7 @@ ASKED = {
 #: Topics that every run has. A recorder that receives all of them is connected to the run.
 STREAMS = ('blocks', 'segments', 'setpoints', 'executed_setpoints')
 #: Topics from which plan files are written.
-NEEDED = ('loaded_program', 'blocks', 'segments', 'executed_setpoints', 'feed_override')
+NEEDED = ('loaded_program', 'blocks', 'segments', 'executed_setpoints', 'machine_state')
 #: A publisher that is found finds the recorder within this time [s].
 MUTUAL = 0.5
 

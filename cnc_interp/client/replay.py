@@ -177,14 +177,14 @@ def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
 def _overrides(bag: Bag, run_id: RunId) -> list[float]:
     """Return the override at the start of a run, and all that followed during it."""
     found, running = [1.0], False
-    for topic, _, data in bag.raw('feed_override', 'setpoints'):
+    for topic, _, data in bag.raw('machine_state', 'setpoints'):
         message = deserialize_message(data, TOPICS[topic][0])
         if topic == 'setpoints':
             running = running or run_id_of(message).same_attempt(run_id)
-        elif running:
-            found.append(float(message.data))
-        else:
-            found = [float(message.data)]
+        elif running and run_id_of(message).same_attempt(run_id):
+            found.append(float(message.feed_override))
+        elif not running:
+            found = [float(message.feed_override)]
     return found
 
 

@@ -30,11 +30,18 @@ class SharedValue:
         """Note a value that is sent from here at the time ``now`` [s]."""
         if now >= self._until:
             self._wishes.clear()
-        self._wishes.append(value)
-        self._until = now + self._patience
+        if value != self.at(now):
+            self._wishes.append(value)
+            self._until = now + self._patience
 
     def hear(self, value: float) -> None:
-        """Note a value that was heard; values sent before it will not be heard any more."""
+        """
+        Note a value that was heard; values sent before it will not be heard any more.
+
+        A value that is heard again and again is news only the first time.
+        """
+        if value == self._heard:
+            return
         if value in self._wishes:
             while self._wishes.popleft() != value:
                 pass

@@ -81,7 +81,7 @@ class FeedrateNode(LifecycleNode):
             self._check, self._take, self._session.end_path, self._diagnostics,
         )  # fmt: skip
         self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
-        self._inputs = OperatorInputs(self, self._diagnostics, self._work)
+        self._inputs = OperatorInputs(self)
         self.create_timer(WORK_PERIOD, self._work)
         self.create_timer(DIAGNOSTICS_PERIOD, self._tell_planning)
 
@@ -97,6 +97,8 @@ class FeedrateNode(LifecycleNode):
 
     def _see_machine(self, state: MachineState) -> None:
         self._session.see_machine(machine_report(state))
+        if self._inputs.see_override(state.feed_override):
+            self._work()  # it counts for what is planned already, too
 
     def _check(self, segment: PathSegment) -> None:
         """Let segments in while the node is active."""

@@ -20,6 +20,7 @@ from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
+from cnc_interp.nodes.feed_override import FeedOverride
 from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
@@ -74,7 +75,8 @@ class MachineNode(LifecycleNode):
             self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
             self._see_refusal, self._diagnostics, status_period=0.01,
         )  # fmt: skip
-        self._reports = MachineReports(self, self._playback, self._lock, values)
+        self._override = FeedOverride(self, self._diagnostics)
+        self._reports = MachineReports(self, self._playback, self._lock, values, self._override)
         self._controls = Controls(self, self._playback, self._lock, self._give_up)
         self.create_timer(0.005, self._work)
         self.create_timer(CLOCK_PERIOD, self._report_clock)
@@ -158,8 +160,9 @@ class MachineNode(LifecycleNode):
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
-        if (state, run_id) != self._published:
-            self._published = state, run_id
+        told = state, run_id, self._override.value
+        if told != self._published:
+            self._published = told
             level = LEVELS.get(state.state, OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._reports.publish_state()

@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.machine.playback import Playback
+from cnc_interp.nodes.feed_override import FeedOverride
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 from cnc_interp.wire.trajectories import joint_trajectory
@@ -32,13 +33,17 @@ class MachineReports:
         Held while the playback is read.
     values : dict
         Parameters of the node.
+    override : FeedOverride
+        The feed override that counts.
 
     """
 
     def __init__(
-        self, node: Any, playback: Playback, lock: threading.Lock, values: dict[str, Any]
-    ):
+        self, node: Any, playback: Playback, lock: threading.Lock, values: dict[str, Any],
+        override: FeedOverride,
+    ):  # fmt: skip
         self._node, self._playback, self._lock = node, playback, lock
+        self._override = override
         self._period: float = values['interpolation_period']
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
@@ -60,6 +65,7 @@ class MachineReports:
         with self._lock:
             message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()
+        message.feed_override = self._override.value
         self._states.publish(message)
 
     def _publish_joints(self) -> None:

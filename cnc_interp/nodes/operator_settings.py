@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from cnc_interp_msgs.msg import G1Block, PathSegment
-from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
-from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
-from cnc_interp.nodes.qos import OVERRIDE
 from cnc_interp.run.motion_plan import OperatorSettings
-
-#: Largest feed override [-].
-MOST = 1.5
 
 
 class OperatorInputs:
@@ -25,30 +18,21 @@ class OperatorInputs:
     Parameters
     ----------
     node : Node
-        The node.
-    diagnostics : Diagnostics
-        Where a wrong override is named.
-    on_override : callable
-        Called when the override was set: it counts for what is planned already, too.
+        The node that offers the services.
 
     """
 
-    def __init__(self, node: Any, diagnostics: Diagnostics, on_override: Callable[[], None]):
+    def __init__(self, node: Any):
         self.settings, self._optional_stop = OperatorSettings(), False
-        self._diagnostics, self._on_override = diagnostics, on_override
-        node.create_subscription(Float64, 'feed_override', self._set_override, OVERRIDE)
         node.create_service(SetBool, 'single_block', self._set_single_block)
         node.create_service(SetBool, 'optional_stop', self._set_optional_stop)
 
-    def _set_override(self, message: Float64) -> None:
-        """Take the override, 0 to 1.5."""
-        value = float(message.data)
-        sound = 0.0 <= value <= MOST
-        if sound:
+    def see_override(self, value: float) -> bool:
+        """Take the feed override [-] that the machine tells; tell whether it has changed."""
+        changed = value != self.settings.override
+        if changed:
             self.settings = replace(self.settings, override=value)
-            self._on_override()
-        said = f'{value:g}' if sound else f'{value:g} refused: it must lie between 0 and {MOST}'
-        self._diagnostics.say('feed_override', OK if sound else WARN, said)
+        return changed
 
     def _set_single_block(self, request: Any, response: Any) -> Any:
         """Answer the service ``single_block``."""

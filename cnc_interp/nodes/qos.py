@@ -9,7 +9,7 @@ Quality of service of every topic, in one table.
 | ``loaded_program`` | reliable | transient local | last 1 | for those who join during a run |
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
 | ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
-| ``feed_override`` | reliable | transient local | last 1 | a node that starts late must know it |
+| ``feed_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
 | trajectories | reliable | volatile | last 1 | each replaces the one before |
 | ``markers`` | reliable | volatile | last 16 | what RViz asks for; all are sent again to a new listener |
 | ``blocks``, ``executed_setpoints`` for those who only look | best effort | volatile | last 4096 | no sender waits for a viewer |
@@ -53,4 +53,4 @@ LOADED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-OVERRIDE = LOADED
+OVERRIDE = _reliable(10)

@@ -65,13 +65,14 @@ class PanelUnderTest(NodesUnderTest):
 
     def __init__(self):
         super().__init__()
-        self.overrides = []
         self.set_override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
-        self.node.create_subscription(
-            Float64, 'feed_override', lambda m: self.overrides.append(m.data), qos.OVERRIDE
-        )
         self.page = PageUnderTest(self.namespace, self.domain)
         self.open, self.open_in_charge = self.page.open, self.page.open_in_charge
+
+    @property
+    def override(self):
+        """The feed override that counts."""
+        return self.peers.state.feed_override
 
     def until(self, state):
         self.spin_until(lambda: self.peers.state and self.peers.state.state == state)
@@ -123,8 +124,9 @@ class PanelUnderTest(NodesUnderTest):
         """Close all tabs and bring the machine to rest at full override, for the next test."""
         for tab in tuple(self.page.tabs):
             self.page.close_tab(tab)
-        if self.overrides and self.overrides[-1] != 1.0:
+        if self.override != 1.0:
             self.set_override.publish(Float64(data=1.0))
+            self.spin_until(lambda: self.override == 1.0)
         if self.peers.state.state != MachineState.IDLE:
             self.press('emergency_stop')
             self.until(MachineState.FAULT)

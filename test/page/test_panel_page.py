@@ -85,10 +85,10 @@ def seconds(tab, mark):
 
 def set_override(panel, tab, percent):
     """Move the slider, five percent a step."""
-    steps = round((percent - 100 * (panel.overrides or [1.0])[-1]) / 5)
+    steps = round((percent - 100 * panel.override) / 5)
     key = 'ArrowRight' if steps > 0 else 'ArrowLeft'
     tab.press_key('override slider', key, times=abs(steps))
-    panel.spin_until(lambda: panel.overrides[-1:] == [percent / 100])
+    panel.spin_until(lambda: panel.override == percent / 100)
     tab.wait(lambda: tab.text('override') == f'{percent}%')
 
 
@@ -233,12 +233,13 @@ def test_a_stop_is_never_lost_and_a_start_never_late(panel, long_program):
     os.kill(server, signal.SIGSTOP)
     tab.wait(lambda: tab.run(f'performance.now() - contact.heard > {1000 * (LATE + 1)}'))
     tab.run('document.querySelector(`[data-mark="cycle start"]`).click()')
-    asked = len(panel.overrides)
+    panel.states.clear()
     tab.press_key_at_once('override slider', 'ArrowLeft')
     os.kill(server, signal.SIGCONT)
     tab.wait(lambda: tab.run(REFUSED))
     tab.wait(lambda: tab.run(SLIDER) == '100')
-    assert panel.next_state().state == MachineState.HELD and len(panel.overrides) == asked
+    assert {state.feed_override for state in panel.states} <= {1.0}
+    assert panel.next_state().state == MachineState.HELD and panel.override == 1.0
     tab.wait(lambda: not tab.run(REFUSED))
     panel.go_on(tab)
     stop_and_reset(panel, tab)

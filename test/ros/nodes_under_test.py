@@ -25,8 +25,8 @@ START, PATIENCE = 300.0, 120.0  # [s]; the first start compiles; bounds, not tim
 class NodesUnderTest:
     """Start the nodes, talk to them, end them."""
 
-    def __init__(self, parameters=None, arguments=None):
-        self.namespace = f'/test_{uuid.uuid4().hex[:8]}'
+    def __init__(self, parameters=None, arguments=None, namespace=''):
+        self.namespace = namespace or f'/test_{uuid.uuid4().hex[:8]}'
         self.domain = 1 + os.getpid() % 100
         self.children = Children(
             self.namespace, self.domain, parameters or {}, nodes_file(), arguments

@@ -66,6 +66,18 @@ def test_override_up_and_down_and_zero(bench):
     bench.finish(handle)
 
 
+def test_a_restarted_feedrate_node_knows_the_override(bench):
+    bench.override.publish(Float64(data=0.5))
+    bench.spin_until(lambda: bench.state.feed_override == 0.5)
+    bench.kill('feedrate_node')
+    bench.children.revive()
+    bench.watching = True
+    bench.text = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nM30\n'
+    bench.executed.clear()
+    _, s = bench.finish(bench.start(text=bench.text))
+    assert abs(np.diff(s[s >= 0.0]).max() / 0.001 - 0.5 * 50e-3) < 50e-6
+
+
 def test_single_block_rests_behind_every_block(bench):
     handle = bench.begin()
     bench.until_at(0.03)

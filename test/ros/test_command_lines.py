@@ -1,0 +1,197 @@
+"""
+Every `ros2` command line of README and docs does what it says.
+
+Where `ros2` is installed it runs them. Elsewhere clients of the same names, types, quality of
+service and patience stand in for `ros2 topic pub`, `service call` and `action send_goal`.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+import rclpy
+from nodes_under_test import PATIENCE, NodesUnderTest
+from rclpy.action import ActionClient
+from rclpy.qos import QoSPresetProfiles
+from rosidl_parser.definition import NamespacedType
+
+from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.nodes.node_processes import NODES
+
+ROOT = Path(__file__).parents[2]
+PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 F3000\nM30\n'
+#: What `ros2 topic pub --once` waits after its message before it ends [s].
+KEEP_ALIVE = 0.1
+REAL = shutil.which('ros2')
+
+
+def command_lines():
+    """Return all command lines of the documentation that begin with `ros2`, each once."""
+    pages = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
+    fences = [
+        fence for page in pages for fence in re.findall(r'```\n(.*?)```', page.read_text(), re.S)
+    ]
+    text = '\n'.join(fences).replace('\\\n', ' ')
+    found = re.findall(r'^\s*(ros2 .*)$', text, re.M)
+    return sorted({' '.join(shlex.split(line, comments=True, posix=False)) for line in found})
+
+
+def of(group):
+    return [line for line in command_lines() if line.split()[1] == group]
+
+
+def filled(kind, values):
+    """Make a message of the values that a command line gives in YAML."""
+    message = kind()
+    for name, value in values.items():
+        slot = kind.SLOT_TYPES[list(kind.get_fields_and_field_types()).index(name)]
+        element = getattr(slot, 'value_type', slot)
+        if isinstance(element, NamespacedType):
+            parts = (*element.namespaces, element.name)
+            inner = getattr(__import__('.'.join(parts[:2]), fromlist=['_']), parts[-1])
+            value = [filled(inner, each) for each in value]
+        setattr(message, name, value)
+    return message
+
+
+def interface(name):
+    package, folder, kind = name.split('/')
+    return getattr(__import__(f'{package}.{folder}', fromlist=['_']), kind)
+
+
+class Client:
+    """Does what `ros2` does, in a context of its own."""
+
+    def __init__(self, domain):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node('command_line', context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+
+    def run(self, words):
+        verb, rest = words[1:3], [word for word in words[3:] if not word.startswith('--')]
+        values = yaml.safe_load(rest[2]) if len(rest) > 2 else {}
+        if verb == ['topic', 'pub']:
+            return self.publish_once(rest[0], interface(rest[1]), values)
+        if verb == ['service', 'call']:
+            return self.call(rest[0], interface(rest[1]), values)
+        assert verb == ['action', 'send_goal'], words
+        return self.send_goal(rest[0], interface(rest[1]), values)
+
+    def publish_once(self, topic, kind, values):
+        profile = QoSPresetProfiles.get_from_short_key('default')
+        publisher = self.node.create_publisher(kind, topic, profile)
+        deadline = time.monotonic() + PATIENCE
+        while publisher.get_subscription_count() < 1:
+            assert time.monotonic() < deadline, f'nobody takes {topic} of a plain publisher'
+            time.sleep(KEEP_ALIVE)
+        publisher.publish(filled(kind, values))
+        time.sleep(KEEP_ALIVE)
+        return ''
+
+    def call(self, name, kind, values):
+        client = self.node.create_client(kind, name)
+        client.wait_for_service()
+        answer = client.call_async(filled(kind.Request, values))
+        rclpy.spin_until_future_complete(self.node, answer, self.executor)
+        return repr(answer.result())
+
+    def send_goal(self, name, kind, values):
+        client = ActionClient(self.node, kind, name)
+        client.wait_for_server()
+        goal = client.send_goal_async(filled(kind.Goal, values))
+        rclpy.spin_until_future_complete(self.node, goal, self.executor)
+        result = goal.result().get_result_async()
+        rclpy.spin_until_future_complete(self.node, result, self.executor)
+        client.destroy()
+        return repr(result.result().result)
+
+    def close(self):
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+def done(line, domain):
+    """Run a command line to its end, and return what it prints."""
+    words = shlex.split(line)
+    if REAL:
+        environment = os.environ | {
+            'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
+        }  # fmt: skip
+        return subprocess.run(
+            words, env=environment, check=True, capture_output=True, text=True, timeout=PATIENCE
+        ).stdout
+    client = Client(domain)
+    try:
+        return client.run(words)
+    finally:
+        client.close()
+
+
+@pytest.fixture(scope='module')
+def nodes():
+    running = NodesUnderTest(namespace='/')
+    yield running
+    running.close()
+
+
+def test_no_command_line_is_left_out():
+    groups = {line.split()[1] for line in command_lines()}
+    assert groups <= {'topic', 'service', 'action', 'launch', 'run', 'security'}, groups
+    assert len(of('topic')) >= 1 and len(of('service')) >= 1 and len(of('action')) >= 2
+
+
+@pytest.mark.parametrize('line', of('topic'))
+def test_a_plain_publisher_sets_the_override(nodes, line):
+    wanted = float(re.search(r'data: ([0-9.]+)', line)[1])
+    assert ' /feed_override ' in line and nodes.next_state().feed_override == 1.0
+    done(line, nodes.domain)
+    nodes.spin_until(lambda: nodes.peers.state.feed_override == wanted)
+    with OperatorClient('late', nodes.namespace, nodes.domain) as late:
+        while late.override != wanted:  # as a page that is opened now
+            late.serve()
+    done(line.replace(f'{wanted}', '1.0'), nodes.domain)
+    nodes.spin_until(lambda: nodes.peers.state.feed_override == 1.0)
+
+
+@pytest.mark.parametrize('line', of('service'))
+def test_a_button_answers(nodes, line):
+    assert 'nothing to hold: no program is moving' in done(line, nodes.domain)
+
+
+@pytest.mark.parametrize('line', of('action'))
+def test_a_program_runs_to_its_end(nodes, line, tmp_path):
+    program = tmp_path / 'program.ngc'
+    program.write_text(PROGRAM)
+    said = done(re.sub(r'/\S+\.ngc', str(program), line), nodes.domain)
+    assert 'executed to the end' in said
+
+
+@pytest.mark.parametrize('line', of('launch'))
+def test_launch_files_and_their_arguments_exist(line):
+    words = shlex.split(line)
+    source = (ROOT / 'launch' / words[3]).read_text()
+    for argument in words[4:]:
+        assert f"'{argument.partition(':=')[0]}'" in source
+
+
+@pytest.mark.parametrize('line', of('run'))
+def test_nodes_to_run_exist(line):
+    package, node = shlex.split(line)[2:4]
+    assert package == 'cnc_interp' and node in NODES
+
+
+@pytest.mark.parametrize('line', of('security'))
+def test_security_files_exist(line):
+    for word in shlex.split(line):
+        if word.endswith('.xml'):
+            assert (ROOT / word).is_file()

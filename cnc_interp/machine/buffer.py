@@ -34,6 +34,11 @@ class BufferedChunk:
     tail_lines: list[int]
     wait: Wait
 
+    @property
+    def ends_approach(self) -> bool:
+        """Tell whether the machine rests at the start pose after it; the program comes next."""
+        return not len(self.tail) and self.rows[-1].block == 0
+
     def tail_rows(self) -> list[Row]:
         """Unpack the stop after it."""
         return rows_of(self.tail, self.tail_lines)

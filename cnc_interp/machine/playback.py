@@ -41,18 +41,18 @@ class Playback:
     ----------
     axes : AxisMotion
         The axes and their drives.
-    start_count : int
-        Setpoints at hand before the machine starts, unless it must rest earlier.
+    full : int
+        Setpoints in a full buffer. The machine starts only then, unless it must rest earlier.
 
     """
 
-    def __init__(self, axes: AxisMotion, start_count: int):
+    def __init__(self, axes: AxisMotion, full: int):
         self.axes = axes
         self.state = RunState()
         self.feedback = axes.rest()
         self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are published
         self.buffer = Buffer(axes.setpoints[-1])
-        self._start_count = start_count
+        self._full = full
         self._given_up = ''  # the run that was reset last
         self.run_id = NO_RUN
         self._forget_run(NO_RUN)
@@ -217,9 +217,10 @@ class Playback:
         return self.feedback
 
     def _has_enough(self) -> bool:
-        """Tell whether the buffer holds enough to start with."""
+        """Tell whether the buffer is full, or nothing more is needed or will come."""
         buffer = self.buffer
-        return bool(buffer.chunks) and (buffer.count >= self._start_count or buffer.rests > 0)
+        last = buffer.rests > 0 or bool(buffer.chunks and self.state.refusal)
+        return last or buffer.count >= self._full
 
     def _take_next(self) -> None:
         """Go on after a chunk or a tail that was played to its end."""
@@ -232,6 +233,9 @@ class Playback:
             self._follow_tail(current)
         elif current.wait is not Wait.NOTHING:
             self._rest_after(current.wait)
+        elif current.ends_approach and not self._has_enough():
+            self._current = None
+            self.state = self.state.after(Event.FILL)
         elif self.buffer.chunks:
             self._follow_next()
         else:

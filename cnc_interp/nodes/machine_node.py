@@ -67,10 +67,10 @@ class MachineNode(LifecycleNode):
         )
         drives = SimulatedDrives(model, self._period, np.zeros(len(machine.axis_names)))
         axes = AxisMotion(machine, self._period, drives)
-        self._playback = Playback(axes, round(values['start_time'] / self._period))
+        window = round(values['buffer_time'] / self._period)
+        self._playback = Playback(axes, window)
         self._clock_of_drives = MachineClock(self._period, priority, self._step)
         self._diagnostics = Diagnostics(self)
-        window = round(values['buffer_time'] / self._period)
         self._inlet = Inlet(
             self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
             self._see_refusal, self._diagnostics, status_period=0.01,

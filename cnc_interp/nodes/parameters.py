@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -79,8 +78,7 @@ MACHINE_NODE = (
     MACHINE,
     AUTOSTART,
     *of_settings(Stage.MOTION),
-    Declared('buffer_time', 0.25, 'Motion that the machine holds ready [s]', 0.01, 2.0),
-    Declared('start_time', 0.1, 'Motion at hand before the machine starts [s]', 0.0, 2.0),
+    Declared('buffer_time', 0.25, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     Declared('position_gain', 100.0, 'Gain kv of the drives [1/s]', 1.0, 1000.0),
@@ -129,8 +127,6 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
             raise InterpError(f'parameter {parameter.name}: {problem}') from None
         values[parameter.name] = found.value
     node.add_on_set_parameters_callback(check_change)
-    if values.get('start_time', 0.0) > values.get('buffer_time', math.inf):
-        raise InterpError('parameter start_time must not be greater than buffer_time')
     return values
 
 

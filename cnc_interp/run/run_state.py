@@ -39,6 +39,7 @@ class Event(Enum):
     FINISH = 'finish'  # the end of the program is reached
     PAUSE = 'pause'  # the setpoints end at rest, for a feed override of 0
     WAIT = 'wait'  # the setpoints end at rest, for a program stop or a single block
+    FILL = 'fill'  # the approach has ended and the buffer is not full
     STARVE = 'starve'  # the next setpoints are late
     REST = 'rest'  # the stop tail was followed to its end
     HOLD = 'hold'  # operator: feed_hold
@@ -115,6 +116,7 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.RUNNING, Event.FINISH): State.IDLE,
     (State.RUNNING, Event.PAUSE): State.PAUSED,
     (State.RUNNING, Event.WAIT): State.HELD,
+    (State.RUNNING, Event.FILL): State.STARVED,
     (State.RUNNING, Event.STARVE): State.STARVING,
     (State.RUNNING, Event.HOLD): State.HOLDING,
     (State.RUNNING, Event.RESUME): State.RUNNING,

@@ -105,7 +105,7 @@ class WindowedSender(Generic[Item]):
         found = []
         while self._in_flight < len(self._items):
             item = self._items[self._in_flight]
-            if item.after > self.limit and item.first > 0:
+            if item.first >= max(self.limit, 1):
                 break
             if self._in_flight == 0:
                 self._since = now

@@ -42,9 +42,9 @@ POSES = [
 ]
 
 
-def playback(start_count=50):
+def playback(full=50):
     drives = SimulatedDrives(DriveModel(), T, HOME)
-    play = Playback(AxisMotion(MACHINE, T, drives), start_count)
+    play = Playback(AxisMotion(MACHINE, T, drives), full)
     play.switch_on()
     return play
 
@@ -112,7 +112,7 @@ def test_approach_outside_the_travel_is_refused():
         approach(TRANSFORM, 0.03, HOME, np.array([0.6, 0.0, 0.0, 0.0, 0.0]))
 
 
-def test_waits_for_enough_then_plays_everything_in_order():
+def test_nothing_moves_before_the_buffer_is_full_then_everything_is_played_in_order():
     play, chunks = playback(50), chunks_to([0.02, 0.0, 0.0, 0.1, 0.0])
     play.begin(P)
     feed(play, chunks[:4])
@@ -123,6 +123,28 @@ def test_waits_for_enough_then_plays_everything_in_order():
     assert np.array_equal(heard[:-1], np.concatenate([c.samples.position for c in chunks]))
     assert play.state.state is State.IDLE and play.starvations == 0
     assert play.played == len(heard) - 1
+
+
+def program_on_the_spot(count):
+    """Setpoints of block 1 where the approach has ended."""
+    still, ones = np.zeros((count, 5)), np.ones(count, dtype=int)
+    position = np.tile([0.02, 0.0, 0.0, 0.1, 0.0], (count, 1))
+    rows = Setpoints(np.arange(count) * T, position, still, still, still, ones, np.zeros(count))
+    return Chunk(rows, part_of(rows, 0, 0), Wait.NOTHING)
+
+
+@pytest.mark.parametrize('there', [0, 49])
+def test_the_program_begins_after_its_approach_only_with_a_full_buffer(there):
+    play = playback(50)
+    play.begin(P)
+    feed(play, chunks_to([0.02, 0.0, 0.0, 0.1, 0.0], Wait.NOTHING))
+    feed(play, [program_on_the_spot(there)] if there else [])
+    step_until(play, lambda: play.played and play.state.resting)
+    for _ in range(50):
+        assert state_after_step(play) is State.STARVED
+    assert (play.starvations, play.last.block, play.state.plan_over) == (0, 0, False)
+    feed(play, [program_on_the_spot(50 - there)])
+    assert state_after_step(play) is State.RUNNING and play.last.block == 1
 
 
 def test_a_short_program_starts_without_a_full_buffer():

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from cnc_interp_msgs.msg import (
     G1Block,
     LoadedProgram,
@@ -34,6 +33,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 
 from cnc_interp.core.errors import InterpError, StreamError
+from cnc_interp.core.ros_share import share_directory
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.message_seal import opened
 
@@ -66,8 +66,8 @@ def types() -> Any:
     """Return the message types that a bag describes, ours among them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     try:
-        folder = Path(get_package_share_directory('cnc_interp_msgs')) / 'msg'
-    except PackageNotFoundError:
+        folder = share_directory('cnc_interp_msgs') / 'msg'
+    except LookupError:
         raise InterpError('cnc_interp_msgs is not installed; source the workspace') from None
     for file in sorted(folder.glob('*.msg')):
         name = f'cnc_interp_msgs/msg/{file.stem}'

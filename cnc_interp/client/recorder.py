@@ -1,4 +1,13 @@
-"""Records the messages of a run into a bag, with the parameters of its nodes."""
+"""
+Records the messages of a run into a bag, with the parameters of its nodes.
+
+Beginning and end of a recording are handshakes with every node, so the bag is whole:
+
+- Parameters are asked for after the topics were subscribed to. DDS announces the endpoints of a
+  process in the order in which they were made, so a node that answers knows the subscriptions.
+- At the end every node is asked to publish what it has collected (``~/flush``). Its answer comes
+  after all it has published before. Executed setpoints are counted, too.
+"""
 
 from __future__ import annotations
 
@@ -12,22 +21,18 @@ from cnc_interp_msgs.msg import SetpointChunk
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
 
 from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.qos import listening_to
 
-#: Nodes whose parameters decide what becomes of the same blocks.
-ASKED = {
-    node: parameters.NODES[node] for node in ('lookahead_node', 'feedrate_node', 'machine_node')
-}
-#: Topics that every run has. A recorder that receives all of them is connected to the run.
-STREAMS = ('blocks', 'segments', 'setpoints', 'executed_setpoints')
 #: Topics from which plan files are written.
 NEEDED = ('loaded_program', 'blocks', 'segments', 'executed_setpoints', 'machine_state')
-#: A publisher that is found finds the recorder within this time [s].
-MUTUAL = 0.5
+#: Longest wait for the last messages [s].
+LAST_WAIT = 5.0
 
 
 class Recorder:
@@ -47,19 +52,24 @@ class Recorder:
 
     def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
         self._bag = BagWriter(path)
-        self._subscriptions = {
-            topic: node.create_subscription(
-                TOPICS[topic][0], topic, self._writing(topic), TOPICS[topic][1], raw=True
+        for topic in topics:
+            kind, profile = TOPICS[topic]
+            node.create_subscription(
+                kind, topic, self._writing(topic), listening_to(profile), raw=True
             )
-            for topic in topics
+        self._parameters = {
+            name: node.create_client(GetParameters, f'{name}/get_parameters')
+            for name in parameters.NODES
         }
-        self._clients = {
-            name: node.create_client(GetParameters, f'{name}/get_parameters') for name in ASKED
+        self._flush = {
+            name: node.create_client(Trigger, f'{name}/flush') for name in parameters.NODES
         }
         self._asked: dict[str, Any] = {}
         self._known: set[str] = set()
-        self._found = time.monotonic()  # when a stream was missing last
-        self.executed = 0
+        self._last: dict[str, Any] = {}  # answers at the end
+        self._executed = 0
+        #: Number of executed setpoints that the bag must hold.
+        self.wanted = 0
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
         """Return the callback of a topic; that of executed setpoints counts them, too."""
@@ -69,7 +79,7 @@ class Recorder:
 
         def count(data: bytes) -> None:
             write(data)
-            self.executed += len(deserialize_message(data, SetpointChunk).sequences)
+            self._executed += len(deserialize_message(data, SetpointChunk).sequences)
 
         return count if topic == 'executed_setpoints' else write
 
@@ -79,25 +89,49 @@ class Recorder:
         return self._bag.count
 
     def ready(self) -> bool:
-        """Ask the nodes for their parameters; tell whether they and their streams are there."""
-        for node, client in self._clients.items():
+        """Ask the nodes for their parameters; tell whether all know that this one listens."""
+        for node, client in self._parameters.items():
             answer = self._asked.get(node)
+            names = [parameter.name for parameter in parameters.NODES[node]]
             if answer is None and client.service_is_ready():
-                names = [parameter.name for parameter in ASKED[node]]
                 self._asked[node] = client.call_async(GetParameters.Request(names=names))
             elif answer is not None and answer.done() and node not in self._known:
                 values = map(parameter_value_to_python, answer.result().values)
-                names = [parameter.name for parameter in ASKED[node]]
                 self._bag.note(node, dict(zip(names, values, strict=True)))
                 self._known.add(node)
-        streams = [self._subscriptions[t] for t in STREAMS if t in self._subscriptions]
-        if any(stream.get_publisher_count() == 0 for stream in streams):
-            self._found = time.monotonic()
-        heard = time.monotonic() - self._found > MUTUAL
-        return heard and len(self._known) == len(ASKED)
+        return len(self._known) == len(self._parameters)
+
+    def complete(self) -> bool:
+        """Ask the nodes for what they have collected; tell whether everything is recorded."""
+        for node in self._known - self._last.keys():
+            if self._flush[node].service_is_ready():
+                self._last[node] = self._flush[node].call_async(Trigger.Request())
+        return not self._missing() and self._executed >= self.wanted
+
+    def _missing(self) -> list[str]:
+        """Return the nodes that have not answered at the end yet."""
+        return sorted(n for n in self._known if n not in self._last or not self._last[n].done())
+
+    def finish(self, client: OperatorClient) -> None:
+        """
+        Take the last messages of all nodes, then close the bag.
+
+        Parameters
+        ----------
+        client : OperatorClient
+            Serves the node that listens.
+
+        """
+        until = time.monotonic() + LAST_WAIT
+        while not self.complete() and time.monotonic() < until:
+            client.serve()
+        if not self.complete():
+            nodes = ', '.join(self._missing()) or 'machine_node'
+            print(f'the bag may lack the last messages of {nodes}', file=sys.stderr)
+        self.close()
 
     def close(self) -> None:
-        """Complete the bag."""
+        """Close the bag."""
         self._bag.close()
 
 
@@ -122,5 +156,5 @@ def record(path: Path, namespace: str) -> int:
                     heard = True
                     print(f'recording into {path}; Ctrl-C ends it', file=sys.stderr)
         finally:
-            recorder.close()
+            recorder.finish(client)
     return recorder.count

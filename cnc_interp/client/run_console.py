@@ -42,7 +42,7 @@ STOP_TEXTS = {
 }
 #: Silence after which a node counts as lost [s].
 SILENCE = 1.0
-#: Longest wait for the topics of a record, and for the last executed setpoints [s].
+#: Longest wait for the answers of the nodes to a recorder [s].
 RECORD_TIMEOUT = 10.0
 #: Longest wait for an event; signals and processes are looked at after it [s].
 SPIN = 0.05
@@ -117,11 +117,11 @@ class RunConsole:
         self._wait_for_nodes()
         programs = [self._send(program) for program in self._request.programs]
         results: list[RunResult] = []
-        count = 0
         for sent in programs:
             outcome = self._result_of(sent)
-            count += outcome.samples + round(outcome.approach_time / self._client.peers.period)
-            self._wait_for_record(count)
+            if self._recorder is not None:
+                approach = round(outcome.approach_time / self._client.peers.period)
+                self._recorder.wanted += outcome.samples + approach
             refused = outcome.code in (Result.BAD_PROGRAM, Result.REFUSED) and not outcome.samples
             if refused and not results:
                 raise InterpError(outcome.message)
@@ -163,12 +163,6 @@ class RunConsole:
             position=by_axis(state.positions if state is not None else ()),
             notices=tuple(outcome.notices),
         )
-
-    def _wait_for_record(self, count: int) -> None:
-        """Wait until all executed setpoints have been recorded."""
-        recorder = self._recorder
-        if recorder is not None:
-            self._spin(lambda: recorder.executed >= count, RECORD_TIMEOUT)
 
     def _wait_for_nodes(self) -> None:
         """Wait until all four nodes answer, and until what is to be recorded is heard."""
@@ -356,7 +350,7 @@ def run_recorded(
             if folder is not None:
                 topics = NEEDED if request.record is None else TOPICS
                 recorder = Recorder(client.node, folder, topics)
-                records.callback(recorder.close)
+                records.callback(recorder.finish, client)
             with RunConsole(client, children, request, recorder, attended) as console:
                 results = console.run(machine, started)
         if request.out is not None and folder is not None and results[0].ok:

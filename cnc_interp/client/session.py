@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.kinematics.axes import error_text
 from cnc_interp.nodes.node_processes import Children, begin_loading
@@ -275,9 +276,7 @@ def nodes_file() -> Path:
     source = Path(__file__).resolve().parents[2] / 'config' / 'nodes.yaml'
     if source.is_file():
         return source
-    from ament_index_python.packages import get_package_share_directory
-
-    installed = Path(get_package_share_directory('cnc_interp')) / 'config' / 'nodes.yaml'
+    installed = share_directory('cnc_interp') / 'config' / 'nodes.yaml'
     if not installed.is_file():
         raise InterpError(f'{installed} is missing; install cnc_interp again')
     return installed

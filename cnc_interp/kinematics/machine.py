@@ -12,6 +12,7 @@ import yaml
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
+from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
 from cnc_interp.kinematics.axes import Axis
 
@@ -170,9 +171,7 @@ def machines_directory() -> Path:
     source = Path(__file__).resolve().parents[2] / 'config' / 'machines'
     if source.is_dir():
         return source
-    from ament_index_python.packages import get_package_share_directory
-
-    return Path(get_package_share_directory('cnc_interp')) / 'config' / 'machines'
+    return share_directory('cnc_interp') / 'config' / 'machines'
 
 
 def find_machine_file(path_or_name: str | Path) -> Path:

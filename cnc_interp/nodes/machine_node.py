@@ -174,6 +174,10 @@ class MachineNode(LifecycleNode):
             said = f'{clock.scheduling}; {self._memory}'
             self._diagnostics.say('clock', OK, said, **clock.figures())
 
+    def publish_rest(self) -> None:
+        """Publish what was executed and not published yet."""
+        self._reports.publish_executed()
+
     def close(self) -> None:
         """Stop the clock; the drives hold the last setpoint."""
         if self._clock_of_drives is not None:

@@ -53,7 +53,7 @@ class MachineReports:
                 JointTrajectory, values['trajectory_topic'], TRAJECTORY
             )
             node.create_timer(TRAJECTORY_PERIOD, self._publish_trajectory)
-        node.create_timer(EXECUTED_PERIOD, self._publish_executed)
+        node.create_timer(EXECUTED_PERIOD, self.publish_executed)
         node.create_timer(1.0 / values['joint_state_rate'], self._publish_joints)
         node.create_timer(1.0 / values['machine_state_rate'], self.publish_state)
 
@@ -74,7 +74,8 @@ class MachineReports:
         machine = self._playback.axes.machine
         self._joints.publish(joint_state(feedback, machine, self._now()))
 
-    def _publish_executed(self) -> None:
+    def publish_executed(self) -> None:
+        """Publish what was executed since the last call."""
         with self._lock:
             messages = executed_setpoints(self._playback, self._period)
         for message in messages:

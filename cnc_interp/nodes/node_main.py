@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
 
 from cnc_interp.core.errors import InterpError
 
@@ -35,7 +37,8 @@ def run_node(
     Parameters
     ----------
     make : callable
-        Makes the node once ROS is up; the node's ``close`` ends it in a controlled way.
+        Makes the node once ROS is up. The node's ``close`` ends it in a controlled way, and its
+        ``publish_rest``, if it has one, publishes what it has collected.
     arguments : list of str, optional
         Command line, ROS arguments included.
     urgent : bool
@@ -57,6 +60,7 @@ def run_node(
     node = None
     try:
         node = make()
+        node.create_service(Trigger, '~/flush', partial(answer_flush, node))
         executor = EventsExecutor()
         executor.add_node(node)
         gc.collect()
@@ -76,6 +80,14 @@ def run_node(
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def answer_flush(node: Any, _request: Any, response: Any) -> Any:
+    """Publish what the node has collected; the end of a recording asks for it."""
+    if hasattr(node, 'publish_rest'):
+        node.publish_rest()
+    response.success = True
+    return response
 
 
 def come_first() -> None:

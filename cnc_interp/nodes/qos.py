@@ -34,6 +34,16 @@ def _reliable(depth: int) -> QoSProfile:
     )
 
 
+def listening_to(profile: QoSProfile) -> QoSProfile:
+    """Return the profile with which a recorder listens: as offered, with a longer queue."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=DEPTH,
+        reliability=profile.reliability,
+        durability=profile.durability,
+    )
+
+
 STREAM = _reliable(DEPTH)
 STATUS = _reliable(64)
 STATE = _reliable(64)

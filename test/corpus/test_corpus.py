@@ -156,8 +156,6 @@ def test_inputs_that_broke_us(number, machine, wanted):
     expect(number, machine, wanted)
 
 
-@pytest.mark.thorough
-@pytest.mark.xfail(reason='the bag lacks the last setpoints of a short program', strict=True)
 def test_a_bag_holds_all_of_a_short_program(tmp_path):
     pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
     program, bag = where('words/short_to_record.ngc'), str(tmp_path / 'bag')

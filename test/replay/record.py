@@ -6,7 +6,6 @@ To be done where planning has changed on purpose; look at the difference first
 """
 
 import shutil
-import time
 from pathlib import Path
 
 import numpy as np
@@ -58,8 +57,7 @@ class Session:
             self.nodes.press('cycle_start')
         result = self.nodes.result_of(handle)
         assert result.code == RunProgram.Result.SUCCEEDED, result.message
-        until = time.monotonic() + 1.0
-        self.nodes.spin_until(lambda: time.monotonic() > until)
+        self.nodes.spin_until(self.recorder.complete)
         return result.starvations
 
     def close(self):

@@ -50,6 +50,7 @@ def test_the_choices_of_a_goal_are_those_of_its_run_and_of_its_bag(nodes, tmp_pa
     result = nodes.result_of(nodes.start(text=PROGRAM, settings=pairs(CHOSEN)))
     assert result.code == Result.SUCCEEDED, result.message
     nodes.spin_until(lambda: bool(nodes.loaded))
+    nodes.spin_until(recorder.complete)
     recorder.close()
     wanted = Settings(corner_ratio=1.5, contour_tolerance=1e-4)
     assert {pair.key: pair.value for pair in nodes.loaded[-1].settings} == texts_of(wanted)

@@ -4,14 +4,18 @@ A long run through the real nodes while another core is busy: nothing lost, memo
 ``PYTHONPATH=.:test/ros python benchmarks/long_run.py --minutes 60`` runs corners and turns for
 about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length`` and
 ``--feed`` say how short and how fast), ``--program`` any other; ``--priority 0``
-runs the clock without SCHED_FIFO, ``--lock-memory`` keeps its pages. Every executed setpoint is
-measured as it is told: numbers without a gap, velocity, acceleration and jerk by differences.
+runs the clock without SCHED_FIFO, ``--page-out`` leaves its pages unlocked. Every executed
+setpoint is measured as it is told: numbers without a gap, velocity, acceleration and jerk by
+differences. Where ``cyclictest`` of rt-tests is installed, it runs beside at the same priority and
+tells what the kernel gives any thread.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -36,6 +40,8 @@ WAVES_A_MINUTE = 90
 LOOKS, SETTLED = 20, 0.2
 #: A turn of the program of short blocks: its radius [mm].
 RADIUS = 60.0
+#: Latest wake-up in the histogram of cyclictest [us].
+LATEST = 100_000
 TICKS = os.sysconf('SC_CLK_TCK')
 BUSY = 'while True: pass'
 
@@ -192,7 +198,8 @@ class LongRun(NodesUnderTest):
         )
         print(
             f'clock      late by p50 {self.clock["late_p50_us"]} us, p99 '
-            f'{self.clock["late_p99_us"]} us, largest {self.clock["late_max_us"]} us; '
+            f'{self.clock["late_p99_us"]} us, p99.9 {self.clock["late_p999_us"]} us, largest '
+            f'{self.clock["late_max_us"]} us; '
             f'{self.clock["missed_periods"]} of {self.clock["periods"]} a period late '
             f'({self.scheduling})'
         )
@@ -214,6 +221,34 @@ class LongRun(NodesUnderTest):
         }
 
 
+class Cyclictest:
+    """The lateness that the kernel gives any thread, measured in the same minutes."""
+
+    def __init__(self, priority: int):
+        path = shutil.which('cyclictest')
+        scheduling = [f'-p{priority}'] if priority else ['--policy=other']
+        command = [path, '-m', '-q', '-i1000', f'-h{LATEST}', *scheduling] if path else []
+        self._process = (
+            subprocess.Popen(command, stdout=subprocess.PIPE, text=True) if command else None
+        )
+
+    def tell(self) -> None:
+        """End it and print its figures."""
+        if self._process is None:
+            print('cyclictest is not installed (rt-tests)')
+            return
+        self._process.send_signal(signal.SIGINT)
+        lines = self._process.communicate()[0].splitlines()
+        rows = [line.split() for line in lines if line[:1].isdigit()]
+        late, count = np.array(rows, dtype=np.int64).T
+        largest = next(line.split()[-1] for line in lines if 'Max Latencies' in line)
+        beyond = next(line.split()[-1] for line in lines if 'Overflows' in line)
+        share = np.cumsum(count) / (count.sum() + int(beyond))
+        p50, p99, p999 = (late[np.searchsorted(share, p)] for p in (0.5, 0.99, 0.999))
+        print(f'cyclictest late by p50 {p50} us, p99 {p99} us, p99.9 {p999} us, largest '
+              f'{int(largest)} us', flush=True)  # fmt: skip
+
+
 def tell_memory(share: float, memory: dict[str, float]) -> None:
     """Print a line of the table of memory."""
     print(f'{share:8.0%}  ' + '  '.join(f'{size:14.1f}' for size in memory.values()), flush=True)
@@ -228,7 +263,7 @@ def main() -> int:
     asked.add_argument('--feed', type=float, default=6000.0, help='of short blocks [mm/min]')
     asked.add_argument('--busy', type=int, default=1, help='busy processes beside it')
     asked.add_argument('--priority', type=int, default=10, help='SCHED_FIFO of the clock')
-    asked.add_argument('--lock-memory', action='store_true', help='of the machine node')
+    asked.add_argument('--page-out', action='store_true', help='memory of the machine node')
     asked.add_argument('--program', type=Path, help='a program instead')
     options = asked.parse_args()
     if options.program:
@@ -237,8 +272,9 @@ def main() -> int:
         text = short_blocks(options.blocks, options.length, options.feed)
     else:
         text = waves(max(2, round(options.minutes * WAVES_A_MINUTE)))
-    clock = {'realtime_priority': options.priority, 'lock_memory': options.lock_memory}
+    clock = {'realtime_priority': options.priority, 'lock_memory': not options.page_out}
     run = LongRun({'machine_node': clock})
+    kernel = Cyclictest(options.priority)
     busy = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(options.busy)]
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -246,6 +282,7 @@ def main() -> int:
             program.write_text(text)
             result = run.go(program, patience=10 * 60.0 * options.minutes + 3600.0)
     finally:
+        kernel.tell()
         for process in busy:
             process.kill()
             process.wait()

@@ -1,7 +1,7 @@
 """
-Setpoints on their way to the drives: checked before, measured after; no clock, no states.
+What the axes did, compared with what they were told: errors, use of the limits; no clock.
 
-It does not know which drives it has, see ``drives.py``.
+It does not know which drives there are, see ``drives.py``.
 """
 
 from __future__ import annotations
@@ -12,41 +12,37 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.differences import largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.drives import Drives
-from cnc_interp.machine.setpoint_checks import beyond_travel
+from cnc_interp.machine.setpoint_checks import TRAVEL_SLACK, beyond_travel
 
 #: A setpoint that asks an axis for this many times its largest velocity is an error of the sender.
 GROSS = 1.5
 #: The path on which the contour error is measured reaches back by this many lags of the drives.
 LAGS_REMEMBERED = 5.0
-LONGEST_MEMORY = 1000
-
-
-class SetpointRefusedError(StreamError):
-    """A setpoint outside the travel, or a jump."""
+SHORTEST_MEMORY, LONGEST_MEMORY = 2, 1000
 
 
 @dataclass(frozen=True)
-class Feedback:
+class Recording:
     """
-    What the axes did in one period.
+    What the axes did in K periods, one row each.
 
     Parameters
     ----------
-    setpoint, position, velocity, following_error : ndarray, shape (n_axes,)
+    setpoint, position, velocity, following_error : ndarray, shape (K, n_axes)
         Commanded and actual axes, and commanded minus actual position [m, rad, per s].
-    tip, axis : ndarray, shape (3,)
+    tip, axis : ndarray, shape (K, 3)
         Actual tool tip [m] and tool axis [-] in W.
-    tip_lag : float
-        Distance of the actual tip from the commanded tip [m].
-    contour_error : float
-        Distance of the actual tip from the path of the latest commanded tips [m].
-    feedrate : float
-        Actual speed of the tip relative to the workpiece, over this period [m/s].
+    tip_lag, contour_error : ndarray, shape (K,)
+        Distances of the actual tip from the commanded tip and from the path of the latest
+        commanded tips [m].
+    feedrate : ndarray, shape (K,)
+        Actual speed of the tip relative to the workpiece, over each period [m/s].
+    largest_use : ndarray, shape (3, n_axes)
+        Largest velocity, acceleration and jerk of the setpoints over their limits [-].
 
     """
 
@@ -56,19 +52,21 @@ class Feedback:
     following_error: FloatArray
     tip: FloatArray
     axis: FloatArray
-    tip_lag: float
-    contour_error: float
-    feedrate: float
+    tip_lag: FloatArray
+    contour_error: FloatArray
+    feedrate: FloatArray
+    largest_use: FloatArray
 
 
 def memory_of(period: float, lag: float) -> int:
     """Return how many commanded tips the contour error is measured against."""
-    return min(LONGEST_MEMORY, int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1)
+    wanted = int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1
+    return min(LONGEST_MEMORY, max(SHORTEST_MEMORY, wanted))
 
 
 class AxisMotion:
     """
-    The axes of the machine, one setpoint per period.
+    The axes of the machine, some periods at a time.
 
     Parameters
     ----------
@@ -76,8 +74,10 @@ class AxisMotion:
         Axes, limits, travel and geometry.
     period : float
         Interpolation period [s].
-    drives : Drives
-        What moves the axes.
+    lag : float
+        How far the axes follow behind their setpoints, about [s].
+    position : ndarray, shape (n_axes,)
+        Where the axes stand at rest [m, rad].
 
     Raises
     ------
@@ -86,65 +86,67 @@ class AxisMotion:
 
     """
 
-    def __init__(self, machine: Machine, period: float, drives: Drives):
+    def __init__(self, machine: Machine, period: float, lag: float, position: FloatArray):
         if not 0.0 < period < np.inf:
             raise StreamError('the interpolation period must be positive')
-        self.machine, self.period, self._drives = machine, period, drives
+        self.machine, self.period = machine, period
         self._transform = Transform.of(machine)
-        self._memory = memory_of(period, drives.lag)
+        self._memory = memory_of(period, lag)
         self._largest = largest_differences(machine.limits, period)
         self._recent_use = np.zeros_like(self._largest)
         self.largest_use = np.zeros_like(self._largest)
-        self._place(drives.rest().position)
+        self.place(position)
 
-    def switch_on(self) -> None:
-        """Switch the drives on; the axes are held where they stand."""
-        self._place(self._drives.switch_on())
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest setpoint, and the largest step between two; see ``fault_of``."""
+        slack = np.array([-TRAVEL_SLACK, TRAVEL_SLACK])
+        return self.machine.travel + slack, GROSS * self._largest[0]
 
-    def switch_off(self) -> None:
-        """Switch the drives off."""
-        self._drives.switch_off()
-
-    def _place(self, position: FloatArray) -> None:
-        """Take where the axes stand as the last setpoint."""
+    def place(self, position: FloatArray) -> None:
+        """Take where the axes stand at rest as the last setpoint."""
         start = np.array(position, dtype=float)
-        fault = self._fault_of_position(start)
-        if fault:
-            raise StreamError(fault)
-        self.setpoints = np.tile(start, (4, 1))
-        self._tip = self._transform.forward(start[None, :])[0][0]
-        self._tips = np.tile(self._tip, (self._memory, 1))
+        beyond = beyond_travel(self.machine, start[None, :])
+        if beyond:
+            raise StreamError(f'{beyond}; reset and move inside')
+        self.setpoints = np.tile(start, (BEFORE, 1))
+        tips = self._transform.forward(start[None, :])[0]
+        self._tips = np.tile(tips, (self._memory - 1, 1))
+        self._tip = tips
 
-    def follow(self, setpoint: FloatArray, velocity: FloatArray) -> Feedback:
+    def measure(self, setpoints: FloatArray, x: FloatArray, v: FloatArray) -> Recording:
         """
-        Follow one setpoint for one period.
+        Compare what was asked for with what the drives did, in the periods that follow.
 
         Parameters
         ----------
-        setpoint : ndarray, shape (n_axes,)
-            Axis coordinates at the end of the period [m, rad].
-        velocity : ndarray, shape (n_axes,)
-            Axis velocities there [m/s, rad/s].
-
-        Raises
-        ------
-        SetpointRefusedError
-            If the setpoint leaves the travel or jumps. The drives are not told.
-        DriveFaultError
-            If a drive has failed.
+        setpoints, x, v : ndarray, shape (K, n_axes)
+            Commanded position, actual position and velocity at the end of each period.
 
         """
-        wanted, rate = np.array(setpoint, dtype=float), np.array(velocity, dtype=float)
-        fault = self._fault_of_step(wanted, rate)
-        if fault:
-            raise SetpointRefusedError(fault)
-        actual = self._drives.follow(wanted, rate)
-        return self._measured(wanted, actual.position, actual.velocity)
-
-    def rest(self) -> Feedback:
-        """Hold the last setpoint for one period; the drives settle."""
-        actual = self._drives.rest()
-        return self._measured(self.setpoints[-1], actual.position, actual.velocity)
+        held = np.concatenate([self.setpoints, setpoints])
+        use = np.abs(limit_shares(held, self._largest)).max(axis=1)
+        self.setpoints = held[-BEFORE:]
+        self.largest_use = np.maximum(self.largest_use, use)
+        self._recent_use = np.maximum(self._recent_use, use)
+        commanded = self._transform.forward(setpoints)[0]
+        tip, axis = self._transform.forward(x)
+        trail = np.concatenate([self._tips, commanded])
+        self._tips = trail[1 - self._memory :]
+        moves = np.diff(np.concatenate([self._tip, tip]), axis=0)
+        self._tip = tip[-1:]
+        return Recording(
+            setpoint=setpoints,
+            position=x,
+            velocity=v,
+            following_error=setpoints - x,
+            tip=tip,
+            axis=axis,
+            tip_lag=np.sqrt(np.sum((tip - commanded) ** 2, axis=1)),
+            contour_error=path_errors(trail, tip, self._memory),
+            feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period,
+            largest_use=use,
+        )
 
     def forget_use(self) -> None:
         """Start the largest use of the limits anew."""
@@ -156,41 +158,22 @@ class AxisMotion:
         self._recent_use = np.zeros_like(recent)
         return recent
 
-    def _measured(self, setpoint: FloatArray, x: FloatArray, v: FloatArray) -> Feedback:
-        """Compare what was asked for with what the drives did."""
-        self.setpoints = np.concatenate([self.setpoints[1:], setpoint[None, :]])
-        use = np.abs(limit_shares(self.setpoints, self._largest))[:, 0]
-        self.largest_use = np.maximum(self.largest_use, use)
-        self._recent_use = np.maximum(self._recent_use, use)
-        tips, axes = self._transform.forward(np.stack([x, setpoint]))
-        self._tips = np.concatenate([self._tips[1:], tips[1:]])
-        lag = float(np.sqrt(np.sum((tips[0] - tips[1]) ** 2)))
-        error = float(path_errors(self._tips, tips[:1], self._memory)[0])
-        feedrate = float(np.sqrt(np.sum((tips[0] - self._tip) ** 2))) / self.period
-        self._tip = tips[0]
-        return Feedback(setpoint, x, v, setpoint - x, tips[0], axes[0], lag, error, feedrate)
-
-    def _fault_of_position(self, wanted: FloatArray) -> str:
-        names = self.machine.axis_names
-        if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
-            return f'setpoint must be {len(names)} finite numbers, not {wanted.tolist()}'
+    def fault_of(self, wanted: FloatArray, velocity: FloatArray) -> str:
+        """Say why a setpoint and its velocity cannot follow the last one; empty if they can."""
+        count = len(self.machine.axis_names)
+        if not (np.isfinite(wanted).all() and np.isfinite(velocity).all()):
+            return f'setpoint and its velocity must be {count} finite numbers each'
         beyond = beyond_travel(self.machine, wanted[None, :])
-        return f'{beyond}; reset and move inside' if beyond else ''
-
-    def _fault_of_step(self, wanted: FloatArray, velocity: FloatArray) -> str:
-        fault = self._fault_of_position(wanted)
-        if fault:
-            return fault
-        if velocity.shape != wanted.shape or not np.isfinite(velocity).all():
-            return f'setpoint velocity must be {len(wanted)} finite numbers'
+        if beyond:
+            return f'{beyond}; reset and move inside'
         use = np.abs(wanted - self.setpoints[-1]) / self._largest[0]
-        if (use > GROSS).any():
-            k = int(np.argmax(use))
-            return (
-                f'{self.machine.axis_names[k]} asked to jump at {use[k]:.3g} times its largest '
-                'velocity; setpoints lost or out of order, reset and restart the program'
-            )
-        return ''
+        k = int(np.argmax(use))
+        if use[k] <= GROSS:
+            return ''
+        return (
+            f'{self.machine.axis_names[k]} asked to jump at {use[k]:.3g} times its largest '
+            'velocity; setpoints lost or out of order, reset and restart the program'
+        )
 
 
 @njit(cache=True, nogil=True)

@@ -8,47 +8,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Setpoints
 
 
 @dataclass(frozen=True)
-class Row:
-    """One setpoint in the buffer."""
+class Rows:
+    """Consecutive setpoints and the source line of each."""
 
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
-    block: int
-    line: int
-    s: float
+    samples: Setpoints
+    lines: list[int]
+
+    def __len__(self) -> int:
+        """Count them."""
+        return len(self.samples)
+
+    def part(self, first: int, last: int) -> Rows:
+        """Return the rows from ``first`` to the one before ``last``."""
+        return Rows(part_of(self.samples, first, last), self.lines[first:last])
 
 
 @dataclass(frozen=True)
 class BufferedChunk:
-    """A chunk in the buffer, its stop tail not unpacked."""
+    """
+    A chunk in the buffer.
 
-    rows: list[Row]
-    tail: Setpoints
-    tail_lines: list[int]
-    wait: Wait
+    Parameters
+    ----------
+    serial : int
+        Its number in the cycle.
+    chunk : Chunk
+        Setpoints, stop tail, and what comes after.
+    rows, tail : Rows
+        Setpoints and stop tail with their lines.
 
-    @property
-    def ends_approach(self) -> bool:
-        """Tell whether the machine rests at the start pose after it; the program comes next."""
-        return not len(self.tail) and self.rows[-1].block == 0
+    """
 
-    def tail_rows(self) -> list[Row]:
-        """Unpack the stop after it."""
-        return rows_of(self.tail, self.tail_lines)
-
-
-def rows_of(samples: Setpoints, lines: list[int]) -> list[Row]:
-    """Unpack setpoints."""
-    columns = (samples.block.tolist(), lines, samples.s.tolist())
-    motion = (samples.position, samples.velocity, samples.acceleration, samples.jerk)
-    return list(map(Row, *motion, *columns))
+    serial: int
+    chunk: Chunk
+    rows: Rows
+    tail: Rows
 
 
 class Buffer:
@@ -73,17 +72,16 @@ class Buffer:
         self.rests = 0  # chunks after which the machine rests
         self.newest: FloatArray = np.tile(stands, (3, 1))  # the last three setpoints
 
-    def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
+    def push(self, chunk: BufferedChunk) -> None:
         """Take a chunk."""
-        rows = rows_of(chunk.samples, lines)
-        self.chunks.append(BufferedChunk(rows, chunk.tail, tail_lines, chunk.wait))
-        self.count += len(rows)
-        self.rests += chunk.wait is not Wait.NOTHING
-        self.newest = np.concatenate([self.newest, chunk.samples.position])[-3:]
+        self.chunks.append(chunk)
+        self.count += len(chunk.rows)
+        self.rests += chunk.chunk.wait is not Wait.NOTHING
+        self.newest = np.concatenate([self.newest, chunk.rows.samples.position])[-3:]
 
     def pop(self) -> BufferedChunk:
         """Hand out the next chunk."""
         chunk = self.chunks.popleft()
         self.count -= len(chunk.rows)
-        self.rests -= chunk.wait is not Wait.NOTHING
+        self.rests -= chunk.chunk.wait is not Wait.NOTHING
         return chunk

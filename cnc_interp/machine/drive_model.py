@@ -17,11 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numba import carray, cfunc, njit, types
 from scipy.linalg import expm
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.native import pointer
 
 
 @dataclass(frozen=True)
@@ -109,18 +110,53 @@ def drive(
     """
     x, v = np.empty_like(setpoints), np.empty_like(setpoints)
     for j in range(setpoints.shape[1]):
-        x0, v0, r0, f0 = axes[0, j], axes[1, j], setpoint[j], velocity[j]
+        state = axes[0, j], axes[1, j], setpoint[j], velocity[j]
         for i in range(len(setpoints)):
-            dr, df = setpoints[i, j] - r0, velocities[i, j] - f0
-            # Relative to the last setpoint, so that rounding does not depend on where the axis is.
-            gap = x0 - r0
-            x[i, j] = (
-                r0 + transition[0, 0] * gap + transition[0, 1] * v0
-                + held[0, 1] * f0 + rising[0, 0] * dr + rising[0, 1] * df
-            )  # fmt: skip
-            v[i, j] = (
-                transition[1, 0] * gap + transition[1, 1] * v0
-                + held[1, 1] * f0 + rising[1, 0] * dr + rising[1, 1] * df
-            )  # fmt: skip
-            x0, v0, r0, f0 = x[i, j], v[i, j], setpoints[i, j], velocities[i, j]
+            r, f = setpoints[i, j], velocities[i, j]
+            x[i, j], v[i, j] = _step(transition, held, rising, state, r, f)
+            state = x[i, j], v[i, j], r, f
     return x, v
+
+
+@njit(cache=True, nogil=True)
+def _step(
+    transition: FloatArray,
+    held: FloatArray,
+    rising: FloatArray,
+    state: tuple[float, float, float, float],
+    r: float,
+    f: float,
+) -> tuple[float, float]:
+    """Advance one axis by one period from (x, v, r, f) to the setpoint (r, f); return (x, v)."""
+    x0, v0, r0, f0 = state
+    dr, df = r - r0, f - f0
+    # Relative to the last setpoint, so that rounding does not depend on where the axis is.
+    gap = x0 - r0
+    x = (
+        r0 + transition[0, 0] * gap + transition[0, 1] * v0
+        + held[0, 1] * f0 + rising[0, 0] * dr + rising[0, 1] * df
+    )  # fmt: skip
+    v = (
+        transition[1, 0] * gap + transition[1, 1] * v0
+        + held[1, 1] * f0 + rising[1, 0] * dr + rising[1, 1] * df
+    )  # fmt: skip
+    return x, v
+
+
+#: Words of the model in the memory of ``drive_once``; then come x, v, r, f of the axes.
+MODEL_WORDS = 12
+
+
+@cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
+def drive_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
+    """Advance all axes by one period; see ``drives.CycleDrives``."""
+    model = carray(pointer(memory), (3, 2, 2))
+    states = carray(pointer(memory + 8 * MODEL_WORDS), (4, n))
+    wanted, actual = carray(pointer(setpoint), (2, n)), carray(pointer(feedback), (2, n))
+    for j in range(n):
+        state = states[0, j], states[1, j], states[2, j], states[3, j]
+        r, f = wanted[0, j], wanted[1, j]
+        x, v = _step(model[0], model[1], model[2], state, r, f)
+        states[0, j], states[1, j], states[2, j], states[3, j] = x, v, r, f
+        actual[0, j], actual[1, j] = x, v
+    return 0

@@ -1,14 +1,16 @@
 """
 The port to the drives: what a drive must be able to do. The rest of the machine knows no more.
 
-``simulated.py`` fills it. Real drives fill it in another module: the buffer, the playback and the
-states stay as they are.
+Drives come in two kinds. ``CycleDrives`` bring a compiled step, which the cycle of the machine
+calls itself: nothing of Python lies between clock and drive. ``FedDrives`` are told in Python what
+the cycle has played, some milliseconds later. ``simulated.py`` has drives of the first kind. Real
+drives fill the port in another module: the buffer, the cycle and the states stay as they are.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
@@ -37,26 +39,21 @@ class AxisFeedback:
 
 
 class Drives(Protocol):
-    """
-    The drives of all axes, told once per interpolation period.
-
-    Every call returns at once: the caller keeps the clock. Setpoints were checked before against
-    travel and limits.
-    """
+    """The drives of all axes. Setpoints were checked before against travel and limits."""
 
     @property
     def lag(self) -> float:
         """How far the axes follow behind their setpoints, about [s]."""
         ...
 
-    def switch_on(self) -> FloatArray:
+    @property
+    def position(self) -> FloatArray:
+        """Where the axes stand or settle at rest, also before ``switch_on`` [m, rad]."""
+        ...
+
+    def switch_on(self) -> None:
         """
         Take power and hold the axes where they stand.
-
-        Returns
-        -------
-        ndarray, shape (n_axes,)
-            The setpoint that is held: where the axes stand [m, rad].
 
         Raises
         ------
@@ -69,6 +66,38 @@ class Drives(Protocol):
     def switch_off(self) -> None:
         """Release the axes; the machine is at rest."""
         ...
+
+
+@runtime_checkable
+class CycleDrives(Drives, Protocol):
+    """
+    Drives with a compiled step that the cycle calls once per period.
+
+    The step is a C function ``int64 step(double *memory, const double *setpoint, double *feedback,
+    int64 n_axes)``, made by ``numba.cfunc`` or by any other compiler. ``setpoint`` holds n_axes
+    positions, then n_axes velocities, at the end of the period; at rest the velocities are 0.
+    ``feedback`` takes the actual positions and velocities in the same layout. It returns 0, or the
+    number of a fault; then the machine is told no further setpoints.
+    """
+
+    @property
+    def step(self) -> int:
+        """Address of the step."""
+        ...
+
+    @property
+    def memory(self) -> FloatArray:
+        """What the step keeps from one period to the next."""
+        ...
+
+    def fault(self, number: int) -> str:
+        """Say what a fault number of the step means, and what to do."""
+        ...
+
+
+@runtime_checkable
+class FedDrives(Drives, Protocol):
+    """Drives that are told in Python what the cycle has played; every call returns at once."""
 
     def follow(self, position: FloatArray, velocity: FloatArray) -> AxisFeedback:
         """

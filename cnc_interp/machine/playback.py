@@ -1,72 +1,122 @@
 """
-Plays the machine's buffer of setpoints into the drives, one period at a time.
+The machine's buffer and the state of its run, around the cycle that plays the setpoints.
 
-Every chunk brings the tail of a stop along the path. The machine follows the tail when the next
+Every chunk brings the tail of a stop along the path. The cycle follows the tail when the next
 chunk is late and when the operator wants to stop. Then the plan is over. The next one must begin
-where the machine rests.
+where the machine rests. ``read`` takes over what the cycle has done.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
-from cnc_interp.machine.axis_motion import AxisMotion, Feedback, SetpointRefusedError
-from cnc_interp.machine.buffer import Buffer, BufferedChunk, Row
-from cnc_interp.machine.drives import DriveFaultError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.axis_motion import AxisMotion
+from cnc_interp.machine.buffer import Buffer, BufferedChunk, Rows
+from cnc_interp.machine.cycle import (
+    CHUNK,
+    ENDED,
+    FAILED,
+    REFUSED,
+    REST,
+    STARVED,
+    TAIL,
+    WAITED,
+    Cycle,
+    Records,
+    follow_ideally,
+)
+from cnc_interp.machine.drives import CycleDrives, DriveFaultError, Drives, FedDrives
 from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
 
 #: Why the machine rests after the last setpoint of a chunk.
 WAIT_REASONS = {Wait.OVERRIDE: Reason.OVERRIDE, Wait.CYCLE_START: Reason.PROGRAM_STOP}
+#: What the states are told when the machine rests after a chunk.
+REST_EVENTS = {
+    Wait.NOTHING: Event.FILL,
+    Wait.OVERRIDE: Event.PAUSE,
+    Wait.CYCLE_START: Event.WAIT,
+    Wait.END: Event.FINISH,
+}
+#: Chunks that may wait, beyond one for each setpoint of a full buffer.
+SPARE_CHUNKS = 4096
 
 
 class Executed(NamedTuple):
-    """A setpoint that was executed: its plan, and its number in the run."""
+    """Setpoints that were executed one after the other: their plan, and the number in the run."""
 
     run_id: RunId
     number: int
-    row: Row
+    rows: Rows
+
+
+class Place(NamedTuple):
+    """Where a setpoint lies in the program: block, source line and path length [m]."""
+
+    block: int
+    line: int
+    s: float
 
 
 class Playback:
     """
-    The machine's buffer and the figures of the run; no thread, no clock.
+    The machine's buffer, the state and the figures of the run; no thread.
 
     Parameters
     ----------
-    axes : AxisMotion
-        The axes and their drives.
+    machine : Machine
+        Axes, limits, travel and geometry.
+    period : float
+        Interpolation period [s].
+    drives : Drives
+        What moves the axes.
     full : int
         Setpoints in a full buffer. The machine starts only then, unless it must rest earlier.
 
     """
 
-    def __init__(self, axes: AxisMotion, full: int):
-        self.axes = axes
+    def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
+        self.axes = AxisMotion(machine, period, drives.lag, drives.position)
+        self._drives, self._full = drives, full
+        step, memory = int(follow_ideally.address), np.zeros(1)
+        if isinstance(drives, CycleDrives):
+            step, memory = drives.step, drives.memory
+        self.cycle = Cycle(period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory)
         self.state = RunState()
-        self.feedback = axes.rest()
-        self.executed: deque[Executed] = deque(maxlen=100_000)  # until they are published
-        self.buffer = Buffer(axes.setpoints[-1])
-        self._full = full
+        self.executed: deque[Executed] = deque()  # until they are published
+        self._place(drives.position)
         self._given_up = ''  # the run that was reset last
         self.run_id = NO_RUN
         self._forget_run(NO_RUN)
 
+    def _place(self, position: FloatArray) -> None:
+        """Take where the axes stand; nothing moves."""
+        self.axes.place(position)
+        self.cycle.place(position)
+        row = np.array(position, dtype=float)[None, :]
+        self.feedback = self.axes.measure(row, row, np.zeros_like(row))
+        self.buffer = Buffer(row[0])
+
     def switch_on(self) -> None:
         """Switch the drives on."""
-        self.axes.switch_on()
+        self._drives.switch_on()
+        self._place(self._drives.position)
         self.state = self.state.after(Event.ACTIVATE)
         self._empty()
 
     def switch_off(self) -> None:
         """Switch the drives off; at rest without a run, or in a fault."""
         self.state = self.state.after(Event.DEACTIVATE)
-        self.axes.switch_off()
+        self._drives.switch_off()
 
     # Runs and plans -----------------------------------------------------------------------------
 
@@ -87,6 +137,7 @@ class Playback:
             If the machine moves, or waits for something else.
 
         """
+        self.read()
         mine, state = self.run_id, self.state
         if not state.resting:
             raise StreamError(
@@ -122,16 +173,16 @@ class Playback:
         """Start everything that counts through a run anew."""
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
-        self.last: Row | None = None
+        self.last: Place | None = None
         self._empty()
         self._forget_figures()
 
     def _empty(self) -> None:
         """Empty the buffer."""
         self.buffer.clear(self.axes.setpoints[-1])
-        self._rows: deque[Row] = deque()
-        #: The chunk being executed; none at rest and on a stop tail.
+        #: The chunk that is being played, or whose tail is; and the row of it played last.
         self._current: BufferedChunk | None = None
+        self._on_tail, self._row = False, -1
 
     def _forget_figures(self) -> None:
         """Start the figures anew: at a run, and where its approach ends."""
@@ -143,35 +194,42 @@ class Playback:
     @property
     def left(self) -> bool:
         """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
-        on_tail = not self.state.resting and self._current is None
-        return on_tail or self.state.plan_over
+        return self._on_tail or self.state.plan_over
 
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk into the buffer, unless its plan was left."""
+        self.read()
         if not self.left:
-            self.buffer.push(chunk, lines, tail_lines)
+            serial = self.cycle.push(chunk)
+            rows, tail = Rows(chunk.samples, lines), Rows(chunk.tail, tail_lines)
+            self.buffer.push(BufferedChunk(serial, chunk, rows, tail))
 
-    def coming(self) -> list[Row]:
+    def coming(self) -> list[Setpoints]:
         """Return the setpoints to come as things stand, the stop after them included."""
-        current, rows = self._current, list(self._rows)
+        current = self._current
         if self.state.resting or current is None:
-            return rows
+            return []
+        if self._on_tail:
+            return [current.tail.part(self._row + 1, len(current.tail)).samples]
+        parts = [current.rows.part(self._row + 1, len(current.rows)).samples]
         if not self.state.leaves_plan:
             for buffered in self.buffer.chunks:
-                if current is not None and current.wait is not Wait.NOTHING:
+                if current.chunk.wait is not Wait.NOTHING:
                     break
                 current = buffered
-                rows += buffered.rows
-        return rows + (current.tail_rows() if current else [])
+                parts.append(buffered.rows.samples)
+        return [*parts, current.tail.samples]
 
     # What the operator asks for -----------------------------------------------------------------
 
     def hold(self) -> None:
         """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
-        self.state = self.state.after(Event.HOLD, Reason.FEED_HOLD)
+        self.read()
+        self._handle(Event.HOLD, Reason.FEED_HOLD)
 
     def stop(self) -> None:
         """Stop on the path as soon as the setpoints allow, and go to FAULT."""
+        self.read()
         self._handle(Event.STOP, Reason.EMERGENCY_STOP)
 
     def start(self) -> None:
@@ -184,37 +242,49 @@ class Playback:
             If there is nothing to go on with.
 
         """
+        self.read()
         self.state = self.state.after(Event.RESUME)
 
     def refuse(self, reason: str) -> None:
         """No further setpoints come: stop on the path after those at hand, then FAULT."""
+        self.read()
         self._handle(Event.REFUSE, detail=reason)
 
     def reset(self) -> None:
         """Clear a fault, or give up what is left of a run, at rest only."""
+        self.read()
         self.state = self.state.after(Event.RESET)
         self._given_up = self.run_id.program_id or self._given_up
         self._forget_run(NO_RUN)
 
     def _handle(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> None:
-        """Change the state; a fault at rest leaves nothing to execute."""
+        """Change the state and have the cycle stop; a fault at rest leaves nothing to execute."""
         self.state = self.state.after(event, reason, detail)
+        if self.state.leaves_plan:
+            self.cycle.leave()
         if self.state.state is State.FAULT:
             self._empty()
 
-    # The clock ----------------------------------------------------------------------------------
+    # What the cycle does ------------------------------------------------------------------------
 
-    def step(self) -> Feedback:
-        """Let one period pass."""
+    def step(self) -> None:
+        """Let one period pass without the clock."""
+        self.read()
+        self.cycle.step()
+        self.read()
+
+    def read(self) -> None:
+        """Take over what the cycle has done; start it when enough setpoints are there."""
+        records = self.cycle.read()
+        count = len(records.source)
+        if count:
+            changes = np.diff(records.source) | np.diff(records.serial) | records.events[1:]
+            borders = [0, *(np.flatnonzero(changes) + 1).tolist(), count]
+            for first, last in pairwise(borders):
+                self._take_over(records.part(first, last))
         if self.state.may_start and self._has_enough():
             self.state = self.state.after(Event.START)
-        if not self.state.resting and not self._rows:
-            self._take_next()
-        if self._rows:
-            self._play(self._rows.popleft())
-        else:
-            self.feedback = self.axes.rest()
-        return self.feedback
+            self.cycle.start(self.buffer.chunks[0].serial)
 
     def _has_enough(self) -> bool:
         """Tell whether the buffer is full, or nothing more is needed or will come."""
@@ -222,48 +292,42 @@ class Playback:
         last = buffer.rests > 0 or bool(buffer.chunks and self.state.refusal)
         return last or buffer.count >= self._full
 
-    def _take_next(self) -> None:
-        """Go on after a chunk or a tail that was played to its end."""
-        current = self._current
-        if current is None and not self.buffer.chunks:
-            self._come_to_rest()
-        elif current is None:
-            self._follow_next()
-        elif self.state.leaves_plan:
-            self._follow_tail(current)
-        elif current.wait is not Wait.NOTHING:
-            self._rest_after(current.wait)
-        elif current.ends_approach and not self._has_enough():
-            self._current = None
-            self.state = self.state.after(Event.FILL)
-        elif self.buffer.chunks:
-            self._follow_next()
+    def _take_over(self, records: Records) -> None:
+        """Take over some periods of one source; something happened in the first one at most."""
+        source, events = int(records.source[0]), int(records.events[0])
+        if self.state.resting:
+            source = REST  # drives that are fed have failed meanwhile and were told nothing more
+        if source == CHUNK:
+            self._find(int(records.serial[0]))
+        if events & STARVED:
+            self._starve()
+        if source == TAIL and not self._on_tail:
+            current = self._current
+            self._empty()
+            self._current, self._on_tail = current, True
+        if events & (ENDED | WAITED):
+            self._rest(bool(events & ENDED))
+        if events & (REFUSED | FAILED):
+            self._fail(records)
+        if source == REST or self.state.resting:
+            self._measure(None, records)
         else:
-            self._starve(current)
+            first = int(records.row[0])
+            self._row = first + len(records.row) - 1
+            self._play(self._played.part(first, self._row + 1), records)
 
-    def _follow_next(self) -> None:
-        self._current = self.buffer.pop()
-        self._rows.extend(self._current.rows)
+    def _find(self, serial: int) -> None:
+        """Make a chunk the current one."""
+        while self._current is None or self._current.serial < serial:
+            self._current, self._row = self.buffer.pop(), -1
 
-    def _rest_after(self, wait: Wait) -> None:
-        """Rest where the setpoints say so; they go on from there."""
-        self._current = None
-        event = {Wait.END: Event.FINISH, Wait.OVERRIDE: Event.PAUSE}.get(wait, Event.WAIT)
-        self.state = self.state.after(event, WAIT_REASONS.get(wait, Reason.NONE))
+    @property
+    def _played(self) -> Rows:
+        """The rows that are being played."""
+        assert self._current is not None
+        return self._current.tail if self._on_tail else self._current.rows
 
-    def _follow_tail(self, current: BufferedChunk) -> None:
-        """Leave the plan by the stop after the chunk."""
-        self._empty()
-        self._rows.extend(current.tail_rows())
-        if not self._rows:
-            self._come_to_rest()
-
-    def _come_to_rest(self) -> None:
-        """Be at rest on the path; another plan must follow."""
-        self._empty()
-        self.state = self.state.after(Event.REST)
-
-    def _starve(self, current: BufferedChunk) -> None:
+    def _starve(self) -> None:
         """Leave the plan: the next setpoints are late, or will never come."""
         self.starvations += 1
         if self.state.refusal:
@@ -271,29 +335,84 @@ class Playback:
             self.state = self.state.after(Event.STOP, reason, detail)
         else:
             self.state = self.state.after(Event.STARVE, Reason.STARVED, str(self.played))
-        self._follow_tail(current)
 
-    def _play(self, row: Row) -> None:
-        """Follow one setpoint and keep the figures of the run."""
+    def _rest(self, on_tail: bool) -> None:
+        """Rest on the path: after a stop another plan must follow, else the setpoints go on."""
         current = self._current
-        flows = current is not None and current.wait is Wait.NOTHING
-        if flows and self.buffer.rests == 0:
-            self.least_buffered = min(self.least_buffered, self.buffer.count + len(self._rows))
-        if row.block > 0 and (self.last is None or self.last.block == 0):
-            self._forget_figures()
-        try:
-            self.feedback = self.axes.follow(row.position, row.velocity)
-        except (SetpointRefusedError, DriveFaultError) as fault:
-            refused = isinstance(fault, SetpointRefusedError)
-            reason = Reason.SETPOINT_REFUSED if refused else Reason.DRIVE_FAULT
-            self._handle(Event.FAIL, reason, str(fault))
-            self.feedback = self.axes.rest()
+        if on_tail or self.state.leaves_plan or current is None:
+            self._empty()
+            self.state = self.state.after(Event.REST)
             return
-        self.executed.append(Executed(self.run_id, self.played, row))
-        self.last = row
-        self.played += 1
-        self.approach_samples += row.block == 0
-        self.played_of_plan += current is not None
-        error = np.abs(self.feedback.following_error)
+        wait, self._current = current.chunk.wait, None
+        reason = WAIT_REASONS.get(wait, Reason.NONE)
+        self.state = self.state.after(REST_EVENTS[wait], reason)
+
+    def _fail(self, records: Records) -> None:
+        """Go to FAULT: the cycle has refused a setpoint, or the drives have."""
+        row = int(records.row[0])
+        if int(records.events[0]) & FAILED:
+            assert isinstance(self._drives, CycleDrives)
+            self._handle(Event.FAIL, Reason.DRIVE_FAULT, self._drives.fault(row))
+            return
+        samples = self._played.samples
+        fault = self.axes.fault_of(samples.position[row], samples.velocity[row])
+        self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
+
+    def _measure(self, samples: Setpoints | None, records: Records) -> int:
+        """
+        Compare setpoints with what the drives did; without setpoints the last one is held.
+
+        Returns how many of them the drives have followed.
+        """
+        x, v, followed = records.position, records.velocity, len(records.source)
+        if isinstance(self._drives, FedDrives):
+            x, v, followed = self._feed(self._drives, samples, followed)
+        wanted = np.tile(self.axes.setpoints[-1], (len(x), 1))
+        if samples is not None:
+            wanted[:followed] = samples.position[:followed]
+            wanted[followed:] = wanted[followed - 1] if followed else self.axes.setpoints[-1]
+        self.feedback = self.axes.measure(wanted, x, v)
+        return followed
+
+    def _feed(
+        self, drives: FedDrives, samples: Setpoints | None, count: int
+    ) -> tuple[FloatArray, FloatArray, int]:
+        """Tell drives that Python feeds what was played; they rest from a fault on."""
+        done, followed = [], 0
+        for k in range(count):
+            try:
+                if samples is not None and followed == k:
+                    done.append(drives.follow(samples.position[k], samples.velocity[k]))
+                    followed += 1
+                    continue
+            except DriveFaultError as fault:
+                self.cycle.halt()
+                self._handle(Event.FAIL, Reason.DRIVE_FAULT, str(fault))
+                samples = None
+            done.append(drives.rest())
+        both = [
+            np.array([getattr(each, name) for each in done]) for name in ('position', 'velocity')
+        ]
+        return both[0], both[1], followed
+
+    def _play(self, rows: Rows, records: Records) -> None:
+        """Take executed setpoints over and keep the figures of the run."""
+        current, on_tail, left = self._current, self._on_tail, len(self._played) - 1 - self._row
+        assert current is not None
+        if rows.samples.block[0] > 0 and (self.last is None or self.last.block == 0):
+            self._forget_figures()
+        rows = rows.part(0, self._measure(rows.samples, records))
+        if not len(rows):
+            return
+        if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
+            self.least_buffered = min(self.least_buffered, self.buffer.count + left)
+        samples = rows.samples
+        self.executed.append(Executed(self.run_id, self.played, rows))
+        self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
+        self.played += len(rows)
+        self.approach_samples += int(np.sum(samples.block == 0))
+        self.played_of_plan += 0 if on_tail else len(rows)
+        error = np.abs(self.feedback.following_error).max(axis=0)
         self.largest_following_error = np.maximum(self.largest_following_error, error)
-        self.largest_contour_error = max(self.largest_contour_error, self.feedback.contour_error)
+        contour_error = float(self.feedback.contour_error.max())
+        self.largest_contour_error = max(self.largest_contour_error, contour_error)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import ctypes
 import os
 import resource
-from array import array
 
 import numpy as np
+from numba import njit
 
-from cnc_interp.core.units import MS
+from cnc_interp.core.arrays import IntArray
+from cnc_interp.core.units import UM
 
-#: Flags of `mlockall` in <sys/mman.h>: all present pages, and all future ones.
-LOCK_CURRENT, LOCK_FUTURE = 1, 2
-#: Width of a class of the histogram, and the upper end of the last class [s].
-CLASS, LATEST = 2e-6, 100.0 * MS
+#: Flags of `mlockall` in <sys/mman.h>: present and future pages, each once it is used.
+LOCK_CURRENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4
+NANO = 1e-9
+#: Width of a class of the histogram [ns], classes up to 100 ms, and words of the record.
+CLASS, CLASSES = 2000, 50_000
+RECORD = CLASSES + 1
 
 
 def ask_for_priority(priority: int) -> str:
@@ -42,14 +45,22 @@ def niceness() -> str:
 
 
 def lock_memory() -> str:
-    """Lock all present and future pages of this process in memory; return the result in words."""
+    """Lock all pages that this process uses in memory; return the result in words."""
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft != hard:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))
     library = ctypes.CDLL(None, use_errno=True)
-    if library.mlockall(LOCK_CURRENT | LOCK_FUTURE) == 0:
+    if library.mlockall(LOCK_CURRENT | LOCK_FUTURE | LOCK_ON_FAULT) == 0:
         return 'memory locked'
     return f'memory was not locked ({os.strerror(ctypes.get_errno())})'
+
+
+@njit(cache=True, nogil=True)
+def note_lateness(record: IntArray, late: int) -> None:
+    """Count one wake-up, ``late`` [ns] after its deadline."""
+    late = max(late, 0)
+    record[min(late // CLASS, CLASSES - 1)] += 1
+    record[CLASSES] = max(record[CLASSES], late)
 
 
 class Lateness:
@@ -58,27 +69,29 @@ class Lateness:
 
     Parameters
     ----------
+    record : ndarray of int, shape (RECORD,)
+        Wake-ups in each class, then the largest lateness [ns]; see ``note_lateness``.
     period : float
-        Its period [s].
+        Period of the thread [s].
 
     """
 
-    def __init__(self, period: float):
-        self._period = period
-        self._counts = array('Q', bytes(8 * (round(LATEST / CLASS) + 1)))
-        self.count = self.missed = 0
-        self.largest = 0.0
-
-    def add(self, late: float) -> None:
-        """Count one wake-up, ``late`` [s] after its deadline."""
-        late = max(late, 0.0)
-        self._counts[min(int(late / CLASS), len(self._counts) - 1)] += 1
-        self.count += 1
-        self.missed += late > self._period
-        self.largest = max(self.largest, late)
+    def __init__(self, record: IntArray, period: float):
+        self._counts = record[:CLASSES]
+        self.count = int(self._counts.sum())
+        self.largest = float(record[CLASSES]) * NANO
+        #: Wake-ups at least one period late, to one class.
+        self.missed = int(self._counts[round(period / (CLASS * NANO)) :].sum())
 
     def quantile(self, share: float) -> float:
         """Return the lateness that a share of the wake-ups did not exceed, to one class [s]."""
-        below = np.cumsum(np.frombuffer(self._counts, dtype=np.uint64))
-        found = int(np.searchsorted(below, share * self.count))
-        return min((found + 1) * CLASS, self.largest)
+        found = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
+        return min((found + 1) * CLASS * NANO, self.largest)
+
+    def figures(self) -> dict[str, object]:
+        """Return the figures for the diagnostics; times in microseconds."""
+        shares = {'p50': 0.5, 'p99': 0.99, 'p999': 0.999}
+        late = {f'late_{name}_us': self.quantile(share) for name, share in shares.items()}
+        late['late_max_us'] = self.largest
+        told = {name: f'{value / UM:.0f}' for name, value in late.items()}
+        return {'periods': self.count, 'missed_periods': self.missed, **told}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -22,17 +21,13 @@ class Controls:
         The node.
     playback : Playback
         The machine's buffer.
-    lock : Lock
-        Held while the playback is touched.
     give_up : callable
         Told the reason when a run is over for good.
 
     """
 
-    def __init__(
-        self, node: Any, playback: Playback, lock: threading.Lock, give_up: Callable[[str], None]
-    ):
-        self._playback, self._lock, self._give_up = playback, lock, give_up
+    def __init__(self, node: Any, playback: Playback, give_up: Callable[[str], None]):
+        self._playback, self._give_up = playback, give_up
         for name, act, gives_up in (
             ('feed_hold', playback.hold, ''),
             ('cycle_start', playback.start, ''),
@@ -46,10 +41,9 @@ class Controls:
 
         def serve(_request: Any, response: Any) -> Any:
             try:
-                with self._lock:
-                    act()
-                    state = self._playback.state.state.value
-                if gives_up:  # not under the lock: the senders are told, and the playback
+                act()
+                state = self._playback.state.state.value
+                if gives_up:  # the senders are told, and the playback
                     self._give_up(gives_up)
                 response.success, response.message = True, state
             except StreamError as problem:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
@@ -45,7 +43,6 @@ class MachineNode(LifecycleNode):
         super().__init__('machine_node')
         self._values = parameters.declare(self, parameters.MACHINE_NODE)
         self._period: float = self._values['interpolation_period']
-        self._lock = threading.Lock()
         self._published: tuple[Any, ...] = ()
         self._clock_of_drives: MachineClock | None = None
         if self._values['autostart']:
@@ -59,25 +56,24 @@ class MachineNode(LifecycleNode):
         values = self._values
         machine = Machine.load(values['machine'])
         priority = values['realtime_priority']
-        # The other threads of this process come next after the clock: it may wait for them.
+        # The other threads of this process come next after the clock: a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
         model = DriveModel(
             values['position_gain'], values['feed_forward'], values['time_constant']
         )
         drives = SimulatedDrives(model, self._period, np.zeros(len(machine.axis_names)))
-        axes = AxisMotion(machine, self._period, drives)
         window = round(values['buffer_time'] / self._period)
-        self._playback = Playback(axes, window)
-        self._clock_of_drives = MachineClock(self._period, priority, self._step)
+        self._playback = Playback(machine, self._period, drives, window)
+        self._clock_of_drives = MachineClock(self._playback.cycle, priority)
         self._diagnostics = Diagnostics(self)
         self._inlet = Inlet(
             self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
             self._see_refusal, self._diagnostics, status_period=0.01,
         )  # fmt: skip
         self._override = FeedOverride(self, self._diagnostics)
-        self._reports = MachineReports(self, self._playback, self._lock, values, self._override)
-        self._controls = Controls(self, self._playback, self._lock, self._give_up)
+        self._reports = MachineReports(self, self._playback, values, self._override)
+        self._controls = Controls(self, self._playback, self._give_up)
         self.create_timer(0.005, self._work)
         self.create_timer(CLOCK_PERIOD, self._report_clock)
 
@@ -98,21 +94,15 @@ class MachineNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return super().on_deactivate(state)
 
-    def _step(self) -> None:
-        """Let one period pass; in the thread of the clock."""
-        with self._lock:
-            self._playback.step()
-
     def _check(self, chunk: SetpointChunk) -> None:
         """Let in what fits the machine, its state, and where it stands."""
         playback, run_id = self._playback, run_id_of(chunk)
-        with self._lock:
-            state = playback.state
-            if run_id == playback.run_id and playback.left:
-                raise StreamError(self._void(), Refusal.PLAN_OVER)
-            if chunk.first_sample == 0:
-                playback.make_room(run_id)
-            before = playback.buffer.newest
+        state = playback.state
+        if run_id == playback.run_id and playback.left:
+            raise StreamError(self._void(), Refusal.PLAN_OVER)
+        if chunk.first_sample == 0:
+            playback.make_room(run_id)
+        before = playback.buffer.newest
         if state.state in CLOSED:
             stopped = state.state is not State.INACTIVE
             kind = Refusal.MACHINE_FAULT if stopped else Refusal.NOT_READY
@@ -128,19 +118,15 @@ class MachineNode(LifecycleNode):
     def _take(self, chunk: SetpointChunk) -> None:
         """Put sound setpoints into the buffer."""
         playback = self._playback
-        with self._lock:
-            if chunk.first_sample == 0:
-                playback.begin_plan(run_id_of(chunk))
-                if not playback.played and self._clock_of_drives is not None:
-                    self._clock_of_drives.forget_lateness()  # a new run, and its figures
-            playback.push(
-                chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
-            )
+        if chunk.first_sample == 0:
+            playback.begin_plan(run_id_of(chunk))
+            if not playback.played:
+                playback.cycle.forget_lateness()  # a new run, and its figures
+        playback.push(chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers))
 
     def _see_refusal(self) -> None:
         """Stop on the path after the sound setpoints: nothing more comes of this run."""
-        with self._lock:
-            self._playback.refuse(self._inlet.receiver.refusal_text)
+        self._playback.refuse(self._inlet.receiver.refusal_text)
 
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
         """Tell the senders that the run is over."""
@@ -151,10 +137,10 @@ class MachineNode(LifecycleNode):
     def _work(self) -> None:
         """Open the window by what was played; publish a change of the state at once."""
         playback, receiver = self._playback, self._inlet.receiver
-        with self._lock:
-            state, run_id = playback.state, playback.run_id
-            mine = run_id == receiver.run_id
-            receiver.consumed = playback.played_of_plan if mine else 0
+        playback.read()
+        state, run_id = playback.state, playback.run_id
+        mine = run_id == receiver.run_id
+        receiver.consumed = playback.played_of_plan if mine else 0
         self._inlet.buffered_time = playback.buffer.count * self._period
         if state.state is State.FAULT:
             self._give_up(state.text, Refusal.MACHINE_FAULT)
@@ -172,7 +158,7 @@ class MachineNode(LifecycleNode):
         clock = self._clock_of_drives
         if clock is not None:
             said = f'{clock.scheduling}; {self._memory}'
-            self._diagnostics.say('clock', OK, said, **clock.figures())
+            self._diagnostics.say('clock', OK, said, **self._playback.cycle.lateness().figures())
 
     def publish_rest(self) -> None:
         """Publish what was executed and not published yet."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
@@ -12,6 +11,7 @@ from trajectory_msgs.msg import JointTrajectory
 from cnc_interp.machine.playback import Playback
 from cnc_interp.nodes.feed_override import FeedOverride
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
+from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 from cnc_interp.wire.trajectories import joint_trajectory
 
@@ -29,8 +29,6 @@ class MachineReports:
         The node.
     playback : Playback
         The machine's buffer.
-    lock : Lock
-        Held while the playback is read.
     values : dict
         Parameters of the node.
     override : FeedOverride
@@ -39,10 +37,9 @@ class MachineReports:
     """
 
     def __init__(
-        self, node: Any, playback: Playback, lock: threading.Lock, values: dict[str, Any],
-        override: FeedOverride,
-    ):  # fmt: skip
-        self._node, self._playback, self._lock = node, playback, lock
+        self, node: Any, playback: Playback, values: dict[str, Any], override: FeedOverride
+    ):
+        self._node, self._playback = node, playback
         self._override = override
         self._period: float = values['interpolation_period']
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
@@ -62,28 +59,28 @@ class MachineReports:
 
     def publish_state(self) -> None:
         """Publish the state now."""
-        with self._lock:
-            message = machine_state(self._playback, self._period)
+        self._playback.read()
+        message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()
         message.feed_override = self._override.value
         self._states.publish(message)
 
     def _publish_joints(self) -> None:
-        with self._lock:
-            feedback = self._playback.feedback
+        feedback = self._playback.feedback
         machine = self._playback.axes.machine
         self._joints.publish(joint_state(feedback, machine, self._now()))
 
     def publish_executed(self) -> None:
         """Publish what was executed since the last call."""
-        with self._lock:
-            messages = executed_setpoints(self._playback, self._period)
+        self._playback.read()
+        messages = executed_setpoints(self._playback, self._period)
         for message in messages:
             self._executed.publish(message)
 
     def _publish_trajectory(self) -> None:
-        with self._lock:
-            rows = self._playback.coming()
-        if rows:
+        self._playback.read()
+        parts = self._playback.coming()
+        if parts:
+            rows = Setpoints.concatenate(parts)
             machine = self._playback.axes.machine
             self._trajectories.publish(joint_trajectory(rows, machine, self._period, self._now()))

@@ -88,7 +88,7 @@ MACHINE_NODE = (
     ),
     Declared('time_constant', 0.002, 'Lag of the velocity loop of the drives [s]', 1e-4, 0.1),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
-    Declared('lock_memory', False, 'Keep the memory of this node from being paged out'),
+    Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),
 )
 PROGRAM = (MACHINE, *of_settings(), PEER_TIMEOUT, RESEND)
 

@@ -37,6 +37,16 @@ class Chunk:
     tail: Setpoints
     wait: Wait
 
+    @property
+    def ends_approach(self) -> bool:
+        """Tell whether the machine rests at the start pose after it; the program comes next."""
+        return not len(self.tail) and self.samples.block[-1] == 0
+
+    @property
+    def rests(self) -> bool:
+        """Tell whether the machine rests after it and goes on only when it is told to."""
+        return self.wait is not Wait.NOTHING or self.ends_approach
+
 
 def part_of(samples: Setpoints, first: int, last: int) -> Setpoints:
     """

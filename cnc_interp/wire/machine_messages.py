@@ -10,8 +10,9 @@ from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.axis_motion import Feedback
+from cnc_interp.machine.axis_motion import Recording
 from cnc_interp.machine.playback import Executed, Playback
+from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.path_messages import packed
 
@@ -30,12 +31,12 @@ STATES = {
 }
 
 
-def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
-    """Return the actual axes; a joint is named like its axis."""
+def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:
+    """Return the actual axes of the last period; a joint is named like its axis."""
     message = JointState(
         name=list(machine.axis_names),
-        position=feedback.position.tolist(),
-        velocity=feedback.velocity.tolist(),
+        position=feedback.position[-1].tolist(),
+        velocity=feedback.velocity[-1].tolist(),
     )
     message.header.stamp = stamp
     message.header.frame_id = 'base_link'
@@ -44,8 +45,8 @@ def joint_state(feedback: Feedback, machine: Machine, stamp: Any) -> JointState:
 
 def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]:
     """Return the setpoints executed since the last call, numbered through the run."""
-    rows = [playback.executed.popleft() for _ in range(len(playback.executed))]
-    plans = groupby(rows, key=lambda executed: executed.run_id)
+    stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    plans = groupby(stretches, key=lambda executed: executed.run_id)
     messages = [_executed_of_plan(list(executed), period) for _, executed in plans]
     if messages:
         messages[-1].end_of_program = playback.state.completed
@@ -53,21 +54,22 @@ def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]
 
 
 def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
-    first, rows = executed[0], [entry.row for entry in executed]
+    first = executed[0]
+    samples = Setpoints.concatenate([stretch.rows.samples for stretch in executed])
     return SetpointChunk(
         program_id=first.run_id.program_id,
         attempt=first.run_id.attempt,
         plan=first.run_id.plan,
         first_sample=first.number,
         period=period,
-        axis_count=len(rows[0].position),
-        positions=packed(np.array([row.position for row in rows])),
-        velocities=packed(np.array([row.velocity for row in rows])),
-        accelerations=packed(np.array([row.acceleration for row in rows])),
-        jerks=packed(np.array([row.jerk for row in rows])),
-        sequences=[row.block for row in rows],
-        line_numbers=[row.line for row in rows],
-        path_positions=[row.s for row in rows],
+        axis_count=samples.position.shape[1],
+        positions=packed(samples.position),
+        velocities=packed(samples.velocity),
+        accelerations=packed(samples.acceleration),
+        jerks=packed(samples.jerk),
+        sequences=samples.block.tolist(),
+        line_numbers=[line for stretch in executed for line in stretch.rows.lines],
+        path_positions=packed(samples.s),
     )
 
 
@@ -95,18 +97,18 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         sequence=last.block if last else 0,
         line_number=last.line if last else 0,
         path_position=last.s if last else 0.0,
-        positions=feedback.position.tolist(),
-        commanded_positions=feedback.setpoint.tolist(),
-        tip=feedback.tip,
-        axis=feedback.axis,
-        following_error=feedback.following_error.tolist(),
+        positions=feedback.position[-1].tolist(),
+        commanded_positions=feedback.setpoint[-1].tolist(),
+        tip=feedback.tip[-1],
+        axis=feedback.axis[-1],
+        following_error=feedback.following_error[-1].tolist(),
         largest_following_error=playback.largest_following_error.tolist(),
-        contour_error=feedback.contour_error,
+        contour_error=float(feedback.contour_error[-1]),
         largest_contour_error=playback.largest_contour_error,
         velocity_use=axes.largest_use[0].tolist(),
         acceleration_use=axes.largest_use[1].tolist(),
         jerk_use=axes.largest_use[2].tolist(),
-        feedrate=feedback.feedrate,
+        feedrate=float(feedback.feedrate[-1]),
         recent_velocity_use=recent[0].tolist(),
         recent_acceleration_use=recent[1].tolist(),
         recent_jerk_use=recent[2].tolist(),

@@ -8,14 +8,14 @@ from builtin_interfaces.msg import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.buffer import Row
+from cnc_interp.run.interpolator import Setpoints
 
 #: Time between points; the controller interpolates between them [s].
 SPACING = 0.004
 
 
 def joint_trajectory(
-    rows: list[Row], machine: Machine, period: float, stamp: Any
+    rows: Setpoints, machine: Machine, period: float, stamp: Any
 ) -> JointTrajectory:
     """
     Turn setpoints into a trajectory that replaces the one before.
@@ -24,7 +24,7 @@ def joint_trajectory(
 
     Parameters
     ----------
-    rows : list of Row
+    rows : Setpoints
         Setpoints to come, the last one at rest.
     machine : Machine
         Its axis names are the joint names.
@@ -41,13 +41,12 @@ def joint_trajectory(
     message = JointTrajectory(joint_names=list(machine.axis_names))
     message.header.stamp = stamp
     for k in chosen:
-        row = rows[k]
         nanoseconds = round((k + 1) * period * 1e9)
         message.points.append(
             JointTrajectoryPoint(
-                positions=row.position.tolist(),
-                velocities=row.velocity.tolist(),
-                accelerations=row.acceleration.tolist(),
+                positions=rows.position[k].tolist(),
+                velocities=rows.velocity[k].tolist(),
+                accelerations=rows.acceleration[k].tolist(),
                 time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
             )
         )

@@ -1,12 +1,14 @@
 """Playback with drives that are not the simulated ones: it knows only the port."""
 
+from dataclasses import replace
+
 import numpy as np
-import pytest
+from numba import carray, cfunc, types
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.axis_motion import AxisMotion, SetpointRefusedError
 from cnc_interp.machine.drives import AxisFeedback, DriveFaultError, Drives
+from cnc_interp.machine.native import pointer
 from cnc_interp.machine.playback import Playback
 from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Wait
@@ -30,7 +32,6 @@ class RecordingDrives:
 
     def switch_on(self):
         self.on = True
-        return self.position
 
     def switch_off(self):
         self.on = False
@@ -49,7 +50,7 @@ class RecordingDrives:
 
 
 def playback_with(drives: Drives) -> Playback:
-    return Playback(AxisMotion(MACHINE, T, drives), 50)
+    return Playback(MACHINE, T, drives, 50)
 
 
 def chunks():
@@ -81,7 +82,7 @@ def test_other_drives_get_every_setpoint_with_its_velocity_and_nothing_else():
         expected = np.concatenate([getattr(chunk.samples, name) for chunk in planned])
         assert np.array_equal([row[column] for row in drives.told], expected)
     assert not playback.largest_following_error.any()
-    assert np.array_equal(playback.feedback.position, TARGET)
+    assert np.array_equal(playback.feedback.position[-1], TARGET)
     playback.switch_off()
     assert not drives.on and playback.state.state is State.INACTIVE
 
@@ -107,8 +108,48 @@ def test_axes_are_taken_over_where_the_drives_hold_them_at_power_on():
 
 def test_a_setpoint_outside_the_travel_never_reaches_the_drives():
     drives = RecordingDrives(START)
-    axes = AxisMotion(MACHINE, T, drives)
-    axes.switch_on()
-    with pytest.raises(SetpointRefusedError, match='soft limit'):
-        axes.follow(np.array([2.0, 0, 0, 0, 0]), np.zeros(5))
-    assert not drives.told
+    playback, (first, *_) = playback_with(drives), chunks()
+    playback.switch_on()
+    playback.begin(RunId('p'))
+    position = np.tile([2.0, 0, 0, 0, 0], (len(first.samples), 1))
+    outside = replace(first, samples=replace(first.samples, position=position), wait=Wait.END)
+    playback.push(outside, [1] * len(position), [1] * len(first.tail))
+    for _ in range(5):
+        playback.step()
+    assert playback.state.reason is Reason.SETPOINT_REFUSED
+    assert 'soft limit: X to 2' in playback.state.text and not drives.told
+
+
+@cfunc(types.int64(*[types.uintp] * 3, types.int64))
+def fails_after_120(memory, setpoint, feedback, n):
+    count, wanted = carray(pointer(memory), 1), carray(pointer(setpoint), 2 * n)
+    told = carray(pointer(feedback), 2 * n)
+    for i in range(2 * n):
+        told[i] = wanted[i]
+    moves = 0.0
+    for i in range(n):
+        moves += abs(wanted[n + i])
+    count[0] += moves > 0.0
+    return 7 if count[0] > 120.0 else 0
+
+
+class CompiledDrives(RecordingDrives):
+    """Ideal axes with a step of their own that fails."""
+
+    step, follow, rest = int(fails_after_120.address), None, None
+
+    def __init__(self, position):
+        super().__init__(position)
+        self.memory = np.zeros(1)
+
+    def fault(self, number):
+        return f'C: error {number}'
+
+
+def test_the_cycle_stops_at_a_fault_of_a_compiled_drive():
+    playback, planned = play(CompiledDrives(START))
+    assert playback.state.reason is Reason.DRIVE_FAULT and 'C: error 7' in playback.state.text
+    moving = np.concatenate([np.abs(chunk.samples.velocity).max(axis=1) > 0 for chunk in planned])
+    assert np.sum(moving[: playback.played]) == 120
+    playback.reset()
+    assert playback.state.state is State.IDLE

@@ -156,13 +156,6 @@ def test_inputs_that_broke_us(number, machine, wanted):
     expect(number, machine, wanted)
 
 
-def test_a_bag_holds_all_of_a_short_program(tmp_path):
-    pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
-    program, bag = where('words/short_to_record.ngc'), str(tmp_path / 'bag')
-    assert said(['run', str(program), '--record', bag])[0] == FINE
-    assert said(['check', bag])[0] == FINE
-
-
 def test_every_input_is_in_the_table():
     folders = [folder for folder in (OWN, SHARED) if folder.is_dir()]
     files = {

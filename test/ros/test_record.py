@@ -24,6 +24,11 @@ def messages(tmp_path_factory):
         k: v for k, v in os.environ.items() if k not in ('AMENT_PREFIX_PATH', 'RMW_IMPLEMENTATION')
     }
     subprocess.run([*command, folder / 'bag'], check=True, env=plain)
+    check = [sys.executable, '-m', 'cnc_interp', 'check', folder / 'bag']
+    assert (
+        'proven'
+        in subprocess.run(check, check=True, env=plain, capture_output=True, text=True).stdout
+    )
     with Bag(folder / 'bag') as bag:
         return {topic: bag.read(topic) for topic in TOPICS}
 

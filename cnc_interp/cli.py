@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
 
 from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
@@ -30,6 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     try:
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, interrupt)
         return int(options.command(options))
     except InterpError as problem:
         print(f'cnc-interp: {problem}', file=sys.stderr)
@@ -38,11 +44,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(problem, BrokenPipeError):
             sys.stderr.close()
             return FINE
-        print(f'cnc-interp: {problem.filename}: {problem.strerror}', file=sys.stderr)
+        named = f'{problem.filename}: {problem.strerror}' if problem.filename else problem
+        print(f'cnc-interp: {named}', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print('cnc-interp: interrupted', file=sys.stderr)
+        with contextlib.suppress(OSError):  # the terminal may be closed
+            print('cnc-interp: interrupted', file=sys.stderr)
         return 130
+
+
+def interrupt(_number: int, _frame: FrameType | None) -> None:
+    """End like Ctrl-C, in order: nodes are ended, and temporary files removed."""
+    raise KeyboardInterrupt
 
 
 def parser() -> argparse.ArgumentParser:

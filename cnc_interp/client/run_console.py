@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import sys
@@ -88,11 +89,18 @@ class RunConsole:
         self._passed: Future[Answer] | None = None  # cycle_start after a program stop
         self._previous = {
             number: signal.signal(number, self._interrupt)
-            for number in (signal.SIGINT, signal.SIGTERM)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         }
 
-    def _interrupt(self, _number: int, _frame: Any) -> None:
-        """Take Ctrl-C or SIGTERM: the first cancels the program, the second ends at once."""
+    def _interrupt(self, number: int, _frame: Any) -> None:
+        """
+        Take Ctrl-C, SIGTERM or SIGHUP: the first cancels the program, the second ends at once.
+
+        SIGHUP comes when the terminal is closed: nothing can be written to it any more.
+        """
+        if number == signal.SIGHUP:
+            sys.stdout = sys.stderr = open(os.devnull, 'w')  # noqa: SIM115
+            self._progress = ProgressBar(None)
         if self._interrupted:
             raise KeyboardInterrupt
         self._interrupted = True

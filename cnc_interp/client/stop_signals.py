@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a request to stop, seen by the loop that runs."""
+"""Ctrl-C, SIGTERM and a closed terminal as a request to stop, seen by the loop that runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def stop_signals() -> Iterator[list[int]]:
     stop: list[int] = []
     previous = {
         number: signal.signal(number, lambda found, _frame: stop.append(found))
-        for number in (signal.SIGINT, signal.SIGTERM)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
     try:
         yield stop

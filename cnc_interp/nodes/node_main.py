@@ -51,13 +51,13 @@ def run_node(
 
     """
     stop: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda found, _frame: stop.append(found))
     if urgent:
         come_first()
     stay_on_this_host()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    node = None
+    node = executor = None
     try:
         node = make()
         node.create_service(Trigger, '~/flush', partial(answer_flush, node))
@@ -78,6 +78,13 @@ def run_node(
         if node is not None:
             node.close()
             node.destroy_node()
+        if executor is not None:
+            executor.shutdown()
+        # A forked process ends without Python's own tidying up. DDS removes its files in shared
+        # memory when the last object of ROS is gone, so all of them must go here.
+        node = executor = None
+        gc.unfreeze()
+        gc.collect()
         rclpy.try_shutdown()
     return 0
 

@@ -11,8 +11,8 @@ import contextlib
 import importlib
 import multiprocessing
 import os
+import signal
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Mapping
@@ -22,6 +22,8 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.temporary_folder import TemporaryFolder, remove_dead_folders
+from cnc_interp.nodes.shared_memory import remove_dead_segments
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 #: What the fork server loads before it forks.
@@ -42,10 +44,29 @@ class Started:
     log: Path
 
 
+#: Where multiprocessing has its sockets.
+_sockets: TemporaryFolder | None = None
+
+
+def _keep_sockets() -> None:
+    """Give multiprocessing a folder that is found and removed when this process is killed."""
+    global _sockets
+    _sockets = TemporaryFolder()
+    multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
+
+
 def begin_loading() -> None:
-    """Start the fork server, which takes seconds to load; returns at once."""
+    """
+    Start the fork server, which takes seconds to load; returns at once.
+
+    It and its helper outlive a closed terminal: the run ends its nodes in order then.
+    """
     multiprocessing.set_forkserver_preload([PRELOADED])
+    if _sockets is None:
+        _keep_sockets()
+    hangup = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # they inherit it
     forkserver.ensure_running()
+    signal.signal(signal.SIGHUP, hangup)
 
 
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
@@ -87,7 +108,7 @@ class Children:
         file: Path,
         arguments: dict[str, list[str]] | None = None,
     ):
-        self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_')
+        self._folder = TemporaryFolder()
         self._environment = os.environ | {
             'ROS_DOMAIN_ID': str(domain),
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
@@ -159,6 +180,8 @@ class Children:
                 node.process.kill()
                 node.process.join()
         self._folder.cleanup()
+        remove_dead_folders()
+        remove_dead_segments()
 
     def __enter__(self) -> Children:
         return self

@@ -11,7 +11,6 @@ import asyncio
 import json
 import os
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.temporary_folder import TemporaryFolder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import command_words
 
@@ -109,7 +109,7 @@ class Planner:
 
     def __init__(self, machine: str):
         self.machine = machine
-        self._folder = tempfile.TemporaryDirectory(prefix='cnc_panel_')
+        self._folder = TemporaryFolder()
         self._plan = Path(self._folder.name) / 'plan'
         self._process: asyncio.subprocess.Process | None = None
 

@@ -1,0 +1,49 @@
+"""Temporary folders that do not outlive their process for long, though it may be killed."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+#: Before the name of each folder; short, because paths of sockets may have 107 characters.
+PREFIX = 'cnc_run_'
+
+
+class TemporaryFolder(tempfile.TemporaryDirectory[str]):
+    """A temporary folder that is locked while its process lives."""
+
+    def __init__(self) -> None:
+        super().__init__(prefix=PREFIX)
+        self._lock = os.open(self.name, os.O_RDONLY | os.O_DIRECTORY)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+
+    def cleanup(self) -> None:
+        """Remove the folder."""
+        super().cleanup()
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+
+def remove_dead_folders() -> None:
+    """Remove the folders of processes that were killed: nobody holds their locks."""
+    for folder in Path(tempfile.gettempdir()).glob(f'{PREFIX}*'):
+        with contextlib.suppress(OSError):
+            if folder.stat().st_uid == os.getuid() and is_unlocked(folder):
+                shutil.rmtree(folder)
+
+
+def is_unlocked(path: Path) -> bool:
+    """Tell whether no process holds a lock on a file or folder of which it lives."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True

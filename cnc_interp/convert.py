@@ -7,19 +7,20 @@ A part program in another dialect: ``cnc-interp convert``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from cnc_interp.convert_splines import SplineMoves
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.branch import start_positions
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Program
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
+from cnc_interp.program.subdivide import piece_counts, ragged
 from cnc_interp.program.writer import (
     ClMove,
     GcodeMove,
@@ -34,7 +35,7 @@ from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import ROTATION
 
-#: Share of the contour tolerance for the chords of native splines.
+#: Share of the tolerances for chords of native splines and of linear rotary axes.
 CHORD_SHARE = 0.1
 #: Tips closer than this are equal [m].
 SAME_POINT = 1e-9
@@ -94,6 +95,7 @@ def convert(
 
     """
     transform = Transform.of(machine)
+    program = replace(program, blocks=with_poses(program.blocks, transform, settings.flank_height))
     if program.blocks.extra.any():
         raise ProgramError(
             f'moves {" ".join(machine.extra_names)}; only programs without extra axes can be '
@@ -110,6 +112,65 @@ def convert(
     except BlockError as problem:
         problem.source = program.source
         raise
+
+
+def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
+    """
+    Replace blocks whose rotary axes run linearly by poses within a share of the tolerances.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Blocks of a program.
+    transform : Transform
+        The five-axis transformation.
+    height : float
+        Flank height, at which the orientation tolerance counts [m].
+
+    Returns
+    -------
+    Blocks
+        Blocks of poses; their rotary positions are kept as words.
+
+    """
+    linear = np.flatnonzero(blocks.by_rotary)
+    if not len(linear) or blocks.extra.any():
+        return blocks
+    in_axes = blocks.interpolation == AXES_LINEAR
+    first, last = blocks.rotary_from, blocks.rotary
+    start, end = blocks.tip[linear - 1].copy(), blocks.tip[linear].copy()
+    own = in_axes[linear]
+    start[own] = transform.linear(start[own], first[linear[own]]).reshape(-1, 3)
+    end[own] = transform.linear(end[own], last[linear[own]]).reshape(-1, 3)
+    ends = [np.hstack([start, first[linear]]), np.hstack([end, last[linear]])]
+
+    def poses(row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        q = ends[0][row] + u[:, None] * (ends[1] - ends[0])[row]
+        tip, axis = transform.forward(q)
+        tip[~own[row]] = q[~own[row], :3]
+        return tip, axis
+
+    counts = np.ones(len(blocks), dtype=np.int64)
+    counts[linear] = piece_counts(
+        poses,
+        np.abs(last - first)[linear].sum(axis=1),
+        CHORD_SHARE * blocks.contour_tolerance[linear],
+        CHORD_SHARE * blocks.orientation_tolerance[linear] / height,
+    )
+    row, piece = ragged(counts)
+    u, final = (piece + 1.0) / counts[row], piece + 1 == counts[row]
+    columns = {field.name: getattr(blocks, field.name)[row] for field in fields(Blocks)}
+    between = np.flatnonzero(~final)
+    place = np.searchsorted(linear, row[between])
+    columns['tip'][between], columns['axis'][between] = poses(place, u[between])
+    way = (last - first)[row[between]]
+    columns['rotary'][between] = first[row[between]] + u[between, None] * way
+    columns['duration'] /= counts[row]
+    columns['exact_stop'] &= final
+    columns['program_stop'] = np.where(final, columns['program_stop'], GO_ON)
+    columns['interpolation'] = np.full(len(row), POSES)
+    columns['rotary_from'] = np.full((len(row), 2), np.nan)
+    return Blocks(**columns)
 
 
 def with_chords(blocks: Blocks, height: float) -> Blocks:

@@ -20,6 +20,8 @@ def traits_of(transform: Transform) -> MachineTraits:
         axis_rates=partial(jerk_rates, transform),
         pole=pole,  # type: ignore[arg-type]
         pole_cone=machine.singular_cone,
+        geometry=transform if machine.has_rotary else None,
+        max_jerk=machine.max_jerk if machine.has_rotary else None,
     )
 
 

@@ -3,8 +3,9 @@ Build the AxisPath of a stream of segments: branch, whole turns, travel, singula
 
 The rotary branch is chosen at the first pose and kept; rotary axes follow continuously and are
 never wrapped. Where the tool axis rests, the rotary axes rest too, so a 3-axis path on the pole is
-no singularity. A great circle through the pole tilts linearly while the outer axis rests; if that
-has to turn first, a rotation about the resting tip is inserted between two stops.
+no singularity. Rotary axes that are coordinates of the path are taken as they are. A great circle
+through the pole tilts linearly while the outer axis rests; if that has to turn first, a rotation
+about the resting tip is inserted between two stops.
 """
 
 from __future__ import annotations
@@ -19,23 +20,36 @@ from cnc_interp.core.units import DEG
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.branch import branch_at, start_positions
 from cnc_interp.kinematics.sampling import (
+    ALL_AXES,
     FINE,
     FOLLOWING,
     LINEAR,
     RESTING,
     SINGULAR,
     STANDSTILL,
+    beside_of,
     sample_segments,
     shapes_of,
 )
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing.orientation import norm, turned_by
-from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    POINTS,
+    ROTATION,
+    SPLINE,
+    PathSegments,
+    no_rotary,
+)
 
 #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_ANGLE = 1e-8
 #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
 SAME_TOOL = 1e-12
+#: Rotary words may lie this far from positions that follow the tool axis [rad].
+OFF_WORDS = 15.0 * DEG
 #: A kink that asks for more than this share of a jerk limit within one period makes a stop [-].
 KINK_JERK = 0.02
 #: A great circle whose normal is this perpendicular to the pole runs through it [-].
@@ -44,7 +58,11 @@ IN_PLANE = 1e-10
 
 @dataclass
 class Cells:
-    """Consecutive segments cut into cells, before joining; ``stop`` at the end of each cell."""
+    """
+    Consecutive segments cut into cells, before joining.
+
+    ``stop`` is at the end of each cell, ``counts`` the number of cells of each segment.
+    """
 
     steps: FloatArray
     left: FloatArray
@@ -54,6 +72,14 @@ class Cells:
     feed: FloatArray
     block: IntArray
     stop: BoolArray
+    counts: IntArray
+
+
+def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegments:
+    """Return a segment whose rotary axes run linearly between two positions [rad]."""
+    rotary = no_rotary(1)
+    rotary[0, :2] = start, end
+    return replace(one, rotary=rotary)
 
 
 class AxisPathBuilder:
@@ -149,13 +175,25 @@ class AxisPathBuilder:
                     segments.rotary[first, 0],
                     int(segments.line_number[first]),
                 )
-            if motion[first] == LINEAR:
+            # Together: what follows the tool axis, and what has the rotary axes as coordinates.
+            own = segments.interpolation[first] != POSES
+            changes = (segments.interpolation[first:] != POSES) != own
+            changes |= (motion[first:] == LINEAR) & ~own
+            ends = np.flatnonzero(changes)
+            last = first + (int(ends[0]) if len(ends) else n - first)
+            assert self._rotary is not None
+            if last == first:
                 parts.extend(self._linear(segments[first : first + 1]))
                 first += 1
             else:
-                others = np.flatnonzero(motion[first:] == LINEAR)
-                last = first + int(others[0]) if len(others) else n
-                parts.append(self._cells(segments[first:last], motion[first:last]))
+                run = segments[first:last]
+                if own:
+                    parts.extend(self._stand_at(run))
+                parts.append(self._cells(run, motion[first:last]))
+                if own:
+                    self._branch = branch_at(self.transform, self._rotary)
+                else:
+                    self._check_words(run, parts[-1])
                 first = last
             self._may_turn_at_once = False
         return self._join(parts) if parts else None
@@ -164,8 +202,9 @@ class AxisPathBuilder:
         """
         Say how the rotary axes move on each segment, shape (n,).
 
-        LINEAR are rotations that the program gives as rotary positions, and great circles through
-        the pole; the others rest, or follow the tool axis on the branch.
+        LINEAR are rotations that the program gives as rotary positions, great circles through the
+        pole, and segments with rotary axes as coordinates, where ALL_AXES says that X Y Z are such
+        coordinates, too. The others rest, or follow the tool axis on the branch.
         """
         n, kind = len(segments), segments.kind
         motion = np.full(n, RESTING)
@@ -183,27 +222,28 @@ class AxisPathBuilder:
         motion[turning & (np.abs(segments.rotation @ self.transform.pole) <= IN_PLANE * angle)] = (
             LINEAR
         )
-        named = np.isfinite(segments.rotary).all(axis=(1, 2))
+        named = np.isfinite(segments.rotary[:, :2]).all(axis=(1, 2))
         motion[(kind == ROTATION) & named] = LINEAR
-        return motion
+        own = segments.interpolation
+        return np.where(own == POSES, motion, np.where(own == AXES_LINEAR, ALL_AXES, LINEAR))
 
     def _linear(self, one: PathSegments) -> list[Cells]:
         """Cut a segment with linear rotary axes; the outer axis turns before it if it must."""
         assert self._rotary is not None
-        words = one.rotary[0]
+        words = one.rotary[0, :2]
         if one.kind[0] == ROTATION and np.isfinite(words).all():
-            start, turn = words[0], words[1] - words[0]
+            start, end = words
         else:
             found = self._through_the_pole(one.axis[0], one.rotation[0])
             if found is None:
                 return [self._cells(one, np.array([FOLLOWING]))]
-            start, turn = found
+            start, end = found
         parts = []
         if np.abs(start - self._rotary).max() > SAME_ANGLE:
             if not self._may_turn_at_once:
                 parts.append(self._turn_first(one, start))
             self._rotary = start.copy()
-        parts.append(self._cells(one, np.array([LINEAR]), turn))
+        parts.append(self._cells(_turning(one, start, end), np.array([LINEAR])))
         self._branch = branch_at(self.transform, self._rotary)
         return parts
 
@@ -213,7 +253,7 @@ class AxisPathBuilder:
         """
         Solve a great circle through the pole; None where the tilt is not linear along it.
 
-        Returns first rotary positions and what they turn by, shape (2,) each [rad].
+        Returns first and last rotary positions, shape (2,) each [rad].
         """
         assert self._rotary is not None
         outer, inner = self.transform.outer, 1 - self.transform.outer
@@ -232,7 +272,7 @@ class AxisPathBuilder:
                     continue
                 gap = float(np.abs(path[0] - self._rotary).sum())
                 if best is None or gap < best[0]:
-                    best = gap, path[0], path[2] - path[0]
+                    best = gap, path[0], path[2]
         return None if best is None else best[1:]
 
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
@@ -247,14 +287,67 @@ class AxisPathBuilder:
             feed=np.full((1, 2), np.inf),
             stop=np.array([True]),
         )
-        return self._cells(still, np.array([LINEAR]), turn)
+        return self._cells(_turning(still, self._rotary, target), np.array([LINEAR]))
 
-    def _cells(
-        self, segments: PathSegments, motion: IntArray, turn: FloatArray | None = None
-    ) -> Cells:
-        """Cut segments into cells and check what came out; ``turn`` is that of a linear one."""
-        rates = np.zeros(2) if turn is None else turn
-        rotary = np.array([*np.zeros(2), self._branch, *rates])
+    def _stand_at(self, run: PathSegments) -> list[Cells]:
+        """
+        Compare the positions with the start of coordinates; whole turns are made up for.
+
+        Rotary axes that have followed the tool axis may have come to another whole turn than the
+        words say. On the other branch they stand where no word says.
+        """
+        assert self._rotary is not None
+        start = run.rotary[0, 0]
+        gap = start - self._rotary
+        if np.abs(gap).max() <= SAME_ANGLE:
+            return []
+        turns = gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
+        if np.abs(turns).max() > OFF_WORDS and not self._may_turn_at_once:
+            raise self._off_words(int(run.line_number[0]), start, self._rotary)
+        parts = []
+        if not self._may_turn_at_once:
+            tip = run[:1]
+            if run.interpolation[0] == AXES_LINEAR:
+                here = np.concatenate([run.bottom[0, 0], start, run.extra[0, 0]])
+                point = self.transform.forward(here[None])[0]
+                tip = replace(tip, bottom=np.repeat(point[:, None], POINTS, axis=1))
+            axis = self.transform.tool_axis(self._rotary[None])
+            still = replace(tip, axis=axis, rotation=np.zeros((1, 3)))
+            parts.append(self._turn_first(still, start))
+        self._rotary = start.copy()
+        return parts
+
+    def _check_words(self, run: PathSegments, cells: Cells) -> None:
+        """Refuse lines that follow the tool axis to another place than their rotary words."""
+        words = run.rotary[:, :2]
+        lines = np.flatnonzero((run.kind == LINE) & np.isfinite(words).all(axis=(1, 2)))
+        if not len(lines) or not self.machine.has_rotary:
+            return
+        reached = cells.right[np.cumsum(cells.counts)[lines] - 1, 0, 3:5]
+        words = words[lines]
+        low, high = words.min(axis=1) - OFF_WORDS, words.max(axis=1) + OFF_WORDS
+        off = np.flatnonzero(((reached < low) | (reached > high)).any(axis=1))
+        if len(off):
+            row = int(off[0])
+            line = int(run.line_number[lines[row]])
+            raise self._off_words(line, words[row, 1], reached[row])
+
+    def _off_words(self, line: int, words: FloatArray, reached: FloatArray) -> BlockError:
+        """Return the error for rotary axes that come to another place than their words."""
+        names = self.machine.axis_names[3:5]
+        said, found = (
+            ' '.join(f'{name}{value / DEG:.3f}' for name, value in zip(names, place, strict=True))
+            for place in (words, reached)
+        )
+        return BlockError(
+            f'the rotary words lead to {said}, but along the tool directions the axes come to '
+            f'{found}; write the words of this position, or turn with the tool retracted',
+            line,
+        )
+
+    def _cells(self, segments: PathSegments, motion: IntArray) -> Cells:
+        """Cut segments into cells and check what came out."""
+        rotary = np.array([0.0, 0.0, self._branch, self.flank_height])
         if self._rotary is not None:
             rotary[:2] = self._rotary
         status, counts, early, steps, left, right, tips, tools = sample_segments(
@@ -263,7 +356,7 @@ class AxisPathBuilder:
             self._axes,
             segments.kind,
             shapes_of(segments),
-            segments.extra,
+            beside_of(segments),
             segments.parametrization,
             segments.length,
             motion,
@@ -276,15 +369,17 @@ class AxisPathBuilder:
         self._check_travel(right[:, 0], segments.line_number[segment])
         if status != FINE:
             self._refuse(status, int(segments.line_number[len(counts) - 1]))
-        if turn is not None and segments.kind[0] == ROTATION:  # the tool follows the rotary axes
+        if motion[0] == LINEAR and segments.kind[0] == ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])
+        elif segments.interpolation[0] != POSES:
+            tips, tools = self.transform.forward(np.concatenate([left[:, 0], right[-1:, 0]]))
         half = (np.arange(len(steps)) - (ends - counts)[segment] >= early[segment]).astype(int)
         stop = np.zeros(len(steps), dtype=bool)
         stop[ends[counts > 0] - 1] = segments.stop[counts > 0]
         return Cells(
             steps, left, right, tips, tools,
-            segments.feed[segment, half], segments.block[segment, half], stop,
+            segments.feed[segment, half], segments.block[segment, half], stop, counts,
         )  # fmt: skip
 
     def _join(self, parts: list[Cells]) -> AxisPath:

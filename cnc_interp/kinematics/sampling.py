@@ -49,16 +49,22 @@ PLAIN_GRID = np.array([0.0, 0.5, 1.0])
 SLOWEST_TIP = 1e-6
 #: What became of a segment.
 FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3
-#: How the rotary axes move on a segment: at rest, following the tool axis, linearly in u.
-RESTING, FOLLOWING, LINEAR = 0, 1, 2
-#: Layout of ``rotary``: positions, branch (+1, -1, or 0 for linear), rates per unit of u.
-FIRST, SECOND, BRANCH, FIRST_RATE, SECOND_RATE = range(5)
+#: How the rotary axes move on a segment: at rest, following the tool axis, or as coordinates of
+#: the path on the basis of the tip. With ALL_AXES, X Y Z are coordinates, too, not the tip.
+RESTING, FOLLOWING, LINEAR, ALL_AXES = 0, 1, 2, 3
+#: Layout of ``rotary``: positions [rad], branch (+1 or -1) and flank height [m].
+FIRST, SECOND, BRANCH, HEIGHT = range(4)
 #: Rows of a segment's ``shape``.
 BOTTOM, TOP = slice(0, POINTS), slice(POINTS, 2 * POINTS)
 AXIS, ROTATION, CONNECTION = 2 * POINTS, 2 * POINTS + 1, slice(2 * POINTS + 2, None)
 
 # Gauss-Legendre points and weights for the arc length of half a corner
 _GAUSS = np.array(np.polynomial.legendre.leggauss(10))  # type: ignore[no-untyped-call]
+
+
+def beside_of(segments: PathSegments) -> FloatArray:
+    """Stack the control values of rotary and extra axes for the kernels, shape (n, 6, 2 + k)."""
+    return np.concatenate([segments.rotary, segments.extra], axis=2)
 
 
 def shapes_of(segments: PathSegments) -> FloatArray:
@@ -76,7 +82,7 @@ def shapes_of(segments: PathSegments) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def sample(packed, kind, shape, extra, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
+def sample(packed, kind, motion, shape, beside, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
     """
     Return the axes at one point of a segment.
 
@@ -84,16 +90,16 @@ def sample(packed, kind, shape, extra, f, length, rotary, u, inside):  # type: i
     ----------
     packed : ndarray
         Geometry of the machine.
-    kind, length : int, float
-        Kind of the segment, and its length unless it is a curve [m].
+    kind, motion, length : int, int, float
+        Kind of the segment, RESTING to ALL_AXES, and its length unless it is a curve [m].
     shape, f : ndarray, shapes (m, 3) and (spans, 8)
         Its geometry, and the parametrization of corners.
-    extra : ndarray, shape (6, k)
-        Control values of k extra axes, on the same basis as the bottom curve [m].
-    rotary : ndarray, shape (5,)
-        Rotary axes: with branch 0 they run linearly in u from the given positions at the given
-        rates; otherwise they follow from the tool axis, on that branch and at the whole turns
-        nearest to the given positions [rad].
+    beside : ndarray, shape (6, 2 + k)
+        Control values of the rotary axes [rad] and of k extra axes [m], on the same basis as the
+        bottom curve.
+    rotary : ndarray, shape (4,)
+        Rotary positions [rad], branch and flank height [m]. Rotary axes that follow the tool axis
+        keep the branch and the whole turns nearest to these positions.
     u : float
         Parameter in [0, 1].
     inside : float
@@ -104,12 +110,16 @@ def sample(packed, kind, shape, extra, f, length, rotary, u, inside):  # type: i
     q : ndarray, shape (4, 5 + k)
         Axes, extra ones last, and three derivatives by path length.
     tip, tool : ndarray, shape (3,)
-        Tool tip [m] and tool axis [-].
+        Tool tip [m] and tool axis [-]; of no meaning where the rotary axes are coordinates.
     sine_squared : float
-        Of the tilt from the pole; negative when unreachable, 1 for linear rotary axes.
+        Of the tilt from the pole; negative when unreachable, 1 unless it is solved.
 
     """
-    if kind == CORNER:
+    if kind == CORNER and motion >= LINEAR:
+        p = bottom_jets(shape[BOTTOM], u, inside)
+        o = p
+        speed = speed_beside(p, beside, rotary[HEIGHT], u, inside)
+    elif kind == CORNER:
         p, o = corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
         speed = speed_of(p)
     elif kind == SPLINE:
@@ -122,25 +132,29 @@ def sample(packed, kind, shape, extra, f, length, rotary, u, inside):  # type: i
         p = (jet.constant(shape[0, 0]), jet.constant(shape[0, 1]), jet.constant(shape[0, 2]))
         o = great_circle_jets(shape[AXIS], shape[ROTATION], u)
         speed = jet.constant(length)
-    if rotary[BRANCH] == 0.0:
-        first = (rotary[FIRST] + u * rotary[FIRST_RATE], rotary[FIRST_RATE], 0.0, 0.0)
-        second = (rotary[SECOND] + u * rotary[SECOND_RATE], rotary[SECOND_RATE], 0.0, 0.0)
-        sine_squared = 1.0
+    sine_squared = 1.0
+    if motion == RESTING:
+        first, second = jet.constant(rotary[FIRST]), jet.constant(rotary[SECOND])
+    elif motion != FOLLOWING:
+        first = beside_jet(kind, beside, 0, u, inside)
+        second = beside_jet(kind, beside, 1, u, inside)
     else:
         outer = int(packed[OUTER])
         tilt, turn, sine_squared = rotary_jets(
             packed, o, rotary[BRANCH], rotary[1 - outer], rotary[outer]
         )
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
-    v = linear_jets(packed, p, first, second)
-    count = extra.shape[1]
+    v = p if motion == ALL_AXES else linear_jets(packed, p, first, second)
+    count = beside.shape[1] - 2
     q = np.empty((4, 5 + count))
     for i, component in enumerate((v[0], v[1], v[2], first, second)):
         q[0, i], q[1, i], q[2, i], q[3, i] = jet.by_arc_length(component, speed)
     for k in range(count):
-        w = extra_jet(kind, extra, k, u, inside)
+        w = beside_jet(kind, beside, 2 + k, u, inside)
         j = 5 + k
         q[0, j], q[1, j], q[2, j], q[3, j] = jet.by_arc_length(w, speed)
+        if motion == ALL_AXES:
+            continue
         for i in range(3):  # (x, y, z) = XYZ + w d, so XYZ gives way
             direction = packed[SIZE + 3 * k + i]
             for order in range(4):
@@ -151,19 +165,49 @@ def sample(packed, kind, shape, extra, f, length, rotary, u, inside):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def extra_jet(kind, extra, k, u, inside):  # type: ignore[no-untyped-def]
+def beside_jet(kind, beside, k, u, inside):  # type: ignore[no-untyped-def]
     """
-    Return the jet in u of extra axis k.
+    Return the jet in u of an axis that is a coordinate beside the bottom curve.
 
-    Its control values are the fourth coordinate of the bottom curve. On a line the axis runs
-    linearly with the tip. On a corner it joins both lines as smoothly as the tip does.
+    On a line the axis runs linearly with the tip. On a corner it joins both lines as smoothly as
+    the tip does.
     """
     if kind == CORNER:
-        return corner_spline_jet(extra, k, u, inside > 0.5)
+        return corner_spline_jet(beside, k, u, inside > 0.5)
     if kind == SPLINE:
-        return quintic_jet(extra, k, u)
-    rate = extra[1, k] - extra[0, k]
-    return (extra[0, k] + u * rate, rate, 0.0, 0.0)
+        return quintic_jet(beside, k, u)
+    rate = beside[1, k] - beside[0, k]
+    return (beside[0, k] + u * rate, rate, 0.0, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def bottom_jets(bottom, u, inside):  # type: ignore[no-untyped-def]
+    """Return the jets in u of the three coordinates of the bottom curve of a corner."""
+    late = inside > 0.5
+    return (
+        corner_spline_jet(bottom, 0, u, late),
+        corner_spline_jet(bottom, 1, u, late),
+        corner_spline_jet(bottom, 2, u, late),
+    )
+
+
+@njit(cache=True, nogil=True)
+def speed_beside(p, beside, height, u, inside):  # type: ignore[no-untyped-def]
+    """Return the jet of ds/du of a corner whose length counts the axes beside the bottom."""
+    square = squared_rate(p[0])
+    for i in range(1, 3):
+        square = jet.add(square, squared_rate(p[i]))
+    for k in range(beside.shape[1]):
+        w = jet.scale(corner_spline_jet(beside, k, u, inside > 0.5), height if k < 2 else 1.0)
+        square = jet.add(square, squared_rate(w))
+    return jet.square_root(square)
+
+
+@njit(cache=True, nogil=True, inline='always')
+def squared_rate(p):  # type: ignore[no-untyped-def]
+    """Return the jet of (dp/du)^2, two derivatives of it."""
+    rate = (p[1], 2.0 * p[2], 3.0 * p[3], 0.0)
+    return jet.multiply(rate, rate)
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -176,7 +220,7 @@ def speed_of(p):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
+def arc_length(kind, motion, shape, beside, height, length, a, b):  # type: ignore[no-untyped-def]
     """Return the path length of a segment between parameters a and b of one half [m]."""
     if kind != CORNER and kind != SPLINE:
         return length * (b - a)
@@ -191,6 +235,10 @@ def arc_length(kind, shape, length, a, b):  # type: ignore[no-untyped-def]
             else:
                 rate = quintic_jet(shape[BOTTOM], k, u)[1]
             square += rate * rate
+        if motion >= LINEAR:
+            for k in range(beside.shape[1]):
+                rate = corner_spline_jet(beside, k, u, late)[1] * (height if k < 2 else 1.0)
+                square += rate * rate
         total += _GAUSS[1, i] * sqrt(square)
     return 0.5 * (b - a) * total
 
@@ -262,12 +310,10 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
         Sine of the singular cone [-].
     axes : ndarray of int, shape (n_axes,)
         The machine's own among X Y Z, first and second rotary axis, extra axes.
-    kinds, shapes, extra, f, lengths : ndarray
-        Shapes (n,), (n, m, 3), (n, 6, k), (n, spans, 8) and (n,).
+    kinds, shapes, extra, f, lengths, motion : ndarray
+        Shapes (n,), (n, m, 3), (n, 6, 2 + k), (n, spans, 8), (n,) and (n,).
         As in ``sample``, segment by segment.
-    motion : ndarray of int, shape (n,)
-        RESTING, FOLLOWING or LINEAR; for a linear one ``rotary`` holds the rates.
-    rotary : ndarray, shape (5,)
+    rotary : ndarray, shape (4,)
         As in ``sample``; on return it holds the positions at the end of the last segment.
 
     Returns
@@ -292,7 +338,7 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
     left, right = np.empty((capacity, 4, n_axes)), np.empty((capacity, 4, n_axes))
     tips, tools = np.empty((capacity + 1, 3)), np.empty((capacity + 1, 3))
     ends = np.empty(MOST_CELLS)  # right ends of the cells still to do, the next one last
-    branch, status, count, row = rotary[BRANCH], FINE, 0, 0
+    status, count, row, height = FINE, 0, 0, rotary[HEIGHT]
     for row in range(n):
         kind, shape, spans, length = kinds[row], shapes[row], f[row], lengths[row]
         beside = extra[row]
@@ -301,10 +347,10 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
             steps, left = roomier(steps, capacity), roomier(left, capacity)
             right = roomier(right, capacity)
             tips, tools = roomier(tips, capacity + 1), roomier(tools, capacity + 1)
-        free = motion[row] == FOLLOWING
-        rotary[BRANCH] = branch if free else 0.0
+        how = motion[row]
+        free = how == FOLLOWING
         least = cone_sine * cone_sine if free else 0.0
-        grid = first_grid(kind, spans)
+        grid = CORNER_GRID if kind == CORNER and how >= LINEAR else first_grid(kind, spans)
         waiting = len(grid) - 1
         ends[:waiting] = grid[:0:-1]
         begin, a, fresh = count, 0.0, False
@@ -312,29 +358,31 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
         if kind == SPLINE and tip_rests(shape):
             status = STANDSTILL
             break
-        q_a, tip, tool, sine = sample(packed, kind, shape, beside, spans, length, rotary, 0.0, 0.0)
+        q_a, tip, tool, sine = sample(
+            packed, kind, how, shape, beside, spans, length, rotary, 0.0, 0.0
+        )
         if count == 0:
             tips[0], tools[0] = tip, tool
         while waiting > 0 and sine >= least:
             b = ends[waiting - 1]
             middle = 0.5 * (a + b)
             if fresh:  # on a break the left end is another one than the last right end
-                q_a = sample(packed, kind, shape, beside, spans, length, rotary, a, middle)[0]
+                q_a = sample(packed, kind, how, shape, beside, spans, length, rotary, a, middle)[0]
                 fresh = False
             if free:  # whole turns follow the left end of the cell
                 rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
             q_m, _, _, sine = sample(
-                packed, kind, shape, beside, spans, length, rotary, middle, middle
+                packed, kind, how, shape, beside, spans, length, rotary, middle, middle
             )
             if sine < least:
                 break
             if free:
                 rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
             q_b, tip, tool, sine = sample(
-                packed, kind, shape, beside, spans, length, rotary, b, middle
+                packed, kind, how, shape, beside, spans, length, rotary, b, middle
             )
-            h = arc_length(kind, shape, length, a, b)
-            half = arc_length(kind, shape, length, a, middle)
+            h = arc_length(kind, how, shape, beside, height, length, a, b)
+            half = arc_length(kind, how, shape, beside, height, length, a, middle)
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
             fits = not room or septic_fits(q_a, q_b, h, half, q_m, axes, rounding)
             if sine >= least and not fits:

@@ -98,6 +98,85 @@ class Transform:
         """Direction in W at which the outer rotary axis is undefined, shape (3,)."""
         return np.asarray(self.machine.rotary_direction[self.outer])
 
+    @property
+    def pole_cone(self) -> float:
+        """Angle around the pole in which a direction does not give rotary positions [rad]."""
+        return self.machine.singular_cone
+
+    def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """
+        Return the smallest angle between tool axis and pole while the rotary axes run linearly.
+
+        The cosine is ``o . u = c0 + R cos(b - b0)`` (module docstring), so its extremes lie at
+        the ends or where b - b0 is a multiple of 180 deg.
+
+        Parameters
+        ----------
+        start, end : ndarray, shape (n, 2)
+            Rotary positions [rad].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Angles to the nearer one of both directions of the pole [rad].
+
+        """
+        inner = 1 - self.outer
+        u, w = self.machine.rotary_direction[[self.outer, inner]]
+        c0 = w[2] * float(w @ u)
+        c1, c2 = u[2] - c0, w[1] * u[0] - w[0] * u[1]
+        radius, b0 = np.hypot(c1, c2), np.arctan2(c2, c1)
+        ends = self.packed[INNER_SIGN] * np.stack([start[:, inner], end[:, inner]]) - b0
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        cosine = c0 + radius * np.cos(ends)
+        top = np.where(np.ceil(low / (2 * pi)) * 2 * pi <= high, c0 + radius, cosine.max(axis=0))
+        turn = np.ceil((low - pi) / (2 * pi)) * 2 * pi + pi
+        bottom = np.where(turn <= high, c0 - radius, cosine.min(axis=0))
+        return np.asarray(np.arccos(np.clip(np.maximum(top, -bottom), -1.0, 1.0)))
+
+    def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
+        """
+        Return how far a point on the tool axis moves in W per radian of each rotary axis.
+
+        Parameters
+        ----------
+        stands : ndarray, shape (n, 3)
+            X Y Z plus the extra axes along their directions [m].
+        rotary : ndarray, shape (n, 2)
+            Rotary positions [rad].
+        height : float
+            Height of the point above the tip [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Distances of the point from the primary and the secondary axis [m].
+
+        """
+        machine = self.machine
+        u1, u2 = machine.rotary_direction
+        first_on_head, second_on_head = machine.rotary_on_head
+        tip_arm, head_arm = machine.tool_offset
+        on_head = first_on_head or second_on_head
+        up = np.array([0.0, 0.0, height])
+        # From the point to the pivots, as in ``forward``; a tool that never turns is vertical.
+        arm = np.broadcast_to(tip_arm - up if on_head else -up, stands.shape)
+        levers = np.zeros((len(stands), 2))
+        if second_on_head:
+            levers[:, 1] = norm_of(np.cross(u2, arm))
+            arm = rotated(u2, rotary[:, 1], arm)
+        arm = arm + (head_arm if on_head else 0.0)
+        if first_on_head:
+            levers[:, 0] = norm_of(np.cross(u1, arm))
+            arm = rotated(u1, rotary[:, 0], arm)
+        point = stands - arm + self.packed[HEAD_ZERO : HEAD_ZERO + 3] - machine.offsets[2]
+        if not first_on_head:
+            levers[:, 0] = norm_of(np.cross(u1, point))
+            point = rotated(u1, -rotary[:, 0], point)
+        if not second_on_head:
+            levers[:, 1] = norm_of(np.cross(u2, point - machine.offsets[1]))
+        return levers
+
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """
         Return the tool axis of rotary positions.
@@ -174,6 +253,17 @@ class Transform:
             pair = np.array([tilt[0], turn[0]] if self.outer == 1 else [turn[0], tilt[0]])
             found.append(pair)
         return found
+
+
+def norm_of(rows: FloatArray) -> FloatArray:
+    """Return the lengths of the rows of an array, shape (n,)."""
+    return np.asarray(np.sqrt((rows**2).sum(axis=1)))
+
+
+def rotated(u: FloatArray, angle: FloatArray, v: FloatArray) -> FloatArray:
+    """Rotate vectors, shape (n, 3), about a unit axis by angles, shape (n,) [rad]."""
+    s, c = np.sin(angle)[:, None], np.cos(angle)[:, None]
+    return np.asarray(v * c + np.cross(u, v) * s + u * ((v @ u)[:, None] * (1.0 - c)))
 
 
 @njit(cache=True, nogil=True)

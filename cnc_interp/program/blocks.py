@@ -10,6 +10,8 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 #: Values of ``Blocks.program_stop``: continue, M0, M1.
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2
+#: Values of ``Blocks.interpolation``: what runs linearly in a block.
+POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 
 
 @dataclass(frozen=True)
@@ -17,10 +19,15 @@ class Blocks:
     """
     The blocks of a part program in order; row 0 is the start pose.
 
-    In a linear row the tool tip moves on a straight line to the end pose. The tool axis turns on
-    the great circle between both orientations [B2013, Eq. 4]. A spline row is one control point of
-    a pair of cubic B-splines [B2013, section 4.1]. Consecutive spline rows form one curve. Its
-    first row repeats the pose before it. A linear row or an exact stop ends the curve.
+    ``interpolation`` says what a linear row interpolates. POSES: the tool tip moves on a straight
+    line to the end pose, and the tool axis turns on the great circle between both orientations
+    [B2013, Eq. 4]. ROTARY_LINEAR: the tip moves on a straight line, and the rotary axes run
+    linearly from ``rotary_from`` to ``rotary``. AXES_LINEAR: all machine axes run linearly, the
+    rotary axes likewise.
+
+    A spline row is one control point of a pair of cubic B-splines [B2013, section 4.1].
+    Consecutive spline rows form one curve. Its first row repeats the pose before it. A linear row
+    or an exact stop ends the curve.
 
     Parameters
     ----------
@@ -55,6 +62,11 @@ class Blocks:
     program_stop : ndarray of int, shape (n,)
         STOP (M0) or OPTIONAL_STOP (M1) if the program waits for the operator at the end of the
         block. Such a block has an exact stop. Otherwise GO_ON, which is the default.
+    interpolation : ndarray of int, shape (n,)
+        POSES, which is the default, ROTARY_LINEAR or AXES_LINEAR.
+    rotary_from : ndarray, shape (n, 2)
+        Rotary positions at the start of rows whose rotary axes run linearly, beside the tip or
+        about the resting tip [rad], else NaN.
 
     """
 
@@ -72,6 +84,8 @@ class Blocks:
     knot_interval: FloatArray = field(default_factory=lambda: np.zeros(0))
     program_stop: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     extra: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    rotary_from: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         if len(self.knot_interval) != len(self.tip):
@@ -81,6 +95,9 @@ class Blocks:
             object.__setattr__(self, 'program_stop', np.full(len(self.tip), GO_ON))
         if len(self.extra) != len(self.tip):
             object.__setattr__(self, 'extra', np.zeros((len(self.tip), 0)))
+        if len(self.interpolation) != len(self.tip):
+            object.__setattr__(self, 'interpolation', np.full(len(self.tip), POSES))
+            object.__setattr__(self, 'rotary_from', np.full((len(self.tip), 2), np.nan))
         for column in fields(self):
             getattr(self, column.name).flags.writeable = False
 
@@ -96,6 +113,11 @@ class Blocks:
     def on_spline(self) -> BoolArray:
         """Return which rows are control points of native B-splines, shape (n,)."""
         return np.isfinite(self.knot_interval)
+
+    @property
+    def by_rotary(self) -> BoolArray:
+        """Return in which rows the rotary axes run linearly, shape (n,)."""
+        return np.asarray(self.interpolation != POSES)
 
     @staticmethod
     def concatenate(parts: list[Blocks]) -> Blocks:

@@ -2,9 +2,9 @@
 Motion targets to blocks: rows of numbers are collected and converted in batches.
 
 A reader appends one row of numbers per motion statement. When a batch is full, its rows become
-blocks together. Axis positions become poses, arcs become chords, repeated points are merged, and
-curved motion is divided. So the memory does not depend on the length of the program, and Python
-does not process single rows.
+blocks together. Positions become poses, arcs become chords, repeated points are merged, and curved
+motion is divided. Lines in machine axes stay whole. So the memory does not depend on the length
+of the program, and Python does not process single rows.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import arcs
 from cnc_interp.program.blocks import (
+    AXES_LINEAR,
     GO_ON,
     OPTIONAL_STOP,
+    POSES,
+    ROTARY_LINEAR,
     STOP,
     Blocks,
 )
@@ -55,6 +58,11 @@ _ANTIPARALLEL = 1e-4  # [rad]
 #: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
 CHORD_SHARE = 0.1
 _MOST_TURN = 500.0 * 360.0 * DEG
+#: Nearer to the pole than this number of orientation tolerances, a direction does not give the
+#: rotary positions: a path within the tolerance could pass the pole on its other side.
+POLE_TOLERANCES = 4.0
+#: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
+_LONGEST_TURN = 8.0 * 360.0 * DEG
 
 
 class TargetColumns:
@@ -209,7 +217,7 @@ class TargetColumns:
 
     def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
         """Return the blocks of the motions between the rows."""
-        moves = Moves(self._geometry, self._zero, before, rows)
+        moves = Moves(self._geometry, self._zero, before, rows, self._settings.flank_height)
         counts = self._piece_counts(moves)
         row, piece = ragged(counts)
         u = (piece + 1.0) / counts[row]
@@ -218,7 +226,12 @@ class TargetColumns:
         tip, axis = moves.poses(row, u)
         end = rows[row]
         on_circle = end[:, GREAT_CIRCLE] != 0.0
-        rotary[on_circle | (end[:, NAMED] == 0.0)] = nan
+        interpolation = moves.interpolation[row]
+        linear = interpolation != POSES
+        rotary[~linear & (on_circle | (end[:, NAMED] == 0.0))] = nan
+        rotary_from = np.full((len(row), 2), nan)
+        named = linear | moves.rests[row]
+        rotary_from[named] = moves.rotary(row[named], piece[named] / counts[row[named]])
         curved = np.isfinite(end[:, SWEEP]) & (counts[row] > 1)
         # Chords have used a part of the tolerance; the rest remains for the smoothing.
         share = np.where(curved, 1.0 - CHORD_SHARE, 1.0)
@@ -236,6 +249,8 @@ class TargetColumns:
             line_number=end[:, LINE].astype(np.int64),
             program_stop=np.where(final, _waits(end), GO_ON),
             extra=moves.extra(row, u)[:, [column - EXTRA.start for column in self._extra]],
+            interpolation=interpolation,
+            rotary_from=rotary_from,
         )
 
     def _piece_counts(self, moves: Moves) -> IntArray:
@@ -266,7 +281,7 @@ class TargetColumns:
                     int(rows[curved[np.argmax(turned)], LINE]),
                 )
             pieces = piece_counts(
-                lambda block, u: moves.poses(curved[block], u),
+                lambda block, u: moves.chordal(curved[block], u),
                 turned,
                 CHORD_SHARE * rows[curved, CONTOUR],
                 CHORD_SHARE * rows[curved, ORIENTATION] / self._settings.flank_height,
@@ -278,11 +293,15 @@ class TargetColumns:
                     int(rows[curved[np.argmax(pieces)], LINE]),
                 )
             counts[curved] = np.maximum(counts[curved], pieces)
+        turning = moves.interpolation == ROTARY_LINEAR
+        if turning.any():
+            turns = np.abs(moves.sweep[turning]).max(axis=1) / _LONGEST_TURN
+            counts[turning] = np.maximum(counts[turning], np.ceil(turns).astype(np.int64))
         return counts
 
     def _start_pose(self, row: FloatArray) -> Blocks:
         """Return row 0, the start pose. It has no motion, so no feedrate and no duration."""
-        here = Moves(self._geometry, self._zero, row, row)
+        here = Moves(self._geometry, self._zero, row, row, self._settings.flank_height)
         tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
         rotary = row[:, ROTARY].copy()
         if np.isfinite(rotary).all():
@@ -321,11 +340,25 @@ class Moves:
         Axis positions of the workpiece zero, with the rotary axes at zero [m].
     before, rows : ndarray, shape (n, 29)
         Targets at the start and at the end of each motion.
+    height : float
+        Flank height, at which the orientation tolerance counts [m].
+
+    Attributes
+    ----------
+    interpolation : ndarray of int, shape (n,)
+        What runs linearly in each motion, as in ``Blocks``.
+    rests : ndarray of bool, shape (n,)
+        Motions with tool-tip programming in which words turn the rotary axes about a resting tip.
 
     """
 
     def __init__(
-        self, geometry: RotaryGeometry, zero: FloatArray, before: FloatArray, rows: FloatArray
+        self,
+        geometry: RotaryGeometry,
+        zero: FloatArray,
+        before: FloatArray,
+        rows: FloatArray,
+        height: float,
     ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
         self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
@@ -340,6 +373,27 @@ class Moves:
         beside = (rows[:, EXTRA] != 0.0) | (before[:, EXTRA] != 0.0)
         turned = turned.any(axis=1) | beside.any(axis=1)
         self._by_axes = (rows[:, AXES] != 0.0) & turned
+        self.interpolation = self._interpolation(height)
+
+    def _interpolation(self, height: float) -> IntArray:
+        """Say what runs linearly; without tool-tip programming, the axes where one turns."""
+        rows = self.rows
+        turns = (np.abs(self.sweep).max(axis=1) > _SAME) & (rows[:, GREAT_CIRCLE] == 0.0)
+        kind = np.where(turns & (rows[:, AXES] != 0.0), AXES_LINEAR, POSES)
+        # With tool-tip programming, directions give the rotary axes unless the pole is near.
+        self.rests = turns & (kind == POSES) & ~self._travels()
+        words = np.flatnonzero(turns & (kind == POSES) & ~self.rests)
+        if len(words):
+            start, end = self._before[words, ROTARY], rows[words, ROTARY]
+            cone = POLE_TOLERANCES * rows[words, ORIENTATION] / height
+            near = self._geometry.nearest_to_pole(start, end)
+            kind[words[near < np.maximum(cone, self._geometry.pole_cone)]] = ROTARY_LINEAR
+        return kind
+
+    def _travels(self) -> BoolArray:
+        """Return which end points differ from their start points, shape (n,)."""
+        gone = np.abs(self.rows[:, POINT] - self._start).max(axis=1)
+        return np.asarray((gone > _SAME) | self._arc)
 
     def _starts(self) -> FloatArray:
         """Return the start points of the motions, in the same coordinates as their ends."""
@@ -403,18 +457,7 @@ class Moves:
             Tool tips [m] and unit tool axes [-].
 
         """
-        end = self.rows[row]
-        start = self._start[row]
-        point = start + u[:, None] * (end[:, POINT] - start)
-        arc = self._arc[row]
-        if arc.any():
-            on_arc = end[arc]
-            point[arc] = arcs.points_on(
-                start[arc], on_arc[:, POINT], on_arc[:, CENTRE], on_arc[:, NORMAL],
-                on_arc[:, SWEEP], u[arc],
-            )  # fmt: skip
-        final = u == 1.0
-        point[final] = end[final, POINT]
+        end, point, final = self.rows[row], self._points(row, u), u == 1.0
         rotary = self.rotary(row, u)
         by_axes = self._by_axes[row]
         if by_axes.any():
@@ -429,26 +472,48 @@ class Moves:
             axis[linear] = self._geometry.tool_axis(rotary[linear])
         return point, axis
 
+    def _points(self, row: IntArray, u: FloatArray) -> FloatArray:
+        """Return points on lines and arcs, in the coordinates of their ends, shape (m, 3) [m]."""
+        end, start, arc = self.rows[row], self._start[row], self._arc[row]
+        point = start + u[:, None] * (end[:, POINT] - start)
+        if arc.any():
+            on_arc = end[arc]
+            point[arc] = arcs.points_on(
+                start[arc], on_arc[:, POINT], on_arc[:, CENTRE], on_arc[:, NORMAL],
+                on_arc[:, SWEEP], u[arc],
+            )  # fmt: skip
+        final = u == 1.0
+        point[final] = end[final, POINT]
+        return np.asarray(point)
+
+    def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return what a chord must be near to: poses, or points where rotary axes run linearly.
+
+        The tip deviates from a chord in the axes as much as X Y Z do, because the rotary axes of
+        both are the same. The parameters are those of ``poses``.
+        """
+        tip, axis = self.poses(row, u)
+        linear = self.interpolation[row] != POSES
+        if linear.any():
+            tip[linear] = self._points(row[linear], u[linear])
+            axis[linear] = (0.0, 0.0, 1.0)
+        return tip, axis
+
     def curved(self) -> BoolArray:
-        """Return which motions are not on one line and one great circle, shape (n,)."""
+        """Return which motions are not one line in what they interpolate, shape (n,)."""
         turns = (np.abs(self.sweep).max(axis=1) > _SAME) & (self.rows[:, GREAT_CIRCLE] == 0.0)
         # A rotation with the tip at rest stays whole, because only the rotary axes move.
-        travels = np.abs(self.rows[:, POINT] - self._start).max(axis=1) > _SAME
-        moved = turns & self._by_axes & ~travels
-        if moved.any():
-            rows = np.flatnonzero(moved)
-            begin = self.poses(rows, np.zeros(len(rows)))[0]
-            for u in (0.25, 0.5, 0.75, 1.0):
-                gone = np.abs(self.poses(rows, np.full(len(rows), u))[0] - begin).max(axis=1)
-                travels[rows] |= gone > _SAME
-        return np.asarray(self._arc | (turns & travels))
+        turns &= (self.interpolation == POSES) & self._travels()
+        return np.asarray(self._arc | turns)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """
         Return feedrate and duration of the motions; one of both is NaN.
 
         If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
-        rotary axes turn alone, F is their speed. The duration follows from it.
+        rotary axes turn alone, F is their speed. The duration follows from it. Where the rotary
+        axes run linearly beside the tip, the duration follows from its speed.
 
         Returns
         -------
@@ -458,6 +523,7 @@ class Moves:
         """
         feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
         turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > _SAME)
+        turning |= self.interpolation == ROTARY_LINEAR
         row = np.flatnonzero(turning & np.isfinite(feedrate))
         if len(row):
             way = np.linalg.norm(self.rows[row, POINT] - self._start[row], axis=1)

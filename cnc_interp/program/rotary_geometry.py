@@ -22,6 +22,26 @@ class RotaryGeometry(Protocol):
     def extra_direction(self) -> FloatArray:
         """Unit vectors in M along which the extra axes move the tool, shape (k, 3)."""
 
+    @property
+    def pole_cone(self) -> float:
+        """Angle around the pole in which a direction does not give rotary positions [rad]."""
+
+    def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """
+        Compute the smallest angle between tool axis and pole while the rotary axes run linearly.
+
+        Parameters
+        ----------
+        start, end : ndarray, shape (n, 2)
+            Positions of the rotary axes [rad].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Angles [rad].
+
+        """
+
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """
         Convert rotary positions to tool axes.

@@ -31,15 +31,16 @@ BLOCK_COLUMNS = {
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
 PATH_CELLS = ('cell_left', 'cell_right')
-# Columns that a program needs only for rotary words, durations (G93), exact stops, splines or
-# extra axes.
+# Columns that a program needs only for rotary words, durations (G93), exact stops, splines, extra
+# axes or linear rotary axes.
 OPTIONAL_BLOCK_COLUMNS = {
     'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
-    'extra_axes': 'k',
+    'extra_axes': 'k', 'interpolation': '', 'rotary_from': '2',
 }  # fmt: skip
-MAY_BE_UNBOUNDED = frozenset(
-    {'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration', 'top', 'knot_interval'}
-)
+MAY_BE_UNBOUNDED = frozenset((
+    'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration', 'top', 'knot_interval',
+    'rotary_from',
+))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,8 @@ def _complete_blocks(columns: Columns) -> Columns:
         'top': np.full((rows, 3), np.nan),
         'knot_interval': np.full(rows, np.nan),
         'extra_axes': np.zeros((rows, 0)),
+        'interpolation': np.zeros(rows, dtype=np.int64),
+        'rotary_from': np.full((rows, 2), np.nan),
     }
     return defaults | dict(columns)
 

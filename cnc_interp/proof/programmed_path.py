@@ -69,7 +69,8 @@ class ProgrammedPath:
     turn : ndarray, shape (M,)
         Angle of the turn [rad].
     by_axes : ndarray of bool, shape (M,)
-        Pure rotations given by rotary words. The axes move linearly, not on a great circle.
+        Pure rotations given by rotary words, and rows without a line of the tip. The rotary axes
+        move linearly, not on a great circle.
     flank_height : float
         Height of the second point above the tip [m].
 
@@ -84,7 +85,13 @@ class ProgrammedPath:
     flank_height: float
 
     @staticmethod
-    def of(tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float) -> ProgrammedPath:
+    def of(
+        tip: FloatArray,
+        axis: FloatArray,
+        rotary: FloatArray,
+        height: float,
+        linear: BoolArray | None = None,
+    ) -> ProgrammedPath:
         """
         Build the path from the vertices of the program.
 
@@ -96,6 +103,9 @@ class ProgrammedPath:
             Programmed rotary positions [rad], NaN where a row has no rotary words.
         height : float
             Flank height [m].
+        linear : ndarray of bool, shape (M,), optional
+            Rows whose rotary axes run linearly. They are no lines of the tip and great circles, so
+            no pose is near to them (``programmed_axes.py``).
 
         Returns
         -------
@@ -110,13 +120,17 @@ class ProgrammedPath:
         across = axis - cosine[:, None] * first
         sine = np.linalg.norm(across, axis=1)
         worded = np.isfinite(rotary).all(axis=1)
+        by_axes = worded & worded[before] & (np.linalg.norm(chord, axis=1) < TIE)
+        if linear is not None:
+            start = np.where(linear[:, None], np.nan, start)
+            by_axes = by_axes | linear
         return ProgrammedPath(
             start=np.ascontiguousarray(start, dtype=float),
             chord=chord,
             axis=np.ascontiguousarray(first, dtype=float),
             sideways=across / np.where(sine > 0.0, sine, 1.0)[:, None],
             turn=np.arctan2(sine, cosine),
-            by_axes=worded & worded[before] & (np.linalg.norm(chord, axis=1) < TIE),
+            by_axes=by_axes,
             flank_height=height,
         )
 
@@ -158,7 +172,11 @@ class ProgrammedPath:
 
 
 def distances_to_vertices(
-    points: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray
+    points: FloatArray,
+    vertices: FloatArray,
+    low: IntArray,
+    high: IntArray,
+    unit: FloatArray | None = None,
 ) -> tuple[FloatArray, IntArray]:
     """
     Find the distance between each vertex and a sampled motion.
@@ -174,6 +192,8 @@ def distances_to_vertices(
         Programmed points [m].
     low, high : ndarray of int, shape (M,)
         First and last sample to search for each vertex.
+    unit : ndarray, shape (M, 3), optional
+        Units in which the coordinates count at each vertex. Without it, they count as they are.
 
     Returns
     -------
@@ -183,11 +203,13 @@ def distances_to_vertices(
         Index of the sample before the nearest point.
 
     """
-    bulge = np.zeros(len(points))
-    bulge[1:-1] = np.linalg.norm(np.diff(points, 2, axis=0), axis=1) / 8.0
+    bulge = np.zeros(points.shape)
+    bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0
+    unit = np.ones((1, 3)) if unit is None else unit
+    unit = np.ascontiguousarray(np.broadcast_to(unit, vertices.shape))
     nearest: tuple[FloatArray, IntArray] = _distances_to_vertices(
-        np.ascontiguousarray(points), np.maximum(bulge[:-1], bulge[1:]),
-        np.ascontiguousarray(vertices), low.astype(np.int64), high.astype(np.int64),
+        np.ascontiguousarray(points), bulge, np.ascontiguousarray(vertices),
+        low.astype(np.int64), high.astype(np.int64), unit,
     )  # fmt: skip
     return nearest
 
@@ -315,17 +337,22 @@ def _deviation(
 
 @njit(cache=True, nogil=True)
 def _distances_to_vertices(
-    points: FloatArray, bulge: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray
-) -> tuple[FloatArray, IntArray]:
+    points: FloatArray, bulge: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray,
+    unit: FloatArray,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Return the distance of each vertex from the motion, and the sample before that place."""
+    zero = np.zeros(3)
     count = len(vertices)
     nearest = np.full(count, np.inf)
     where = np.zeros(count, dtype=np.int64)
     for k in range(count):
         for i in range(low[k], high[k]):
-            chord = points[i + 1] - points[i]
-            foot = _foot(vertices[k], points[i], chord)
-            distance = _line_distance(vertices[k], points[i], chord, foot) - bulge[i]
+            here, chord = points[i] / unit[k], (points[i + 1] - points[i]) / unit[k]
+            vertex = vertices[k] / unit[k]
+            foot = _foot(vertex, here, chord)
+            left = _line_distance(bulge[i] / unit[k], zero, zero, 0.0)
+            right = _line_distance(bulge[i + 1] / unit[k], zero, zero, 0.0)
+            distance = _line_distance(vertex, here, chord, foot) - max(left, right)
             if distance < nearest[k]:
                 nearest[k], where[k] = max(0.0, distance), i
                 if distance <= 0.0:

@@ -8,7 +8,9 @@ kinematics of the machine.
   axes are at rest before the first and after the last sample.
 - Tolerances: distance of the tip and of the point at flank height from the programmed lines and
   great circles. At a corner, the smaller tolerance of its two blocks counts.
-- Completeness: the motion passes every programmed vertex within the tolerance.
+  Where the rotary axes run linearly, the axes are compared with their lines, too.
+- Completeness: the motion passes every programmed vertex within the tolerance, and every axis with
+  a word passes it on its own branch and turn.
 
 Native splines are first replaced by chords (``programmed_splines.py``).
 """
@@ -23,7 +25,9 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
+from cnc_interp.proof.programmed_axes import ProgrammedAxes
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath, distances_to_vertices
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
@@ -39,6 +43,11 @@ STOP_DISTANCE = 1e-6
 # A search is widened by this number of tolerances where blocks are tiny. There one path segment
 # covers many rows, but names only the middle row of each of its halves.
 REACH = 50.0
+# Rotary words are met within this at an exact stop [rad].
+STOP_ANGLE = 1e-6
+# At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
+# the outer rotary axis is held to its word as if the tool were so far away.
+POLE_TOLERANCES = 4.0
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:
@@ -97,10 +106,15 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     _prove_limits(ledger, plan, machine)
     _prove_order(ledger, plan)
     ledger.plan = plan = with_chords(plan, machine)
+    lines = ProgrammedAxes.of(plan, machine)
     deviation = measure(plan, machine, tip, axis)
     _prove_tolerances(ledger, plan, deviation)
+    if lines is not None:
+        beside = lines.improve(deviation, plan.position, plan.block)
+        contour = plan.blocks['contour_tolerance'][plan.block]
+        ledger.judge('axes beside their line', beside * contour, contour, slack=SLACK)
     _prove_completeness(ledger, plan, machine, tip, axis)
-    _prove_feed(ledger, plan, tip)
+    _prove_feed(ledger, plan, tip, lines)
     _prove_columns(ledger, plan, machine)
     if plan.path:
         _prove_path(ledger, plan, machine)
@@ -196,8 +210,10 @@ def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
 
     """
     program = _program_of(plan)
-    result = _measure_widely(program, plan, tip, axis, plan.block)
-    ruled = program.by_axes[plan.block]
+    result = _measure_widely(
+        program, plan, tip, axis, plan.block, plan.position, ProgrammedAxes.of(plan, machine)
+    )
+    ruled = program.by_axes[plan.block] & (plan.blocks['interpolation'][plan.block] == POSES)
     if ruled.any():
         # Here the rotary axes move linearly: compare with their position at the same part of it.
         row, position = plan.block[ruled], plan.position[ruled].copy()
@@ -215,24 +231,39 @@ def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
 
 
 def _measure_widely(
-    program: ProgrammedPath, plan: PlanFiles, tip: FloatArray, axis: FloatArray, block: IntArray
+    program: ProgrammedPath,
+    plan: PlanFiles,
+    tip: FloatArray,
+    axis: FloatArray,
+    block: IntArray,
+    position: FloatArray,
+    lines: ProgrammedAxes | None,
 ) -> Deviation:
     """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
     result = program.deviation(tip, axis, block)
+    if lines is not None:
+        lines.improve(result, position, block)
     contour, top = corner_tolerances(plan, result)
     far = (result.contour > contour + SLACK) | (result.orientation > top + SLACK)
     if far.any():
         reach = REACH * np.maximum(contour, top)[far]
         wide = program.deviation(tip[far], axis[far], block[far], reach)
-        for name in ('contour', 'row', 'part', 'orientation', 'twist'):
-            getattr(result, name)[far] = getattr(wide, name)
+        nearer = wide.contour <= result.contour[far]
+        for name in ('contour', 'row', 'part', 'twist'):
+            getattr(result, name)[far] = np.where(
+                nearer, getattr(wide, name), getattr(result, name)[far]
+            )
+        result.orientation[far] = np.minimum(result.orientation[far], wide.orientation)
     return result
 
 
 def _program_of(plan: PlanFiles) -> ProgrammedPath:
     """Build the programmed path of a plan from its blocks."""
     blocks = plan.blocks
-    return ProgrammedPath.of(blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height)
+    linear = blocks['interpolation'] != POSES
+    return ProgrammedPath.of(
+        blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height, linear
+    )
 
 
 def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
@@ -311,7 +342,7 @@ def _prove_completeness(
             f'(line {blocks["line"][row]})',
         )
     if machine.has_rotary:
-        _prove_rotary_words(ledger, plan, where)
+        _prove_rotary_words(ledger, plan, machine, where)
     if machine.extra_names:
         _prove_extra_words(ledger, plan, machine, where)
     stops = np.flatnonzero(blocks['exact_stop'])
@@ -330,9 +361,18 @@ def _prove_completeness(
 
 
 def _search_vertices(
-    plan: PlanFiles, points: FloatArray, vertices: FloatArray, tolerance: FloatArray
+    plan: PlanFiles,
+    points: FloatArray,
+    vertices: FloatArray,
+    tolerance: FloatArray,
+    unit: FloatArray | None = None,
 ) -> tuple[FloatArray, IntArray]:
-    """Search each vertex among the samples of its rows; if it is missed, among more samples."""
+    """
+    Search each vertex among the samples of its rows; if it is missed, among more samples.
+
+    The distance counts in ``unit``, shape (M, 3); then the tolerance is 1 of it.
+    """
+    missed = tolerance + SLACK if unit is None else np.ones(len(vertices))
     label = np.maximum.accumulate(plan.block)
     rows = np.arange(len(vertices))
 
@@ -346,9 +386,9 @@ def _search_vertices(
     # more, except at a stop: a tool that turns back has passed the vertex in the row before.
     spread = np.where(plan.blocks['exact_stop'], 0, 1)
     nearest, where = distances_to_vertices(
-        points, vertices, *samples(rows - spread, rows + 1 + spread)
+        points, vertices, *samples(rows - spread, rows + 1 + spread), unit
     )
-    far = nearest > tolerance + SLACK
+    far = nearest > missed
     if far.any():
         way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
         reach = REACH * tolerance[far]
@@ -356,28 +396,51 @@ def _search_vertices(
         last = np.searchsorted(way, way[far] + reach, 'right')
         first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
         nearest[far], where[far] = distances_to_vertices(
-            points, vertices[far], *samples(first, last)
+            points, vertices[far], *samples(first, last), None if unit is None else unit[far]
         )
     return nearest, where
 
 
-def _prove_rotary_words(ledger: Ledger, plan: PlanFiles, where: IntArray) -> None:
-    """Check that rotary axes reach their words, and pass them with the right number of turns."""
+def _prove_rotary_words(
+    ledger: Ledger, plan: PlanFiles, machine: Machine, where: IntArray
+) -> None:
+    """
+    Check that rotary axes pass their words, each on its own branch and whole turn.
+
+    A rounded vertex may turn the tool axis by the tolerances at flank height. So each rotary axis
+    may miss its word by this angle over the sine of the angle between itself and the tool axis.
+    """
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
     rows = rows[rows > 0]
     if not len(rows):
         return
-    flat = np.zeros((len(plan.position), 1))
-    points = np.hstack([plan.position[:, 3:5], flat])
-    words = np.hstack([np.nan_to_num(rotary), np.zeros((len(rotary), 1))])
-    angle = vertex_tolerances(plan)[1] / max(plan.flank_height, 1e-3)
-    gap, passed = _search_vertices(plan, points, words, angle)
-    tilted = rows[np.linalg.norm(plan.blocks['axis'][rows, :2], axis=1) > 1e-3]
-    ledger.judge('turns of rotary words', gap[tilted], np.pi, rows=tilted)
+    height = max(plan.flank_height, 1e-3)
+    contour, orientation = vertex_tolerances(plan)
+    words = np.nan_to_num(rotary)
+    allowed = np.ones((len(rotary), 3))
+    for i in range(2):
+        step = np.zeros(2)
+        step[i] = 1e-4
+        ahead, back = (Transform.of(machine).tool_axis(words + way) for way in (step, -step))
+        sine = np.linalg.norm(ahead - back, axis=1) / 2e-4
+        least = POLE_TOLERANCES * orientation / height
+        allowed[:, i] = (contour + orientation) / height / np.maximum(sine, least)
+    by_rotary = plan.blocks['interpolation'] != POSES
+    linear = by_rotary | np.r_[by_rotary[1:], False]
+    allowed[linear, :2] = (orientation[linear] / height)[:, None]
+    stops = np.asarray(plan.blocks['exact_stop'], dtype=bool).copy()
+    stops[-1] = True
+    allowed[stops, :2] = np.minimum(allowed[stops, :2], STOP_ANGLE)
+    points = np.hstack([plan.position[:, 3:5], np.zeros((len(plan.position), 1))])
+    targets = np.hstack([words, np.zeros((len(words), 1))])
+    angle = allowed[:, :2].max(axis=1)
+    gap, passed = _search_vertices(plan, points, targets, angle, allowed)
+    ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
     still = rows[_program_of(plan).by_axes[rows]]
-    ledger.judge('rotary word missed', gap[still], angle[still], slack=SLACK, rows=still)
+    resting = np.linalg.norm(np.diff(plan.blocks['tip'], axis=0, prepend=0.0), axis=1) < SLACK
     # A turn of the tool about its own axis is not visible in the workpiece frame.
+    still = still[resting[still]]
     where[still] = passed[still]
 
 
@@ -409,18 +472,34 @@ def _prove_extra_words(ledger: Ledger, plan: PlanFiles, machine: Machine, where:
         where[alone] = (after - 1 + nearer)[alone]
 
 
-def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
-    """Judge the tip speed against the feed of the executed block; at a border, of both blocks."""
+def _prove_feed(
+    ledger: Ledger, plan: PlanFiles, tip: FloatArray, lines: ProgrammedAxes | None
+) -> None:
+    """
+    Judge the tip speed against the feed of the executed block; at a border, of both blocks.
+
+    Where the rotary axes run linearly, the speed along the line counts instead.
+    """
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)
     chord = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
     timed = np.isfinite(duration) & (duration > 0.0)
     feed = np.where(np.isnan(blocks['feed']), np.inf, blocks['feed'])
+    turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK))
+    if lines is not None:
+        turning = turning[~lines.linear[turning]]
+        chord = np.where(lines.linear, lines.lengths, chord)
     feed[timed] = chord[timed] / duration[timed]
     feed[np.asarray(blocks['rapid'], dtype=bool) | (chord < SLACK)] = np.inf
     feed[0] = feed[1]
     speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / period
     before, after = np.sort(np.stack([plan.block[:-1], plan.block[1:]]), axis=0)
+    if lines is not None:
+        speed = np.where(
+            lines.known[before] | lines.known[after],
+            lines.speeds(plan.position, tip, before, period),
+            speed,
+        )
     spans = np.stack([before, after + 1], axis=1).ravel()
     allowed = np.maximum.reduceat(np.r_[feed, -np.inf], spans)[::2]
     contour = vertex_tolerances(plan)[0]
@@ -434,7 +513,6 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, tip: FloatArray) -> None:
                 allowed[i] = max(allowed[i], feed[row])
     finite = np.isfinite(allowed)
     ledger.judge('tip feed', np.where(finite, speed, 0.0), allowed, allowed=ROUNDING, slack=SLACK)
-    turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK))
     if len(turning):
         spent = np.bincount(plan.block, minlength=len(feed))[turning] * period
         shortest = duration[turning] / ROUNDING - 2.0 * period
@@ -467,7 +545,8 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     ledger.check('path pose against its axes', gap, ROUND_TRIP, rows=rows)
     steps = np.diff(path['s'])
     ledger.require(bool((steps > 0.0).all()), 'path.npz: s must increase at every grid point')
-    deviation = _measure_widely(_program_of(plan), plan, tip, axis, rows)
+    lines = ProgrammedAxes.of(plan, machine)
+    deviation = _measure_widely(_program_of(plan), plan, tip, axis, rows, path['q'], lines)
     contour, _ = corner_tolerances(plan, deviation)
     ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)
     feed = np.asarray(path['feed'], dtype=float)

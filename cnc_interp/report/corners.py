@@ -12,6 +12,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
+from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import vertex_tolerances
 from cnc_interp.report.segments_file import FILE, lengths
@@ -127,7 +128,7 @@ def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
         If the segments do not belong to the plan.
 
     """
-    ends = np.cumsum(lengths(segments))
+    ends = np.cumsum(lengths(segments, plan.flank_height))
     total = float(plan.path['s'][-1] - plan.path['s'][0])
     rows = segments.block
     if not len(segments) or abs(ends[-1] - total) > 1e-5 * total + 1e-9:
@@ -160,7 +161,8 @@ def worst_corners(
         Rows of the segments in path order, k <= ``MOST``.
 
     """
-    corners = np.flatnonzero(segments.kind == CORNER)
+    # A corner in machine axes has no top curve to be drawn.
+    corners = np.flatnonzero((segments.kind == CORNER) & (segments.interpolation == POSES))
     use = (segments.deviation[corners] / _tolerances(plan, segments, corners)).max(axis=1)
     slow = np.array([_speeds(plan, starts[i], ends[i])[0] for i in corners])
     # Most corners use all of their tolerance; the slower one comes first among equals.
@@ -268,7 +270,7 @@ def _third_derivatives(
         turn[k] = float(np.linalg.norm([by_path_length(np.array(a), rate)[3] for a in axis]))
     step = np.diff(u)
     way = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)]
-    return way * (float(lengths(one)[0]) / way[-1]), turn
+    return way * (float(lengths(one, 0.0)[0]) / way[-1]), turn
 
 
 def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:

@@ -93,7 +93,7 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
     spans = np.flatnonzero((segments.kind == SPLINE) & ~native[segments.block[:, 1]])
     if not len(spans):
         return None
-    length = lengths(segments)
+    length = lengths(segments, plan.flank_height)
     begins = np.r_[True, (np.diff(spans) > 1) | segments.stop[spans[:-1]]]
     first = segments.block[spans[begins], 0]
     last = segments.block[spans[np.r_[begins[1:], True]], 1]

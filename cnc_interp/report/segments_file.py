@@ -12,10 +12,13 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.bspline import corner_end_derivatives, sum_of
 from cnc_interp.core.errors import InterpError
+from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
 FILE = 'segments.npz'
+#: Columns that a plan may leave out.
+OPTIONAL = {'extra', 'interpolation'}
 
 
 def read_segments(directory: Path) -> PathSegments | None:
@@ -43,15 +46,16 @@ def read_segments(directory: Path) -> PathSegments | None:
         return None
     try:
         with np.load(file, allow_pickle=False) as archive:
-            # a plan of a machine without extra axes need not carry them
-            names = {f.name for f in fields(PathSegments)} - ({'extra'} - set(archive.files))
+            # a plan of a machine without extra axes need not carry them, nor one of poses
+            names = {f.name for f in fields(PathSegments)} - (OPTIONAL - set(archive.files))
             segments = PathSegments(**{name: archive[name] for name in names})
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
         raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
     count = len(segments)
     tails = {
         'bottom': (POINTS, 3), 'top': (POINTS, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
-        'deviation': (2,), 'length': (), 'line_number': (),
+        'deviation': (2,), 'length': (), 'line_number': (), 'rotary': (POINTS, 2),
+        'interpolation': (),
     }  # fmt: skip
     for name, tail in tails.items():
         if getattr(segments, name).shape != (count, *tail):
@@ -63,7 +67,7 @@ def read_segments(directory: Path) -> PathSegments | None:
     return segments
 
 
-def lengths(segments: PathSegments) -> FloatArray:
+def lengths(segments: PathSegments, height: float) -> FloatArray:
     """
     Return the path lengths of segments; those of curves by Gauss's rule.
 
@@ -71,6 +75,8 @@ def lengths(segments: PathSegments) -> FloatArray:
     ----------
     segments : PathSegments
         n segments.
+    height : float
+        Flank height, at which rotary axes that run linearly count [m].
 
     Returns
     -------
@@ -81,12 +87,18 @@ def lengths(segments: PathSegments) -> FloatArray:
     length = np.array(segments.length, dtype=float)
     corner = np.flatnonzero(segments.kind == CORNER)
     points = segments.bottom[corner, :5]
+    if segments.interpolation.any():
+        linear = (segments.interpolation[corner] != POSES)[:, None, None]
+        beside = [height * segments.rotary[corner, :5], segments.extra[corner, :5]]
+        beside = [np.where(linear, values, 0.0) for values in beside]
+        points = np.concatenate([points, *beside], axis=2)
     node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
     total = np.zeros(len(corner))
     for half in (points, points[:, ::-1]):
         first, second, third = corner_end_derivatives(half)
         for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
-            total += w * norm(first + x * (second + 0.5 * x * third))
+            rate = first + x * (second + 0.5 * x * third)
+            total += w * (norm(rate) if rate.shape[1] == 3 else np.linalg.norm(rate, axis=1))
     length[corner] = total
     spline = np.flatnonzero(segments.kind == SPLINE)
     rates = 5.0 * np.diff(segments.bottom[spline], axis=1)

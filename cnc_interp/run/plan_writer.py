@@ -228,6 +228,8 @@ def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[
         'orientation_tolerance': blocks.orientation_tolerance,
         'rapid': blocks.rapid,
         'rotary': blocks.rotary,
+        'rotary_from': blocks.rotary_from,
+        'interpolation': blocks.interpolation,
         'duration': blocks.duration,
         'exact_stop': blocks.exact_stop,
         'top': blocks.top,

@@ -8,10 +8,19 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
+from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.smoothing.corners import corner
+from cnc_interp.smoothing.corners.axis_corner import EXTRA, POINT, TURN
 from cnc_interp.smoothing.corners.corner import Style
-from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, corners_at
+from cnc_interp.smoothing.corners.vertices import (
+    ROUND,
+    STOP,
+    Legs,
+    axis_corners,
+    corners_at,
+)
 from cnc_interp.smoothing.dense.path_rows import Rows
+from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import norm, turned_by
 from cnc_interp.smoothing.segments import (
     CORNER,
@@ -20,6 +29,7 @@ from cnc_interp.smoothing.segments import (
     ROTATION,
     SPLINE,
     PathSegments,
+    no_rotary,
     padded,
 )
 
@@ -43,6 +53,8 @@ class Emission:
         L2 before and after the vertices [m]; 0 without a corner.
     style : Style
         The construction of the corners.
+    machine : MachineTraits
+        Kinematics for blocks whose rotary axes run linearly.
 
     """
 
@@ -52,6 +64,7 @@ class Emission:
     inner: FloatArray
     outer: FloatArray
     style: Style
+    machine: MachineTraits
 
     def segments(self, last: int) -> PathSegments:
         """Build the segments of rows 1 ... last and the corners at vertices 1 ... last."""
@@ -59,6 +72,11 @@ class Emission:
         parts, places = [lines], [2 * kept + 1]
         round_ones = np.flatnonzero(self.vertex[: last + 1] == ROUND)
         round_ones = round_ones[round_ones > 0]
+        in_axes, own = self._axis_corners(round_ones)
+        if in_axes is not None:
+            parts.append(in_axes)
+            places.append(2 * own)
+            round_ones = round_ones[~np.isin(round_ones, own)]
         if len(round_ones):
             parts.append(self._corners(round_ones))
             places.append(2 * round_ones)
@@ -84,7 +102,7 @@ class Emission:
             parametrization=empty_curves.parametrization,
             axis=tool / norm(tool)[:, None],
             rotation=np.zeros((n, 3)),
-            rotary=np.full((n, 2, 2), np.nan),
+            rotary=no_rotary(n),
             length=np.full(n, np.nan),
             feed=spans.feed,
             block=spans.block,
@@ -104,7 +122,9 @@ class Emission:
         blocks = rows.blocks
         start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]
         resting = legs.resting[:last]
-        rotary = np.stack([blocks.rotary[:last], blocks.rotary[1 : last + 1]], axis=1)
+        begin = blocks.rotary_from[1 : last + 1]
+        begin = np.where(np.isfinite(begin), begin, blocks.rotary[:last])
+        rotary = np.stack([begin, blocks.rotary[1 : last + 1]], axis=1)
         programmed = np.isfinite(rotary).all(axis=(1, 2))
         swept = np.where(
             programmed, np.sqrt((np.diff(rotary, axis=1)[:, 0] ** 2).sum(axis=1)), legs.turn[:last]
@@ -130,6 +150,10 @@ class Emission:
         axis = turned_by(blocks.axis[:last], rotation, share)
         feed = self._feed(np.arange(last), swept)
         row = rows.row[kept + 1]
+        values = no_rotary(last)
+        values[programmed, :2] = rotary[programmed]
+        extra = self._extra_on_lines(last, start, end)
+        self._put_axis_lines(start, end, bottom, axis, values, extra)
         return kept, PathSegments(
             kind=np.where(resting, ROTATION, LINE)[kept],
             bottom=padded(bottom[kept]),
@@ -138,15 +162,71 @@ class Emission:
             parametrization=curves.parametrization[kept],
             axis=axis[kept],
             rotation=(rotation * part[:, None])[kept],
-            rotary=np.where(programmed[:, None, None], rotary, np.nan)[kept],
+            rotary=values[kept],
             length=length[kept],
             feed=np.repeat(feed[kept, None], 2, axis=1),
             block=np.repeat(row[:, None], 2, axis=1),
             line_number=blocks.line_number[kept + 1],
             stop=stop[1 : last + 1][kept],
             deviation=rows.used[kept + 1],
-            extra=self._extra_on_lines(last, start, end)[kept],
+            extra=extra[kept],
+            interpolation=blocks.interpolation[kept + 1],
         )
+
+    def _put_axis_lines(
+        self,
+        start: FloatArray,
+        end: FloatArray,
+        bottom: FloatArray,
+        axis: FloatArray,
+        rotary: FloatArray,
+        extra: FloatArray,
+    ) -> None:
+        """Write the lines whose rotary axes run linearly, between path lengths of each block."""
+        axes, geometry = self.legs.axes, self.machine.geometry
+        if axes is None or geometry is None:
+            return
+        rows = np.flatnonzero(axes.linear[: len(start)])
+        if not len(rows):
+            return
+        length = np.where(axes.length[rows] > 0.0, axes.length[rows], 1.0)
+        for k, way in enumerate((start, end)):
+            at = axes.start[rows] + (way[rows] / length)[:, None] * axes.step[rows]
+            whole = way[rows] == axes.length[rows]
+            at[whole] = (axes.start[rows] + axes.step[rows])[whole]
+            bottom[rows, k], rotary[rows, k] = at[:, POINT], at[:, TURN]
+            extra[rows, k] = at[:, EXTRA]
+        axis[rows] = geometry.tool_axis(rotary[rows, 0])
+
+    def _axis_corners(self, rows: IntArray) -> tuple[PathSegments | None, IntArray]:
+        """Return the corners in coordinates among the vertices ``rows``, and their vertices."""
+        corners = axis_corners(self.rows, self.legs, self.style.height, self.machine, rows)
+        geometry = self.machine.geometry
+        if corners is None or geometry is None or not len(corners.row):
+            return None, np.zeros(0, dtype=np.int64)
+        own, blocks, n = corners.row, self.rows.blocks, len(corners.row)
+        points, deviation = corners.curves(self.outer[own])
+        points = np.concatenate([points, np.zeros_like(points[:, : POINTS - 5])], axis=1)
+        before, after = self._feed(own - 1, np.zeros(n)), self._feed(own, np.zeros(n))
+        curves = self.style.empty_curves(n)
+        return PathSegments(
+            kind=np.full(n, CORNER),
+            bottom=points[..., POINT].copy(),
+            top=padded(curves.top),
+            connection=curves.connection,
+            parametrization=np.zeros_like(curves.parametrization),
+            axis=geometry.tool_axis(points[:, 0, TURN]),
+            rotation=np.zeros((n, 3)),
+            rotary=points[..., TURN].copy(),
+            length=np.full(n, np.nan),
+            feed=np.stack([before, after], axis=1),
+            block=np.stack([self.rows.row[own], self.rows.row[own + 1]], axis=1),
+            line_number=blocks.line_number[own + 1],
+            stop=np.zeros(n, dtype=bool),
+            deviation=deviation,
+            extra=points[..., EXTRA].copy(),
+            interpolation=np.where(corners.in_axes, AXES_LINEAR, ROTARY_LINEAR),
+        ), own
 
     def _resting_way(self, rows: IntArray, swept: FloatArray) -> FloatArray:
         """
@@ -221,7 +301,7 @@ class Emission:
             parametrization=curves.parametrization,
             axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.style.height,
             rotation=np.zeros((n, 3)),
-            rotary=np.full((n, 2, 2), np.nan),
+            rotary=no_rotary(n),
             length=np.full(n, np.nan),
             feed=np.stack(
                 [self._feed(rows - 1, zero), self._feed(rows, zero)],
@@ -259,7 +339,7 @@ def no_segments(style: Style) -> PathSegments:
         parametrization=curves.parametrization,
         axis=np.zeros((0, 3)),
         rotation=np.zeros((0, 3)),
-        rotary=np.zeros((0, 2, 2)),
+        rotary=no_rotary(0),
         length=np.zeros(0),
         feed=np.zeros((0, 2)),
         block=np.zeros((0, 2), dtype=np.int64),

@@ -21,6 +21,7 @@ from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.corners.vertices import (
     ROUND,
     Legs,
+    axis_corners,
     classify,
     corners_at,
     refuse_reversals,
@@ -108,7 +109,7 @@ class LookAhead:
         self._rows, blocks = rows, rows.blocks
         if len(blocks) < 2:
             return self._none
-        legs = Legs.of(blocks)
+        legs = Legs.of(blocks, self._machine, self._settings.flank_height)
         refuse_reversals(rows, legs)
         vertex = classify(rows, legs, self._settings.flank_height, self._machine)
         inner, outer = self._size(rows, legs, vertex)
@@ -119,7 +120,9 @@ class LookAhead:
             return self._none
         own_share = float(outer[last, 1])
         self._share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
-        segments = Emission(rows, legs, vertex, inner, outer, self._style).segments(last)
+        segments = Emission(rows, legs, vertex, inner, outer, self._style, self._machine).segments(
+            last
+        )
         self._outer_before = own_share
         self._rows = rows[last:]
         return segments
@@ -128,16 +131,35 @@ class LookAhead:
         """Return L1, shape (n,), and L2, shape (n, 2), of every vertex [m]; 0 without a corner."""
         inner, outer = np.zeros(len(lines)), np.zeros((len(lines), 2))
         rows = np.flatnonzero(vertex == ROUND)
+        rows = self._size_in_axes(lines, legs, rows, inner, outer)
         if len(rows):
             corners = corners_at(lines.blocks, legs, rows)
-            # A line with a curve at its other end belongs to one corner only.
-            alone = np.stack([lines.smooth[rows], lines.leads[rows + 1]], axis=1)
-            half = np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
-            half = np.where(alone, half, 0.5 * half)
+            half = self._available(lines, legs, rows)
             ratios = self._ratios(corners)
             start = corner.initial_lengths(corners, half, ratios)
             inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
         return inner, outer
+
+    @staticmethod
+    def _available(lines: Rows, legs: Legs, rows: IntArray) -> FloatArray:
+        """Return how much of the lines before and after corners they may use, (n, 2) [m]."""
+        # A line with a curve at its other end belongs to one corner only.
+        alone = np.stack([lines.smooth[rows], lines.leads[rows + 1]], axis=1)
+        half = np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
+        return np.where(alone, half, 0.5 * half)
+
+    def _size_in_axes(
+        self, lines: Rows, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
+    ) -> IntArray:
+        """Write L1 and L2 of corners in coordinates; return the other corners."""
+        height, jerk = self._settings.flank_height, self._machine.max_jerk
+        corners = axis_corners(lines, legs, height, self._machine, rows)
+        if corners is None or jerk is None or not len(corners.row):
+            return rows
+        own = corners.row
+        lengths = self._available(lines, legs, own)
+        inner[own], outer[own] = corners.sizes(lengths, self._settings.corner_ratio, jerk)
+        return rows[~np.isin(rows, own)]
 
     def _ratios(self, corners: Corners) -> FloatArray:
         """Return L2/L1 on both sides of corners, shape (n, 2): the setting, or the best value."""

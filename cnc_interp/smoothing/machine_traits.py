@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
+from cnc_interp.smoothing.axis_geometry import AxisGeometry
 from cnc_interp.smoothing.corners.ratio import AxisRates
 
 
@@ -26,6 +28,10 @@ class MachineTraits:
     sharpest_turn, sharpest_swing : float
         Largest turn of the path that is rounded, with a fixed and with a turning tool axis [rad].
         At larger turns the tool stops, which is faster on average.
+    geometry : AxisGeometry, optional
+        Kinematics for blocks whose rotary axes run linearly. Without it there are none.
+    max_jerk : ndarray, shape (5 + k,), optional
+        Jerk limits of X Y Z, of the rotary axes and of the extra axes.
 
     """
 
@@ -34,3 +40,5 @@ class MachineTraits:
     pole_cone: float = 0.02 * DEG
     sharpest_turn: float = 178.0 * DEG
     sharpest_swing: float = 176.0 * DEG
+    geometry: AxisGeometry | None = None
+    max_jerk: FloatArray | None = None

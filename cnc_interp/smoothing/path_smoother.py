@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.emission import no_segments
@@ -147,16 +147,19 @@ class PathSmoother:
         if not parts:
             return no_segments(self._style)
         segments = PathSegments.concatenate(parts)
-        if self._start is not None:
+        if self._start is not None and segments.interpolation[0] == POSES:
             # A spline has no rotary words. Those of the start pose choose branch and turns.
             rotary = segments.rotary.copy()
             rotary[0, 0] = self._start
-            segments, self._start = replace(segments, rotary=rotary), None
+            segments = replace(segments, rotary=rotary)
+        self._start = None
         return segments
 
 
 def _line_at(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
-    """Return the jets at one end of the line between two poses; None if the tip rests."""
+    """Return the jets at one end of the line between two poses; None without such a line."""
+    if end.by_rotary[0]:
+        return None
     step = end.tip - start.tip
     length = norm(step)[:, None]
     if length[0, 0] < STANDSTILL:

@@ -13,6 +13,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import bezier_jet, quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet
+from cnc_interp.program.blocks import POSES
 
 LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
 #: Number of control points in the arrays: a line uses 2 of them, a corner 5, a spline all 6.
@@ -37,6 +38,11 @@ class PathSegments:
     ``bottom``. The tool axis is the direction of ``top(u) + connection(u) - bottom(u)`` with the
     quintic Bezier curve ``top``.
 
+    Where ``interpolation`` is ROTARY_LINEAR or AXES_LINEAR, lines and corners have the rotary axes
+    as coordinates: ``rotary`` holds their control values, on the same basis as ``bottom``. With
+    AXES_LINEAR ``bottom`` is X Y Z of the axes instead of the tip. There is no top curve. The path
+    length counts the rotary axes at flank height, and the extra axes, too (``axis_corner.py``).
+
     Parameters
     ----------
     kind : ndarray of int, shape (n,)
@@ -53,8 +59,9 @@ class PathSegments:
         Unit tool axis at the start of the segment [-].
     rotation : ndarray, shape (n, 3)
         Rotation vector of the tool axis over a line or rotation [rad].
-    rotary : ndarray, shape (n, 2, 2)
-        Programmed rotary axis positions at start and end [rad], NaN if not programmed.
+    rotary : ndarray, shape (n, 6, 2)
+        Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only the first
+        two are used: the programmed positions at both ends of the block. NaN if there are none.
     length : ndarray, shape (n,)
         Length of a line; flank height times angle of a rotation; NaN for curves [m].
     feed : ndarray, shape (n, 2)
@@ -70,6 +77,8 @@ class PathSegments:
     extra : ndarray, shape (n, 6, k)
         Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the
         path. A rotation uses the first two, like a line. The default is k = 0.
+    interpolation : ndarray of int, shape (n,)
+        What runs linearly in the blocks, as in ``Blocks``. The default is POSES.
 
     """
 
@@ -88,10 +97,13 @@ class PathSegments:
     stop: BoolArray
     deviation: FloatArray
     extra: FloatArray = field(default_factory=lambda: np.zeros((0, POINTS, 0)))
+    interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         if len(self.extra) != len(self.kind):
             object.__setattr__(self, 'extra', np.zeros((len(self.kind), POINTS, 0)))
+        if len(self.interpolation) != len(self.kind):
+            object.__setattr__(self, 'interpolation', np.full(len(self.kind), POSES))
         for column in fields(self):
             getattr(self, column.name).flags.writeable = False
 
@@ -128,6 +140,11 @@ def padded(points: FloatArray) -> FloatArray:
     """
     spare = np.zeros((len(points), POINTS - points.shape[1], 3))
     return np.concatenate([points, spare], axis=1)
+
+
+def no_rotary(count: int) -> FloatArray:
+    """Return the control values of rotary axes that are not programmed, (count, POINTS, 2)."""
+    return np.full((count, POINTS, 2), np.nan)
 
 
 @njit(cache=True, nogil=True)

@@ -29,6 +29,7 @@ def check_block(message: G1Block, extra_count: int = 0) -> None:
     """Refuse a block with values that no program can mean; the machine has so many extra axes."""
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
+    _check_interpolation(name, message)
     _check_control_point(name, message)
     _check_extra(name, message.extra_axes, extra_count)
     for field in ('contour_tolerance', 'orientation_tolerance', 'flank_height'):
@@ -69,6 +70,16 @@ def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray
         raise StreamError(f'{name}: name both rotary axes, or none (NaN)')
 
 
+def _check_interpolation(name: str, message: G1Block) -> None:
+    """Refuse linear rotary axes without positions at both ends of the block."""
+    if message.interpolation == G1Block.POSES:
+        return
+    if message.interpolation > G1Block.AXES_LINEAR or message.spline or message.sequence == 0:
+        raise StreamError(f'{name}: interpolation {message.interpolation} is not possible here')
+    if not np.isfinite([*message.rotary, *message.rotary_from]).all():
+        raise StreamError(f'{name}: linear rotary axes need positions at both ends; send numbers')
+
+
 def _check_extra(name: str, values: array[float], count: int) -> None:
     """Refuse positions of extra axes that are not finite or not those of the machine."""
     if len(values) != count:
@@ -107,8 +118,15 @@ def check_segment(message: PathSegment, extra_count: int = 0) -> None:
     if kind == CORNER:
         _check_parametrization(f'{name}: parametrization', message.parametrization)
     _check_extra(name, message.extra_axes, POINTS * extra_count)
-    for rotary in (message.rotary_start, message.rotary_end):
-        _check_pose(name, np.zeros(3), message.axis, rotary)
+    rotary = message.rotary.reshape(POINTS, 2)
+    for place in rotary[:2]:
+        _check_pose(name, np.zeros(3), message.axis, place)
+    if message.interpolation != G1Block.POSES:
+        used = CURVES.get(kind, LINE_CURVE)[2]
+        if message.interpolation > G1Block.AXES_LINEAR or kind not in (LINE, CORNER):
+            raise StreamError(f'{name}: interpolation does not fit the kind')
+        if not np.isfinite(rotary[:used]).all():
+            raise StreamError(f'{name}: control values of the rotary axes are not finite')
     values = [*message.rotation, message.contour_deviation, message.orientation_deviation]
     values += message.connection
     if not np.isfinite(values).all():

@@ -54,6 +54,8 @@ def block_messages(
             tip=blocks.tip[i],
             axis=blocks.axis[i],
             rotary=blocks.rotary[i],
+            interpolation=int(blocks.interpolation[i]),
+            rotary_from=blocks.rotary_from[i],
             extra_axes=packed(blocks.extra[i]),
             spline=bool(spline[i]),
             top=blocks.top[i],
@@ -96,6 +98,8 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
         knot_interval=knot_interval,
         program_stop=column('program_stop', np.int64),
         extra=column('extra_axes').reshape(len(messages), len(messages[0].extra_axes)),
+        interpolation=column('interpolation', np.int64),
+        rotary_from=column('rotary_from'),
     )
 
 
@@ -124,8 +128,8 @@ def _segment_message(
         flank_height=height,
         axis=segments.axis[i],
         rotation=segments.rotation[i],
-        rotary_start=segments.rotary[i, 0],
-        rotary_end=segments.rotary[i, 1],
+        interpolation=int(segments.interpolation[i]),
+        rotary=segments.rotary[i].ravel(),
         extra_axes=packed(segments.extra[i]),
         length=float(segments.length[i]),
         feedrate=segments.feed[i],
@@ -140,7 +144,8 @@ def _segment_message(
     if kind in CURVES:
         message.top = _spline(segments.top[i], kind)
         message.connection = packed(segments.connection[i])
-        message.parametrization = _parametrization(segments.parametrization[i])
+        if not segments.interpolation[i]:
+            message.parametrization = _parametrization(segments.parametrization[i])
     return message
 
 
@@ -203,7 +208,8 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
         parametrization=parametrization,
         axis=np.array([m.axis for m in messages]),
         rotation=np.array([m.rotation for m in messages]),
-        rotary=np.array([(m.rotary_start, m.rotary_end) for m in messages]),
+        rotary=np.array([m.rotary for m in messages]).reshape(n, POINTS, 2),
+        interpolation=np.array([m.interpolation for m in messages], dtype=np.int64),
         length=np.array([m.length for m in messages]),
         feed=np.array([m.feedrate for m in messages]),
         block=np.array([(m.first_block, m.last_block) for m in messages], dtype=np.int64),

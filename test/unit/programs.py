@@ -85,7 +85,7 @@ def spline_segments(seed, spans=6, step=0.5 * MM, height=30 * MM):
         parametrization=np.zeros((spans, 0, 8)),
         axis=axis / np.linalg.norm(axis, axis=1)[:, None],
         rotation=np.zeros((spans, 3)),
-        rotary=np.full((spans, 2, 2), np.nan),
+        rotary=np.full((spans, 6, 2), np.nan),
         length=np.full(spans, np.nan),
         feed=np.full((spans, 2), 3000.0 * MM_PER_MIN),
         block=np.repeat(np.arange(1, spans + 1)[:, None], 2, axis=1),

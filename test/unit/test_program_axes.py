@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import JobSetup, read_text
+from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.settings.choices import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
@@ -32,21 +33,22 @@ def test_words_are_axis_positions_and_run_linearly():
     q = axes_at(blocks)
     start = np.r_[np.array([10, 5, 3]) + ZERO, 30, 20]
     end = np.r_[np.array([40, -5, 9]) + ZERO, 60, 200]
-    u = np.linspace(0.0, 1.0, len(q))[:, None]
-    np.testing.assert_allclose(q, start + u * (end - start), atol=1e-9)
-    # Between the blocks, tip and axis leave the chords by a tenth of the tolerances at most.
-    n = len(blocks) - 1
-    fine = start + np.linspace(0, 1, 8 * n + 1)[:, None] * (end - start)
-    tip, axis = AC.forward(fine * np.r_[[1e-3] * 3, [np.pi / 180] * 2])
-    worst_tip = worst_axis = 0.0
-    for i in range(8 * n + 1):
-        k, v = min(i // 8, n - 1), i / 8 - min(i // 8, n - 1)
-        chord = blocks.tip[k] + v * (blocks.tip[k + 1] - blocks.tip[k])
-        worst_tip = max(worst_tip, np.linalg.norm(tip[i] - chord))
-        mixed = blocks.axis[k] + v * (blocks.axis[k + 1] - blocks.axis[k])
-        worst_axis = max(worst_axis, np.linalg.norm(axis[i] - mixed / np.linalg.norm(mixed)))
-    assert worst_tip <= 2e-6 and 0.03 * worst_axis <= 2e-6
-    assert worst_tip > 1e-6  # no finer than needed
+    np.testing.assert_allclose(q, [start, end], atol=1e-9)
+    assert blocks.interpolation.tolist() == [POSES, AXES_LINEAR]
+    np.testing.assert_allclose(np.degrees(blocks.rotary_from[1]), start[3:], atol=1e-12)
+
+
+def test_an_arc_with_a_rotary_word_is_an_arc_of_the_axes():
+    blocks = read('G0 X10 Y0 A0 C0\nG2 X-10 I-10 A40 C90 F1000').blocks
+    q = axes_at(blocks) - np.r_[ZERO, 0, 0]
+    assert len(q) > 20 and (blocks.interpolation[1:] == AXES_LINEAR).all()
+    np.testing.assert_allclose(np.hypot(q[:, 0], q[:, 1]), 10.0, atol=1e-9)
+    share = np.linspace(0.0, 1.0, len(q))[:, None]
+    np.testing.assert_allclose(q[:, 3:], share * [40, 90], atol=1e-9)
+    # Chords leave the arc by a tenth of the tolerance at most.
+    sagitta = 10.0 * (1.0 - np.cos(0.5 * np.pi / (len(q) - 1)))
+    assert 0.0005 < sagitta <= 0.002
+    assert np.nansum(blocks.duration) == pytest.approx(10 * np.pi / 1000 * 60)
 
 
 def test_a_tilted_plane_is_milled_in_straight_blocks():

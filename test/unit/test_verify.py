@@ -272,7 +272,7 @@ def test_rotary_words_rule_a_pure_rotation(tmp_path):
     vector['blocks']['tip'] += shift
     only_failure(proof_of(tmp_path, vector), 'orientation error')
     worded['blocks']['rotary'] = np.array([ends[0], (15 * DEG, 450 * DEG)])
-    only_failure(proof_of(tmp_path, worded), 'turns of rotary words')
+    only_failure(proof_of(tmp_path, worded), 'rotary word missed')
 
 
 def test_a_rotation_about_the_tool_axis_must_reach_its_word(tmp_path):

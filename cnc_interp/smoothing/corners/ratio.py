@@ -56,7 +56,7 @@ def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> 
     """
     steps = -corners.legs[:, 0], corners.legs[:, 1]
     swings = [height * cross(corners.rates[:, side], corners.axis) for side in (0, 1)]
-    found = _best_ratios(
+    found = best_ratios(
         *(
             np.maximum(norm(tip), norm(top))
             for tip, top in (
@@ -72,12 +72,26 @@ def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> 
         axis_rates(corners.tip, corners.axis, steps[side], corners.rates[:, side])
         for side in (0, 1)
     )
-    own = _best_ratios(*(np.abs(slope).max(axis=1) for slope in (before, after, after - before)))
+    own = best_ratios(*(np.abs(slope).max(axis=1) for slope in (before, after, after - before)))
     return np.where(np.isfinite(own), own, found)
 
 
-def _best_ratios(before: FloatArray, after: FloatArray, change: FloatArray) -> FloatArray:
-    """Return L2/L1 on both sides of corners, shape (n, 2), from the three sizes, shape (n,)."""
+def best_ratios(before: FloatArray, after: FloatArray, change: FloatArray) -> FloatArray:
+    """
+    Return L2/L1 on both sides of corners from the three sizes.
+
+    Parameters
+    ----------
+    before, after, change : ndarray, shape (n,)
+        Largest slope of an axis over its jerk limit before and after the corner, and of the
+        difference of both.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        L2/L1 before and after each corner [-].
+
+    """
     steepest = np.maximum(before, after)
     equal = np.clip(OFFSET + SLOPE * change / steepest, LEAST, MOST)
     sizes = np.maximum(np.stack([before, after], axis=1), 1e-9 * steepest[:, None])

@@ -9,6 +9,7 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import STANDSTILL
@@ -44,6 +45,9 @@ class Legs:
         What the extra axes move by over the block [m].
     extra_rate : ndarray, shape (n, k)
         The same per metre of path [-].
+    axes : AxisLegs, optional
+        Blocks whose rotary axes run linearly. Their ``length`` is that of the coordinates, the
+        tool axis does not count as turning, and nothing rests. None without such blocks.
 
     """
 
@@ -55,9 +59,10 @@ class Legs:
     resting: BoolArray
     extra_step: FloatArray
     extra_rate: FloatArray
+    axes: AxisLegs | None = None
 
     @staticmethod
-    def of(blocks: Blocks) -> Legs:
+    def of(blocks: Blocks, machine: MachineTraits, flank_height: float) -> Legs:
         """
         Compute the geometry of blocks.
 
@@ -65,6 +70,10 @@ class Legs:
         ----------
         blocks : Blocks
             n + 1 vertices. Block i leads from vertex i to vertex i + 1.
+        machine : MachineTraits
+            Kinematics for blocks whose rotary axes run linearly.
+        flank_height : float
+            Flank height [m].
 
         Returns
         -------
@@ -75,14 +84,27 @@ class Legs:
         step = np.diff(blocks.tip, axis=0)
         length = norm(step)
         resting = length < STANDSTILL
+        axes = None
+        linear = blocks.by_rotary[1:]
+        if linear.any() and machine.geometry is not None:
+            axes = AxisLegs.of(blocks, machine.geometry, flank_height)
+            length, resting = np.where(linear, axes.length, length), resting & ~linear
         direction = step / np.where(resting, 1.0, length)[:, None]
         rotation = rotations_between(blocks.axis[:-1], blocks.axis[1:])
+        rotation[linear] = 0.0
         rate = rotation / np.where(resting, 1.0, length)[:, None]
         extra_step = np.diff(blocks.extra, axis=0)
         extra_rate = extra_step / np.where(resting, 1.0, length)[:, None]
         return Legs(
-            length, direction, rotation, norm(rotation), rate, resting, extra_step, extra_rate
-        )
+            length, direction, rotation, norm(rotation), rate, resting, extra_step, extra_rate,
+            axes,
+        )  # fmt: skip
+
+    @property
+    def still(self) -> BoolArray:
+        """Return in which blocks of poses only the tip moves, shape (n,)."""
+        still = ~self.resting & (self.turn == 0.0) & ~self.extra_step.any(axis=1)
+        return np.asarray(still if self.axes is None else still & ~self.axes.linear)
 
 
 def refuse_reversals(rows: Rows, legs: Legs) -> None:
@@ -90,6 +112,7 @@ def refuse_reversals(rows: Rows, legs: Legs) -> None:
     blocks = rows.blocks
     cosine = dot(blocks.axis[:-1], blocks.axis[1:])
     programmed = np.isfinite(blocks.rotary[1:]).all(axis=1) & legs.resting
+    programmed |= blocks.by_rotary[1:]
     bad = np.flatnonzero((cosine < -1.0 + 1e-12) & ~programmed & (rows.count[1:] == 0))
     if len(bad):
         raise BlockError(
@@ -144,7 +167,51 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
     kind[1:-1][stop] = STOP
     beside = curve[1:-1] | curve[2:]
     kind[1:-1][beside] = np.where(rows.smooth[2:], PASS, STOP)[beside]
+    found = axis_corners(rows, legs, flank_height, machine)
+    if found is not None:
+        sharp = found.cosine < np.cos(machine.sharpest_swing)
+        own = np.where(found.bend < STRAIGHT, PASS, ROUND)
+        own[sharp | ~found.joined | blocks.exact_stop[found.row]] = STOP
+        kind[found.row] = own
     return kind
+
+
+def axis_corners(
+    rows: Rows,
+    legs: Legs,
+    flank_height: float,
+    machine: MachineTraits,
+    at: IntArray | None = None,
+) -> AxisCorners | None:
+    """
+    Collect the corners beside blocks whose rotary axes run linearly.
+
+    Parameters
+    ----------
+    rows : Rows
+        Lines and curves with n end poses.
+    legs : Legs
+        Geometry between these poses.
+    flank_height : float
+        Flank height [m].
+    machine : MachineTraits
+        Kinematics.
+    at : ndarray of int, shape (k,), optional
+        Vertices to choose from. Without it, all between two blocks.
+
+    Returns
+    -------
+    AxisCorners or None
+        None without such blocks.
+
+    """
+    if legs.axes is None or machine.geometry is None:
+        return None
+    linear = legs.axes.linear
+    at = np.arange(1, len(rows) - 1) if at is None else at
+    at = at[linear[at - 1] | linear[at]]
+    still = legs.still & (rows.count[1:] == 0)
+    return AxisCorners.at(at, rows.blocks, legs.axes, still, machine.geometry, flank_height)
 
 
 def corners_at(blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:

@@ -173,7 +173,10 @@ class SkeletonBuilder:
         """Return the columns kind, stop and closed of the rows (see ``Skeleton``), shape (n,)."""
         height = self._height
         length = norm(np.diff(raw.tip, axis=0))
+        # A block whose rotary axes run linearly stays a line, and its tool axis does not count.
+        linear = raw.by_rotary[1:]
         turn = norm(rotations_between(raw.axis[:-1], raw.axis[1:]))
+        turn[linear] = 0.0
         reversed_axis = dot(raw.axis[:-1], raw.axis[1:]) < -0.99
         words = np.isfinite(raw.rotary).all(axis=1)
         rotary = np.where(words[:, None], raw.rotary, 0.0)
@@ -183,6 +186,7 @@ class SkeletonBuilder:
         beside = (np.diff(raw.extra, axis=0) != 0.0).any(axis=1)
         resting = length < STANDSTILL
         resting &= (height * turn > thinning.DROP * tolerance) | (spins & (turn < 1e-12)) | beside
+        resting &= ~linear
         n = len(raw)
         near, at_pole = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         if self._pole is not None:
@@ -195,7 +199,7 @@ class SkeletonBuilder:
         kind = np.full(n, SHORT)
         narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
         kind[1:][length > np.minimum(self._longest_block, LONGEST * narrow)] = LONG
-        fixed = resting | beside | raw.rapid[1:] | reversed_axis
+        fixed = resting | beside | linear | raw.rapid[1:] | reversed_axis
         fixed |= (near[1:] | near[:-1]) & (turn > 0.0)
         kind[1:][fixed] = FIXED
         if self._joined and self.skeleton is not None and len(self.skeleton) == 1:
@@ -264,7 +268,7 @@ class SkeletonBuilder:
             skeleton.stop[-1] = True
         closed[:-1] |= slow[1:]
         stop[:-1] |= resting[1:]
-        moving = length >= STANDSTILL
+        moving = (length >= STANDSTILL) & ~raw.by_rotary[kept]
         timed = np.isfinite(raw.duration[kept])
         turning = norm(rotations_between(raw.axis[before], raw.axis[kept])) > 0.0
         blocks = Blocks(
@@ -275,6 +279,7 @@ class SkeletonBuilder:
             contour_tolerance=raw.contour_tolerance[kept],
             orientation_tolerance=raw.orientation_tolerance[kept],
             line_number=raw.line_number[kept], extra=raw.extra[kept],
+            interpolation=raw.interpolation[kept], rotary_from=raw.rotary_from[kept],
         )  # fmt: skip
         du = np.sqrt(0.5 * (length**2 + top_length**2))
         u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]

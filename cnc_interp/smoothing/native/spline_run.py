@@ -22,7 +22,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.native.joining import Jets, connected, shortest_tool, span_jets
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary
 
 #: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
 SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
@@ -384,7 +384,7 @@ class SplineRun:
             parametrization=np.repeat(self._room.parametrization, n, axis=0),
             axis=tool / norm(tool)[:, None],
             rotation=np.zeros((n, 3)),
-            rotary=np.full((n, 2, 2), np.nan),
+            rotary=no_rotary(n),
             length=np.full(n, np.nan),
             feed=np.repeat(rows.feedrate[own][:, None], 2, axis=1),
             block=block,

@@ -1,0 +1,246 @@
+"""
+Rows of the program whose rotary axes run linearly, and the distance of axis positions from them.
+
+In such a row all machine axes move linearly (AXES_LINEAR), or the tool tip and the rotary axes do
+(ROTARY_LINEAR). A position is compared with one point of a row: the axes themselves, the tool tip
+and the point at flank height. Each of these differences is an upper bound of the distance from the
+programmed path, because the point is on it. The point is searched for which the largest use of a
+tolerance is least. This module shares no code with the planner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import AXES_LINEAR, POSES
+from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.programmed_path import Deviation
+
+# Two tool axes that differ by less are equal [-], a tip that moves less rests [m].
+SAME = 1e-9
+# A use of the tolerances below this is not improved by a search [-].
+SMALL_USE = 0.02
+# Golden section: number of steps, and the share of the bracket that each one keeps.
+STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
+# Half the bracket around the nearest point, in tolerances.
+BRACKET = 8.0
+
+
+@dataclass(frozen=True)
+class ProgrammedAxes:
+    """
+    The rows of a program as lines in coordinates: three of X Y Z or of the tip, then the others.
+
+    Parameters
+    ----------
+    machine : Transform
+        The forward kinematics.
+    known : ndarray of bool, shape (M,)
+        Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
+    linear, in_axes : ndarray of bool, shape (M,)
+        Rows whose rotary axes run linearly, and known rows whose coordinates are machine axes.
+    start, step : ndarray, shape (M, n)
+        Coordinates at the start of known rows, and what they move by [m, rad].
+    tolerance : ndarray, shape (M, 2)
+        Contour and orientation tolerance of each row, for the comparison of both [m].
+    height : float
+        Flank height [m].
+
+    """
+
+    machine: Transform
+    known: BoolArray
+    linear: BoolArray
+    in_axes: BoolArray
+    start: FloatArray
+    step: FloatArray
+    tolerance: FloatArray
+    height: float
+
+    @staticmethod
+    def of(plan: PlanFiles, machine: Machine) -> ProgrammedAxes | None:
+        """Return the lines of a plan's program, or None if no row moves the rotary axes so."""
+        blocks = plan.blocks
+        kind = np.asarray(blocks['interpolation'], dtype=np.int64)
+        linear = kind != POSES
+        if not linear.any() or not machine.has_rotary:
+            return None
+        tip, axis, transform = blocks['tip'], blocks['axis'], Transform.of(machine)
+        before = np.r_[0, np.arange(len(tip) - 1)]
+        after = np.r_[np.arange(1, len(tip)), len(tip) - 1]
+        turned = np.abs(axis - axis[before]).max(axis=1)
+        still = ~linear & (turned < SAME) & (np.linalg.norm(tip - tip[before], axis=1) > SAME)
+        extra = blocks['extra_axes']
+        still &= (extra == extra[before]).all(axis=1)
+        leads, follows = still & linear[after], still & linear[before]
+        first = np.array(blocks['rotary_from'], dtype=float)
+        last = np.array(blocks['rotary'], dtype=float)
+        for rows, at, place in ((follows, before, last.copy()), (leads, after, first.copy())):
+            first[rows] = last[rows] = place[at[rows]]
+            kind = np.where(rows, kind[at], kind)
+        known, in_axes = linear | leads | follows, kind == AXES_LINEAR
+        ends = []
+        for rows, rotary in ((before, first), (np.arange(len(tip)), last)):
+            found = np.hstack([tip[rows], rotary, extra[rows]])
+            found[~known] = 0.0
+            found[in_axes, :3] = axis_positions(transform, found[in_axes])
+            ends.append(found)
+        tolerance = np.stack(
+            [blocks['contour_tolerance'], blocks['orientation_tolerance']], axis=1
+        )
+        return ProgrammedAxes(
+            transform, known, linear, in_axes, ends[0], ends[1] - ends[0],
+            np.maximum(tolerance, 1e-12), plan.flank_height,
+        )  # fmt: skip
+
+    @property
+    def scale(self) -> FloatArray:
+        """Factors that turn coordinates into lengths at flank height, shape (n,)."""
+        scale = np.ones(self.start.shape[1])
+        scale[3:5] = self.height
+        return scale
+
+    def improve(self, result: Deviation, position: FloatArray, block: IntArray) -> FloatArray:
+        """
+        Compare positions with the lines near them and keep what is nearer.
+
+        Parameters
+        ----------
+        result : Deviation
+            Distances of the K positions from other rows. They are replaced where they are larger.
+        position : ndarray, shape (K, n)
+            Axis positions [m, rad].
+        block : ndarray of int, shape (K,)
+            Row that each position executes.
+
+        Returns
+        -------
+        ndarray, shape (K,)
+            Largest distance of an axis from its line over its tolerance, where all machine axes
+            run linearly [-]; the rotary axes count at flank height. Zero elsewhere.
+
+        """
+        least = np.full(len(block), np.inf)
+        beside = np.full(len(block), np.inf)
+        tip, axis = self.machine.forward(position)
+        for shift in (0, -1, 1):
+            row = np.clip(block + shift, 0, len(self.known) - 1)
+            at = np.flatnonzero(self.known[row] & ((row == block) == (shift == 0)))
+            if not len(at):
+                continue
+            k = row[at]
+            here = position[at].copy()
+            here[~self.in_axes[k], :3] = tip[at][~self.in_axes[k]]
+            search = _Search(self, k, here, tip[at], tip[at] + self.height * axis[at])
+            x, gaps = search.best()
+            use = gaps.max(axis=1)
+            own = use < least[at]
+            at, x, k, gaps, use = at[own], x[own], k[own], gaps[own], use[own]
+            least[at] = use
+            beside[at] = np.where(self.in_axes[k], gaps[:, :2].max(axis=1), 0.0)
+            contour, orientation = (gaps[:, 2:] * self.tolerance[k]).T
+            nearer = contour <= result.contour[at]
+            result.contour[at[nearer]] = contour[nearer]
+            result.row[at[nearer]], result.part[at[nearer]] = k[nearer], x[nearer]
+            result.orientation[at] = np.minimum(result.orientation[at], orientation)
+            result.twist[at] = np.minimum(result.twist[at], orientation)
+        return np.where(self.linear[block] & self.in_axes[block], beside, 0.0)
+
+    @property
+    def lengths(self) -> FloatArray:
+        """Return the lengths of the lines, shape (M,) [m]."""
+        return np.asarray(np.linalg.norm(self.step * self.scale, axis=1))
+
+    def speeds(
+        self, position: FloatArray, tip: FloatArray, row: IntArray, period: float
+    ) -> FloatArray:
+        """Return the speed along the lines between samples of rows, shape (K - 1,) [m/s]."""
+        step = np.diff(position, axis=0)
+        beside = ~self.in_axes[row]
+        step[beside, :3] = np.diff(tip, axis=0)[beside]
+        return np.asarray(np.linalg.norm(step * self.scale, axis=1) / period)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search for the best points on rows ``k`` for coordinates, tips and top points."""
+
+    program: ProgrammedAxes
+    k: IntArray
+    here: FloatArray
+    tip: FloatArray
+    top: FloatArray
+
+    def best(self) -> tuple[FloatArray, FloatArray]:
+        """Return shares of the rows, and the uses of the tolerances there, shape (K, 4)."""
+        program, scale = self.program, self.program.scale
+        step = program.step[self.k] * scale
+        square = np.maximum((step**2).sum(axis=1), 1e-300)
+        way = (self.here - program.start[self.k]) * scale
+        x = np.clip((way * step).sum(axis=1) / square, 0.0, 1.0)
+        gaps = self.gaps(np.arange(len(x)), x)
+        far = np.flatnonzero((gaps.max(axis=1) > SMALL_USE) & (gaps.max(axis=1) < BRACKET**2))
+        if len(far):
+            room = BRACKET * program.tolerance[self.k[far]].sum(axis=1) / np.sqrt(square[far])
+            low, high = np.maximum(x[far] - room, 0.0), np.minimum(x[far] + room, 1.0)
+            for _ in range(STEPS):
+                left, right = high - SHARE * (high - low), low + SHARE * (high - low)
+                down = self.gaps(far, left).max(axis=1) < self.gaps(far, right).max(axis=1)
+                low, high = np.where(down, low, left), np.where(down, right, high)
+            found = 0.5 * (low + high)
+            other = self.gaps(far, found)
+            better = other.max(axis=1) < gaps[far].max(axis=1)
+            x[far[better]], gaps[far[better]] = found[better], other[better]
+        return x, gaps
+
+    def gaps(self, rows: IntArray, x: FloatArray) -> FloatArray:
+        """Return linear and rotary coordinates, tip and top point over tolerances, (m, 4)."""
+        program, k = self.program, self.k[rows]
+        point = program.start[k] + x[:, None] * program.step[k]
+        apart = (self.here[rows] - point) * program.scale
+        linear = np.sqrt((apart[:, :3] ** 2).sum(axis=1) + (apart[:, 5:] ** 2).sum(axis=1))
+        rotary = np.sqrt((apart[:, 3:5] ** 2).sum(axis=1))
+        tip, axis = program.machine.forward(point)
+        beside = ~program.in_axes[k]
+        tip[beside] = point[beside, :3]
+        top = tip + program.height * axis
+        off = np.linalg.norm(tip - self.tip[rows], axis=1)
+        off_top = np.linalg.norm(top - self.top[rows], axis=1)
+        contour, orientation = program.tolerance[k].T
+        return np.stack(
+            [linear / contour, rotary / orientation, off / contour, off_top / orientation], axis=1
+        )
+
+
+def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
+    """
+    Return X Y Z at which the tip is where it should be, from the forward kinematics alone.
+
+    With the rotary axes at rest the tip is a rotation of X Y Z plus a constant.
+
+    Parameters
+    ----------
+    machine : Transform
+        The forward kinematics.
+    coordinates : ndarray, shape (m, n)
+        Tool tips, then the other axes [m, rad].
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        Positions of X Y Z [m].
+
+    """
+    at = coordinates.copy()
+    at[:, :3] = 0.0
+    zero = machine.forward(at)[0]
+    gap, found = coordinates[:, :3] - zero, np.empty((len(at), 3))
+    for i in range(3):
+        at[:, :3] = np.eye(3)[i]
+        found[:, i] = ((machine.forward(at)[0] - zero) * gap).sum(axis=1)
+    return found

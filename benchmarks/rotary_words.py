@@ -3,10 +3,10 @@ Random programs with rotary words: refusals, words, and the distance of the axes
 
     python benchmarks/rotary_words.py [--count 1000] [--tcp] [--machines xyzac ...]
 
-Without ``--tcp`` the words are axis positions (tool-tip control off), on every bundled machine with
-rotary axes. With ``--tcp`` the words belong to tool tips, with small tilts, so that many blocks pass
-near the pole. Every plan is checked with the proof. The words are read here once more, by a reader
-of a few lines, and compared with the executed axes.
+Without ``--tcp`` the words are axis positions (tool-tip control off), on every bundled machine
+with rotary axes. With ``--tcp`` the words belong to tool tips, with small tilts, so that many
+blocks pass near the pole. Every plan is checked with the proof. The words are read here once more,
+by a reader of a few lines, and compared with the executed axes.
 """
 
 from __future__ import annotations
@@ -54,9 +54,7 @@ def random_program(rng: np.random.Generator, machine: Machine, tcp: bool) -> str
             if name in 'XYZ':
                 value = rng.uniform(-60.0, 60.0)
                 if not tcp:  # counted from the workpiece zero
-                    value = np.clip(
-                        value, low[k] / MM - start[k] / MM, high[k] / MM - start[k] / MM
-                    )
+                    value = np.clip(value, *(machine.travel[k] - start[k]) / MM)
             elif name in 'ABC':
                 reach = 200.0 if np.isinf(high[k]) else tilt
                 value = rng.choice([rng.uniform(-reach, reach), 0.0, rng.uniform(-1e-3, 1e-3)],

@@ -205,7 +205,7 @@ class Emission:
         if corners is None or geometry is None or not len(corners.row):
             return None, np.zeros(0, dtype=np.int64)
         own, blocks, n = corners.row, self.rows.blocks, len(corners.row)
-        points, deviation = corners.curves(self.outer[own])
+        points, deviation = corners.curves(self.inner[own], self.outer[own])
         points = np.concatenate([points, np.zeros_like(points[:, : POINTS - 5])], axis=1)
         before, after = self._feed(own - 1, np.zeros(n)), self._feed(own, np.zeros(n))
         curves = self.style.empty_curves(n)

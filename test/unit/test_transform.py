@@ -8,6 +8,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine, from_mapping
 from cnc_interp.kinematics.transform import Transform
 
+BUNDLED = ('xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyza', 'xyzacw')
 LIMITS = {
     **{
         n: {'velocity_m_per_min': 30, 'acceleration_m_per_s2': 2, 'jerk_m_per_s3': 5}
@@ -116,3 +117,33 @@ def test_unreachable_orientation_has_no_solution():
     transform = Transform.of(MACHINES['nutating table'])
     assert transform.rotary_solutions(np.array([0.0, np.sin(2.0), np.cos(2.0)])) == []
     assert len(transform.rotary_solutions(np.array([0.0, np.sin(1.0), np.cos(1.0)]))) == 2
+
+
+@pytest.mark.parametrize('name', BUNDLED)
+def test_levers_are_the_derivatives_of_a_point_on_the_tool(name):
+    transform = Transform.of(Machine.load(name))
+    rng = np.random.default_rng(1)
+    q = np.hstack([rng.uniform(-0.3, 0.3, (50, 3)), rng.uniform(-2.0, 2.0, (50, 2))])
+    for height in (0.0, 0.03):
+        levers = transform.levers(q[:, :3], q[:, 3:], height)
+        for i in range(2):
+            step = np.zeros(5)
+            step[3 + i] = 1e-6
+            ends = [
+                tip + height * axis for tip, axis in map(transform.forward, (q - step, q + step))
+            ]
+            found = np.linalg.norm(ends[1] - ends[0], axis=1) / 2e-6
+            np.testing.assert_allclose(levers[:, i], found, atol=1e-8)
+
+
+@pytest.mark.parametrize('name', BUNDLED)
+def test_nearest_angle_to_the_pole_on_linear_rotary_axes(name):
+    transform = Transform.of(Machine.load(name))
+    rng = np.random.default_rng(2)
+    start, end = rng.uniform(-4.0, 4.0, (2, 50, 2))
+    near = transform.nearest_to_pole(start, end)
+    share = np.linspace(0.0, 1.0, 20001)[:, None]
+    for k in range(50):
+        axis = transform.tool_axis(start[k] + share * (end[k] - start[k]))
+        cosine = np.abs(axis @ transform.pole).max()
+        assert near[k] == pytest.approx(np.arccos(min(cosine, 1.0)), abs=3e-4)

@@ -8,12 +8,15 @@ lines is the cubic B-spline of [B2013, section 2.2] in all coordinates at once. 
 axis to be solved back, so there is no singular point, and every axis is C2.
 
 Bound of the deviation. With unit vectors v and w from the corner along both lines, the curve is
-``Q + a v + b w`` with ``a, b >= 0``. The programmed point ``Q + (a - b) v`` (``Q + (b - a) w``
-where b > a) differs from it by ``min(a, b) (v + w)``. This is at most ``L1 / 4 (v + w)``, reached
-in the middle (Eq. 3 in any number of coordinates). A point on the tool moves in W by at most
+``Q + a v + b w``. Here a falls from L2 to 0 and b rises from 0 to L2, because a cubic B-spline
+rises and falls with its control values. Three programmed points are compared with it. From
+``Q + a v`` it differs by ``b w``, from ``Q + b w`` by ``a v``, and from the point at ``a - b``
+along v (at ``b - a`` along w) by ``min(a, b) (v + w)``, at most ``L1 / 4 (v + w)`` (Eq. 3 in any
+number of coordinates). A point on the tool moves in W by at most
 ``|dx| + |dw| + r_1 |da| + r_2 |db|`` with the largest distances r_i from the rotary axes on the
 corner. Each r_i changes at most as fast as the point moves relative to its axis. So the bounds
-hold for every point of the curve, for tip, top point and tool axis at one programmed place.
+hold for every point of the curve, for tip, top point and tool axis at one programmed place. The
+curve passes the vertex itself within the tolerances, too, and so it does with every word.
 """
 
 from __future__ import annotations
@@ -25,14 +28,16 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
 from cnc_interp.smoothing.axis_geometry import AxisGeometry
-from cnc_interp.smoothing.corners.corner import LARGEST_TURN, LEAST_RATIO
+from cnc_interp.smoothing.corners.corner import LARGEST_TURN, LEAST_RATIO, USED_UP
 from cnc_interp.smoothing.corners.ratio import best_ratios
 from cnc_interp.smoothing.orientation import norm
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
-#: Rounds in which the length of a corner and the bound that depends on it are found.
-_ROUNDS = 4
+#: Bisections for the middle of a corner.
+_BISECTIONS = 45
+#: Parameters at which the curve may pass the vertex.
+_PLACES = np.linspace(0.1, 0.9, 33)
 
 
 @dataclass(frozen=True)
@@ -206,31 +211,88 @@ class AxisCorners:
         """Sizes of v + w, shape (n,) [-]; 0 where the path goes straight on."""
         return size_of(self.legs.sum(axis=1), self.height)
 
-    def gains(self, outer: FloatArray) -> FloatArray:
+    def gains(self, outer: FloatArray, way: FloatArray) -> FloatArray:
         """
-        Bound the deviation of tip and orientation per metre of min(a, b), shape (n, 2) [-].
+        Bound how far tip and orientation move along directions in coordinates, shape (n, 2) [-].
 
-        ``outer`` has L2 on both sides, shape (n, 2) [m]. The orientation counts at flank height,
-        as the distance of the top point and as the turn of the tool axis.
+        Parameters
+        ----------
+        outer : ndarray, shape (n, 2)
+            L2 on both sides, within which the motion stays [m].
+        way : ndarray, shape (n, 5 + k)
+            Directions [m per m, rad per m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Movement of the tip, and of the orientation: at flank height, as movement of the top
+            point and as turn of the tool axis [m per m].
+
         """
-        bend = np.abs(self.legs.sum(axis=1))
+        way = np.abs(way)
         reach = outer[:, :, None] * np.abs(self.legs)
-        way = (norm(reach[..., POINT]) + reach[..., EXTRA].sum(axis=-1)).max(axis=1)
+        gone = (norm(reach[..., POINT]) + reach[..., EXTRA].sum(axis=-1)).max(axis=1)
         turn = reach[..., TURN].max(axis=1)
-        # r_1 <= R_1 + way + r_2 turn_2 and r_2 <= R_2 + way + r_1 turn_1, solved for both
-        own = self.levers + way[:, None, None]
+        # r_1 <= R_1 + gone + r_2 turn_2 and r_2 <= R_2 + gone + r_1 turn_1, solved for both
+        own = self.levers + gone[:, None, None]
         other = turn[:, None, ::-1] * own[..., ::-1]
         levers = (own + other) / (1.0 - turn.prod(axis=1))[:, None, None]
         levers[~self.in_axes] = np.array([[0.0], [self.height]])
-        straight = norm(bend[:, POINT]) + bend[:, EXTRA].sum(axis=1)
-        moved = straight[:, None] + (levers * bend[:, None, TURN]).sum(axis=-1)
-        turned = self.height * bend[:, TURN].sum(axis=1)
+        straight = norm(way[:, POINT]) + way[:, EXTRA].sum(axis=1)
+        moved = straight[:, None] + (levers * way[:, None, TURN]).sum(axis=-1)
+        turned = self.height * way[:, TURN].sum(axis=1)
         return np.stack([moved[:, 0], np.maximum(moved[:, 1], turned)], axis=1)
 
-    def inner(self, outer: FloatArray) -> FloatArray:
-        """Return the largest L1 within both tolerances for given L2 [m], shape (n,)."""
-        allowed = (4.0 * self.tolerances / np.maximum(self.gains(outer), 1e-300)).min(axis=1)
-        return np.asarray(np.minimum(allowed, outer.min(axis=1) / LEAST_RATIO))
+    def deviation(self, inner: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Bound the deviation of corners with L1, shape (n,), and L2, shape (n, 2) [m].
+
+        Returns
+        -------
+        deviation : ndarray, shape (n, 2)
+            Bounds of contour and orientation deviation [m].
+        use : ndarray, shape (n,)
+            Largest use of a tolerance, both measured at the same programmed points [-].
+
+        """
+        ways = self.legs[:, 0], self.legs[:, 1], self.legs.sum(axis=1)
+        gains = [self.gains(outer, way) for way in ways]
+        deviation = np.stack(
+            [_largest_gap(inner, outer, *(gain[:, k] for gain in gains)) for k in (0, 1)], axis=1
+        )
+        uses = ((gain / self.tolerances).max(axis=1) for gain in gains)
+        return deviation, _largest_gap(inner, outer, *uses)
+
+    def fit(
+        self, inner: FloatArray, outer: FloatArray, ratios: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """
+        Shrink corners until both tolerances hold.
+
+        Parameters
+        ----------
+        inner, outer : ndarray, shapes (n,) and (n, 2)
+            L1 and L2 at the beginning [m].
+        ratios : ndarray, shape (n, 2), optional
+            Largest L2/L1 of a corner that shrinks [-]. Without it, L2 does not change.
+
+        Returns
+        -------
+        inner, outer : ndarray, shapes (n,) and (n, 2)
+            L1 and L2 at the end [m].
+        deviation : ndarray, shape (n, 2)
+            Bounds of contour and orientation deviation [m].
+
+        """
+        while True:
+            deviation, use = self.deviation(inner, outer)
+            wide = use > USED_UP
+            if not wide.any():
+                return inner, outer, deviation
+            # Less of L1 reduces the deviation at least by its square root where L2 stays.
+            inner = np.where(wide, inner * np.clip(0.999 / use, 0.05, 0.999), inner)
+            if ratios is not None:
+                outer = np.minimum(outer, ratios * inner[:, None])
 
     def sizes(
         self, lengths: FloatArray, ratio: float | None, jerk: FloatArray
@@ -256,13 +318,13 @@ class AxisCorners:
             ratios = np.full((len(self.row), 2), ratio)
         turn = np.abs(self.legs[..., TURN]).max(axis=-1)
         outer = np.minimum(lengths, LARGEST_TURN / np.maximum(turn, 1e-300))
-        for _ in range(_ROUNDS):
-            outer = np.minimum(outer, ratios * self.inner(outer)[:, None])
-        return self.inner(outer), outer
+        inner = outer.min(axis=1) / LEAST_RATIO
+        outer = np.minimum(outer, ratios * inner[:, None])
+        return self.fit(inner, outer, ratios)[:2]
 
-    def curves(self, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def curves(self, inner: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
         """
-        Build the corners for given L2, shape (n, 2) [m].
+        Build the corners for L1, shape (n,), which may shrink, and L2, shape (n, 2) [m].
 
         Returns
         -------
@@ -272,12 +334,47 @@ class AxisCorners:
             Bounds of contour and orientation deviation [m].
 
         """
-        inner = self.inner(outer)
+        inner, _, deviation = self.fit(inner, outer)
         ways = [outer[:, 0], inner, np.zeros(len(inner)), inner, outer[:, 1]]
         sides = [0, 0, 0, 1, 1]
         points = [
             self.point + way[:, None] * self.legs[:, side]
             for way, side in zip(ways, sides, strict=True)
         ]
-        deviation = 0.25 * inner[:, None] * self.gains(outer)
         return np.stack(points, axis=1), deviation
+
+
+def _largest_gap(
+    inner: FloatArray,
+    outer: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    both: FloatArray,
+) -> FloatArray:
+    """
+    Bound the distance from the program, and that of the vertex from the curve, shape (n,).
+
+    The first is at most ``max_u min(a before, b after)``, found where both are equal, because one
+    falls and the other rises. The second is at most ``a before + b after`` at any parameter. Both
+    are at most ``L1 / 4 both``. The gains belong to v, w and v + w.
+    """
+    passed = np.full(len(inner), np.inf)
+    for share in _PLACES:
+        u = np.full(len(inner), share)
+        sum_there = _along(inner, outer[:, 0], u) * before
+        sum_there += _along(inner, outer[:, 1], 1.0 - u) * after
+        passed = np.minimum(passed, sum_there)
+    low, high = np.zeros(len(inner)), np.ones(len(inner))
+    for _ in range(_BISECTIONS):
+        u = 0.5 * (low + high)
+        rises = _along(inner, outer[:, 1], 1.0 - u) * after
+        falls = _along(inner, outer[:, 0], u) * before
+        low, high = np.where(rises < falls, u, low), np.where(rises < falls, high, u)
+    crossing = _along(inner, outer[:, 1], 1.0 - high) * after
+    return np.minimum(np.maximum(crossing, passed), 0.25 * inner * both)
+
+
+def _along(inner: FloatArray, outer: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the B-spline of the control values L2, L1, 0, 0, 0 at parameters u, shape (n,)."""
+    first = outer * (1.0 - 2.0 * u) ** 3 + inner * u * (6.0 - 18.0 * u + 14.0 * u**2)
+    return np.asarray(np.where(u < 0.5, first, 2.0 * inner * (1.0 - u) ** 3))

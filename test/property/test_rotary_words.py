@@ -1,0 +1,130 @@
+"""Random programs with rotary words: axes on their lines, words met, corners within bounds."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+from tiers import examples
+
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import read_text
+from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
+from cnc_interp.proof.verify import verify
+from cnc_interp.run.chain import plan_program
+from cnc_interp.run.path_chain import segments_of
+from cnc_interp.settings.choices import Settings
+
+SOURCE = Path(__file__).parents[2] / 'benchmarks' / 'rotary_words.py'
+spec = importlib.util.spec_from_file_location('rotary_words', SOURCE)
+rotary_words = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(rotary_words)
+
+MACHINES = rotary_words.rotary_machines()
+FEW = examples(4, 60)
+KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
+HEIGHT, TOLERANCE = 30 * MM, 0.02 * MM
+
+
+def vertices(text, machine, zero):
+    """Axis words of every block, by a reader of its own: lengths, rotary axes at flank height."""
+    here, found = np.zeros(len(machine.axis_names)), []
+    here[:3] = zero
+    for line in text.splitlines():
+        words = {word[0]: float(word[1:]) for word in line.split()}
+        if not set(words) & set(machine.axis_names):
+            continue
+        for k, name in enumerate(machine.axis_names):
+            if name in words:
+                offset = zero[k] if name in 'XYZ' else 0.0
+                here[k] = offset + words[name] * (DEG if name in 'ABC' else MM)
+        found.append(here.copy())
+    return np.array(found)
+
+
+def distances(points, start, end):
+    """Distance of points from the nearest point of each line, shape (points, lines)."""
+    way = end - start
+    square = np.maximum((way**2).sum(axis=1), 1e-30)
+    share = np.clip(((points[:, None] - start) * way).sum(axis=2) / square, 0.0, 1.0)
+    return np.linalg.norm(points[:, None] - start - share[..., None] * way, axis=2)
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_axes_run_on_lines_to_their_words(name):
+    machine = Machine.load(name)
+    transform = Transform.of(machine)
+    zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
+    scale = np.where(machine.is_linear, 1.0, HEIGHT)
+    for seed in range(FEW):
+        text = rotary_words.random_program(np.random.default_rng([5, seed]), machine, tcp=False)
+        plan = plan_program(read_text(text, 't.ngc', transform, Settings()), machine)
+        corners = vertices(text, machine, zero) * scale
+        q = plan.setpoints.position * scale
+        assert np.abs(q[-1] - corners[-1]).max() < 1e-12
+        # At one point of its line X Y Z and the rotary axes are within a tolerance each.
+        off = distances(q, corners[:-1], corners[1:]).min(axis=1)
+        assert off.max() <= np.sqrt(2.0) * TOLERANCE
+        passed = np.array([np.linalg.norm(q - corner, axis=1).min() for corner in corners])
+        steps = np.linalg.norm(np.diff(q, axis=0), axis=1).max()
+        assert passed.max() <= np.sqrt(2.0) * TOLERANCE + steps
+        proof = verify(rotary_words.files_of(plan), machine)
+        assert proof.ok, (seed, proof.failures)
+        if not machine.extra_names:
+            steps = np.diff(corners, axis=0)
+            steps = steps[np.linalg.norm(steps, axis=1) > 0.0]
+            ways = steps / np.linalg.norm(steps, axis=1)[:, None]
+            reversals = (ways[:-1] * ways[1:]).sum(axis=1) < np.cos(176.0 * DEG)
+            assert plan.segments.stop.sum() == 1 + reversals.sum()
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_words_near_the_pole_are_met_with_tool_tips(name):
+    machine = Machine.load(name)
+    transform = Transform.of(machine)
+    for seed in range(FEW):
+        text = rotary_words.random_program(np.random.default_rng([6, seed]), machine, tcp=True)
+        plan = plan_program(read_text(text, 't.ngc', transform, Settings()), machine)
+        proof = verify(rotary_words.files_of(plan), machine)
+        assert proof.ok, (seed, proof.failures)
+        assert rotary_words.words_missed(text, plan, tcp=True) < 1e-9
+
+
+@pytest.mark.parametrize('tcp', [False, True])
+@pytest.mark.parametrize('name', MACHINES)
+def test_corners_in_coordinates_stay_within_their_bounds(name, tcp):
+    machine = Machine.load(name)
+    transform = Transform.of(machine)
+    u, fine = np.linspace(0.0, 1.0, 41), np.linspace(0.0, 1.0, 4001)
+    tried = 0
+    for seed in range(FEW):
+        text = rotary_words.random_program(np.random.default_rng([7, seed]), machine, tcp)
+        blocks = read_text(text, 't.ngc', transform, Settings()).blocks
+        segments = segments_of(blocks, transform, Settings())
+        wanted = ROTARY_LINEAR if tcp else AXES_LINEAR
+        for i in np.flatnonzero((segments.kind == 1) & (segments.interpolation == wanted)):
+            values = np.hstack([segments.bottom[i], segments.rotary[i], segments.extra[i]])[:5]
+
+            def poses(at, in_axes=not tcp):
+                tip, axis = transform.forward(at)
+                tip = tip if in_axes else at[:, :3]
+                return np.hstack([tip, tip + HEIGHT * axis])
+
+            curve = poses(BSpline(KNOTS, values, 3)(u))
+            # The programmed poses: lines from P0 to the vertex P2 and on to P4.
+            legs = [
+                values[a] + fine[:, None] * (values[b] - values[a]) for a, b in ((0, 2), (2, 4))
+            ]
+            program = poses(np.vstack(legs))
+            apart = np.linalg.norm((curve[:, None] - program).reshape(41, -1, 2, 3), axis=3)
+            # The place on the program is the same for tip and top point.
+            use = (apart / TOLERANCE).max(axis=2).min(axis=1)
+            step = np.abs(np.diff(program, axis=0)).max() / TOLERANCE
+            assert use.max() <= 1.0 + step
+            assert segments.deviation[i].max() <= TOLERANCE * (1.0 + 1e-6)
+            assert np.linalg.norm(values[1] - values[2]) > 0.0
+            tried += 1
+    assert tried or tcp

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.braking import without_braking
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.limits import limit_use
@@ -48,6 +49,8 @@ class PlanOptions:
         Largest number of path cells in one window.
     toppra : bool
         Whether the jerk stage starts below the law of the toppra stage.
+    reserve : float
+        Part of a limit that stays free where the law could not brake otherwise [-].
 
     """
 
@@ -60,6 +63,7 @@ class PlanOptions:
     window_ratio: float = 2.5
     window_cells: int = 4000
     toppra: bool = False
+    reserve: float = 0.029
 
     def finer(self) -> PlanOptions:
         """Return options with half the cell times and with the toppra stage."""
@@ -320,6 +324,33 @@ class StretchProblem:
         self.scale = lowered
         return near
 
+    def keep_reserve(self, stretch: Stretch) -> bool:
+        """
+        Lower the limits where a law cannot brake, so that a short stop exists from it.
+
+        Parameters
+        ----------
+        stretch : Stretch
+            The law.
+
+        Returns
+        -------
+        bool
+            Whether a limit was lowered.
+
+        """
+        if not self.options.reserve > 0.0:
+            return False
+        nodes = self.grid.nodes
+        v, a = stretch.v[nodes[:-1]], stretch.a[nodes[:-1]]
+        duration = np.add.reduceat(stretch.duration, nodes[:-1])
+        found = without_braking(self.left, v, a, duration, self.table)
+        most = ((1 - SLACK) * (1 - self.options.reserve))[1:3, None]
+        lowered = np.where(found.T[:, :, None], np.minimum(self.scale[:, 1:3], most), np.inf)
+        lower = lowered < self.scale[:, 1:3]
+        self.scale[:, 1:3] = np.where(lower, lowered, self.scale[:, 1:3])
+        return bool(lower.any())
+
     def slowed(self, stretch: Stretch) -> Stretch:
         """Scale the time of a law that starts at rest until it keeps all limits."""
         nodes = self.grid.nodes
@@ -372,13 +403,14 @@ def plan(
     problem = StretchProblem(grid, table, start, options, kept)
     best: Stretch | None = None
     kept_all: Stretch | None = None
-    m, warm = problem.m.copy(), False
+    m, warm, reserved = problem.m.copy(), False, False
     for attempt in range(options.passes + 1):
         stretch, converged = problem.solve(m, warm)
         warm = converged
         if stretch is not None and stretch.use <= 1.0:
-            if converged:
+            if converged and (reserved or not problem.keep_reserve(stretch)):
                 return stretch
+            reserved = reserved or converged
             # This law keeps the limits, but its distance to the optimum is unknown.
             if kept_all is None or stretch.duration.sum() < kept_all.duration.sum():
                 kept_all = stretch

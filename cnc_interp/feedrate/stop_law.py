@@ -1,16 +1,19 @@
 """
-The fastest stop along the path that can be found in milliseconds, from any state of motion.
+The stop along the path from any state of motion: brake with all that the axes leave.
 
-The first way is closed-form. s_dddot = -J, 0, +J until speed and acceleration are zero together.
-The largest deceleration is
+With s_dot = v, s_ddot = a and s_dddot = j, the jerk of an axis is
 
-    a_p = sqrt(J v + a^2/2)         (if this exceeds A, then A is held for a while)
+    q_s j + 3 q_ss v a + q_sss v^3    [B2013, Eq. 8]
 
-J and A are reduced until the axes keep their limits along the true curve. This is enough for
-lines, gentle curves and corner exits, and takes a fraction of a millisecond. Where the path
-curves more, the second way plans with the jerk stage to rest at a point ahead. This takes some
-milliseconds, so callers use it only after the first way has failed for a while. If both fail, the
-motion continues as planned and stops a little later.
+so at every state each axis leaves an interval of j. The stop takes its lower end, step by step,
+until the deceleration can be brought back to zero together with the speed:
+
+    v = a^2 / (2 j)    where j is a part of the jerk that a straight line would allow.
+
+From there j = a^2 / (2 v), which stays constant down to rest. The lower end also keeps the
+acceleration q_ss v^2 + q_s a [Eq. 7] within its limit. If an axis cannot follow, the stop is tried
+again with an earlier and slower release, then with less braking. If none keeps the limits there
+is no stop from this state, and the motion goes on as planned until there is one.
 """
 
 from __future__ import annotations
@@ -18,10 +21,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.feedrate.jerk_stage import PlanOptions, plan
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.stretch import spread_law
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
@@ -31,173 +32,200 @@ from cnc_interp.kinematics.axis_path import (
     septic_value,
 )
 
-SPACING = 5e-4
-"""Time between the instants at which the closed-form stop is checked [s]."""
+STEP = 5e-4
+"""Longest time with one jerk [s]; the limits are kept at both ends."""
+
+SHARE = 0.05
+"""Longest such time relative to that in which braking would take away all speed [-]."""
+
+LEEWAY = 2e-4
+"""Smallest part of every limit that braking leaves free [-]."""
 
 ACCEPTED = 1.0 - 1e-4
 """Largest accepted use of a limit [-]."""
 
-TIME_SCALES = tuple(0.998 * 0.93**k for k in range(12))
-"""Time scales tried in order: J is multiplied by the third power, A by the second."""
+RELEASES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
+"""Jerk of the release, relative to a straight line; tried in this order [-]."""
 
-DISTANCE_FACTORS = (1.0, 1.5, 2.2)
-"""Distances to rest tried by the jerk stage, relative to the stop on a straight line."""
+BRAKINGS = (1.0, 0.5)
+"""Parts of the braking jerk that the axes leave; tried in this order [-]."""
 
 LONGEST_STOP = 3.0
-"""Longest accepted stop [s]."""
+"""Longest stop that is looked for [s]."""
 
-STOP_OPTIONS = PlanOptions(passes=3)
+SAME = 1e-12
+"""Places nearer than this are the same place [m]."""
 
-
-@numba.njit(cache=True, nogil=True)
-def _stop_phases(v: float, a: float, acceleration: float, jerk: float, out: FloatArray) -> bool:
-    """
-    Write the durations [s] of the phases -J, 0, +J of a stop.
-
-    Returns False if there is no such stop: the speed is zero before the deceleration can be.
-    """
-    if v <= 0.0 or (a < 0.0 and 2 * jerk * v < a * a):
-        return False
-    peak = np.sqrt(jerk * v + a * a / 2)
-    out[1] = 0.0
-    if peak > acceleration:
-        peak = max(acceleration, -a)
-        out[1] = (v + (a * a - 2 * peak * peak) / (2 * jerk)) / peak
-    out[0], out[2] = (a + peak) / jerk, peak / jerk
-    return bool(out[1] >= 0.0 and out[0] >= 0.0)
+FOUND, NO_RELEASE, NO_BRAKING = 0, 1, 2
 
 
-@numba.njit(cache=True, nogil=True)
-def _stop_states(v: float, a: float, jerk: float, duration: FloatArray, out: FloatArray) -> None:
-    """Write s, s_dot and s_ddot at the start and after each phase, shape (4, 3); s starts at 0."""
-    out[0, 0], out[0, 1], out[0, 2] = 0.0, v, a
-    for k in range(3):
-        j, t = (k - 1) * jerk, duration[k]
-        s, speed, pull = out[k]
-        out[k + 1, 0] = s + t * (speed + t * (pull / 2 + t * j / 6))
-        out[k + 1, 1] = speed + t * (pull + t * j / 2)
-        out[k + 1, 2] = pull + t * j
-    out[3, 1], out[3, 2] = 0.0, 0.0
-
-
-@numba.njit(cache=True, nogil=True)
-def _stop_use(
-    s_grid: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    start: float,
-    states: FloatArray,
-    duration: FloatArray,
-    jerk: float,
-    table: FloatArray,
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _left_by_axes(
+    jet: FloatArray, v: float, a: float, table: FloatArray, leeway: float, out: FloatArray
 ) -> float:
-    """Return the largest use of a limit along a stop; above ACCEPTED the value is incomplete."""
-    n_axes = left.shape[2]
-    coefficients, jet = np.empty((n_axes, 8)), np.empty(4)
-    worst, cell, known = 0.0, 0, -1
-    for phase in range(3):
-        steps = int(np.ceil(duration[phase] / SPACING))
-        j = (phase - 1) * jerk
-        for k in range(steps + 1):
-            t = duration[phase] * k / max(steps, 1)
-            v = states[phase, 1] + t * (states[phase, 2] + t * j / 2)
-            a = states[phase, 2] + t * j
-            s = states[phase, 0] + t * (states[phase, 1] + t * (states[phase, 2] / 2 + t * j / 6))
-            s += start
-            while s > s_grid[cell + 1] and cell + 2 < len(s_grid):
-                cell += 1
-            h = s_grid[cell + 1] - s_grid[cell]
-            u = min(max((s - s_grid[cell]) / h, 0.0), 1.0)
-            for i in range(n_axes):
-                if cell != known:
-                    septic_coefficients(left[:, cell, i], right[:, cell, i], h, coefficients[i])
-                septic_value(coefficients[i], u, h, jet)
-                use = abs(jet[1] * v) / table[0, i]
-                use = max(use, abs(jet[2] * v * v + jet[1] * a) / table[1, i])
-                third = jet[3] * v**3 + 3 * jet[2] * v * a + jet[1] * j
-                worst = max(worst, use, abs(third) / table[2, i])
-            known = cell
-            if worst > ACCEPTED:
-                return worst
+    """
+    Write what the axes leave at a state, and return the largest use of a limit without j.
+
+    ``out`` is: lowest and highest j, lowest a, highest j on a straight line.
+    """
+    out[0], out[1], out[2], out[3] = -np.inf, np.inf, -np.inf, np.inf
+    worst = 0.0
+    for i in range(jet.shape[0]):
+        q_s, q_ss, q_sss = jet[i, 1], jet[i, 2], jet[i, 3]
+        bent, turned = q_ss * v * v, 3 * q_ss * v * a + q_sss * v**3
+        worst = max(worst, abs(q_s * v) / table[0, i], abs(bent + q_s * a) / table[1, i])
+        if q_s == 0.0:
+            worst = max(worst, abs(turned) / table[2, i])
+            continue
+        slope, sign = abs(q_s), 1.0 if q_s > 0.0 else -1.0
+        most = (1.0 - leeway) * table[2, i]
+        out[0] = max(out[0], (-most - sign * turned) / slope)
+        out[1] = min(out[1], (most - sign * turned) / slope)
+        out[2] = max(out[2], (-(1.0 - leeway) * table[1, i] - sign * bent) / slope)
+        out[3] = min(out[3], most / slope)
     return worst
 
 
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _jets_at(
+    left: FloatArray, right: FloatArray, cell: int, u: float, h: float, jet: FloatArray
+) -> None:
+    """Write q and its derivatives by s inside a cell, shape (n_axes, 4)."""
+    coefficients = np.empty(8)
+    for i in range(left.shape[2]):
+        septic_coefficients(left[:, cell, i], right[:, cell, i], h, coefficients)
+        septic_value(coefficients, u, h, jet[i])
+
+
 @numba.njit(cache=True, nogil=True)
-def _closed_form(
+def _time_to(distance: float, v: float, a: float, j: float, most: float) -> float:
+    """Return the time to a distance that is reached before ``most``, with growing s [s]."""
+    low, high = 0.0, most
+    for _ in range(60):
+        t = 0.5 * (low + high)
+        if t * (v + t * (a / 2 + t * j / 6)) < distance:
+            low = t
+        else:
+            high = t
+    return high
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _brake(
     s_grid: FloatArray,
     left: FloatArray,
     right: FloatArray,
+    stop: BoolArray,
     start: FloatArray,
     table: FloatArray,
-    slower: FloatArray,
-    duration: FloatArray,
-    states: FloatArray,
-) -> float:
-    """Find the fastest closed-form stop from ``start`` = (s, v, a); return its J [m/s3], or 0."""
-    acceleration, jerk = 1e12, 1e12
-    h = s_grid[1] - s_grid[0]
-    u = min(max((start[0] - s_grid[0]) / h, 0.0), 1.0)
-    c, jet = np.empty(8), np.empty(4)
-    for i in range(left.shape[2]):
-        septic_coefficients(left[:, 0, i], right[:, 0, i], h, c)
-        septic_value(c, u, h, jet)
-        if jet[1] != 0.0:
-            acceleration = min(acceleration, table[1, i] / abs(jet[1]))
-            jerk = min(jerk, table[2, i] / abs(jet[1]))
-    for k in range(len(slower)):
-        j, a = jerk * slower[k] ** 3, acceleration * slower[k] ** 2
-        if not _stop_phases(start[1], start[2], a, j, duration):
-            continue
-        _stop_states(start[1], start[2], j, duration, states)
-        if start[0] + states[3, 0] > s_grid[-1]:
-            continue
-        use = _stop_use(s_grid, left, right, start[0], states, duration, j, table)
-        if use <= ACCEPTED:
-            return float(j)
-    return 0.0
-
-
-def _straight_distance(path: AxisPath, v: float, a: float, table: FloatArray) -> float:
-    """Estimate the stopping distance [m], as if the first cell continued straight."""
-    q_s = np.abs(path.cell_left[1, 0])
-    with np.errstate(divide='ignore'):
-        acceleration, jerk = (table[1] / q_s).min(), (table[2] / q_s).min()
-    return float(v * (np.sqrt(v / jerk) + v / acceleration / 2) + max(a, 0.0) * v / jerk)
-
-
-def stopping_part(path: AxisPath, s: float, v: float, a: float, table: FloatArray) -> AxisPath:
+    leeway: float,
+    braking: float,
+    release: float,
+    steps: FloatArray,
+) -> tuple[int, int]:
     """
-    Cut out the part of the path in which a stop from this state can end.
+    Brake from ``start`` = (s, v, a) to rest; write duration, s, v, a, j and cell of each step.
 
-    Parameters
-    ----------
-    path : AxisPath
-        Path that contains the state.
-    s, v, a : float
-        State of motion: s, s_dot and s_ddot [m, m/s, m/s2].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
-
-    Returns
-    -------
-    AxisPath
-        The path from the cell of s to the next programmed stop, or to the longest stop tried.
-
+    Returns the number of steps, and FOUND or why there is no such stop.
     """
-    first = int(np.clip(np.searchsorted(path.s, s, side='right') - 1, 0, len(path.s) - 2))
-    reach = _straight_distance(cut(path, first, first + 1), v, a, table)
-    last = int(np.searchsorted(path.s, s + 1.05 * DISTANCE_FACTORS[-1] * reach))
-    last = min(max(last, first + 1), len(path.s) - 1)
-    stops = np.flatnonzero(path.stop[first + 1 : last + 1])
-    return cut(path, first, first + 1 + int(stops[0]) if len(stops) else last)
+    jet, now, then = np.empty((left.shape[2], 4)), np.empty(4), np.empty(4)
+    s, v, a = start
+    cell = max(min(np.searchsorted(s_grid, s, side='right') - 1, len(s_grid) - 2), 0)
+    h = s_grid[cell + 1] - s_grid[cell]
+    _jets_at(left, right, cell, (s - s_grid[cell]) / h, h, jet)
+    _left_by_axes(jet, v, a, table, leeway, now)
+    releasing = False
+    for k in range(len(steps)):
+        releasing = releasing or (a < 0.0 and 2 * release * now[3] * v <= a * a)
+        longest = min(STEP, SHARE * np.sqrt(v / now[3]))
+        if releasing:
+            longest = STEP
+            j = a * a / (2 * v)
+            if not now[0] <= j <= now[1]:
+                return k, NO_RELEASE
+            if -2 * v / a <= 1.5 * STEP:
+                longest = -2 * v / a
+        else:
+            j = now[0] * braking if now[0] < 0.0 else now[0]
+            j = max(j, (now[2] - a) / longest)
+            if j > now[1]:
+                return k, NO_BRAKING
+        duration, at_border, rests, worst = longest, False, False, 0.0
+        for attempt in range(3):
+            ahead = s_grid[cell + 1] - s
+            duration = longest
+            distance = duration * (v + duration * (a / 2 + duration * j / 6))
+            at_border = distance >= ahead
+            if at_border:
+                duration = _time_to(ahead, v, a, j, longest)
+            s_end = s + duration * (v + duration * (a / 2 + duration * j / 6))
+            rests = releasing and longest != STEP and s_end + SAME > s + distance
+            v_end = 0.0 if rests else v + duration * (a + duration * j / 2)
+            a_end = 0.0 if rests else a + duration * j
+            if v_end < 0.0:
+                return k, NO_RELEASE
+            _jets_at(left, right, cell, min((s_end - s_grid[cell]) / h, 1.0), h, jet)
+            worst = _left_by_axes(jet, v_end, a_end, table, leeway, then)
+            if releasing or attempt == 2:
+                break
+            wanted = min(max(j, then[0], now[0], (then[2] - a) / duration), then[1], now[1])
+            if abs(wanted - j) <= 1e-9 * now[3]:
+                break
+            j = wanted
+        rounding = 0.5 * LEEWAY * then[3]
+        if worst > ACCEPTED or not then[0] - rounding <= j <= then[1] + rounding:
+            return k, NO_RELEASE if releasing else NO_BRAKING
+        steps[k, 0], steps[k, 1], steps[k, 2] = duration, s, v
+        steps[k, 3], steps[k, 4], steps[k, 5] = a, j, cell
+        if rests:
+            return k + 1, FOUND
+        s, v, a = s_end, v_end, a_end
+        now[:] = then
+        if at_border:
+            cell += 1
+            if cell + 1 == len(s_grid) or stop[cell]:
+                return k, NO_BRAKING
+            s, h = s_grid[cell], s_grid[cell + 1] - s_grid[cell]
+            _jets_at(left, right, cell, 0.0, h, jet)
+            _left_by_axes(jet, v, a, table, leeway, now)
+    return len(steps), NO_RELEASE
+
+
+@numba.njit(cache=True, nogil=True)
+def _first_stop(
+    s_grid: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    stop: BoolArray,
+    start: FloatArray,
+    table: FloatArray,
+    leeway: float,
+    brakings: FloatArray,
+    releases: FloatArray,
+    steps: FloatArray,
+) -> int:
+    """Try all ways to brake in order; return the number of steps of the first stop, or 0."""
+    for braking in brakings:
+        for release in releases:
+            count, outcome = _brake(
+                s_grid, left, right, stop, start, table, leeway, braking, release, steps
+            )
+            if outcome == FOUND:
+                return int(count)
+            if outcome == NO_BRAKING:
+                break  # the release was not reached
+    return 0
 
 
 def stop_law(
-    path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float,
-    thorough: bool,
-) -> PlannedPiece | None:  # fmt: skip
+    path: AxisPath,
+    state: tuple[float, float, float],
+    table: FloatArray,
+    time: float,
+    leeway: float = LEEWAY,
+) -> PlannedPiece | None:
     """
-    Plan the fastest stop that can be found from a state of motion.
+    Find a stop from a state of motion.
 
     Parameters
     ----------
@@ -209,8 +237,8 @@ def stop_law(
         Velocity, acceleration and jerk limits of the axes.
     time : float
         Time of the state on the clock of the law [s].
-    thorough : bool
-        Whether to use the jerk stage if there is no closed-form stop.
+    leeway : float
+        Part of every limit that braking leaves free, at least ``LEEWAY`` [-].
 
     Returns
     -------
@@ -218,81 +246,32 @@ def stop_law(
         The stop from this state to rest, within all limits. None if none was found.
 
     """
-    s, v, a = state
-    if v <= 0.0:
+    if state[1] <= 0.0:
         return None
-    ahead = stopping_part(path, s, v, a, table)
-    found = _quick_stop(ahead, state, table, time)
-    return planned_stop(ahead, state, table, time) if found is None and thorough else found
-
-
-def _quick_stop(
-    path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float
-) -> PlannedPiece | None:
-    """Plan a closed-form stop on a path that begins with the cell of the state."""
-    duration, states = np.empty(3), np.empty((4, 3))
-    jerk = _closed_form(
-        path.s, path.cell_left, path.cell_right, np.array(state), table, np.array(TIME_SCALES),
-        duration, states,
+    steps = np.empty((round(LONGEST_STOP / STEP), 6))
+    begin = grid_place(path, state[0])
+    count = _first_stop(
+        path.s, path.cell_left, path.cell_right, path.stop, np.array([begin, *state[1:]]), table,
+        leeway, np.array(BRAKINGS), np.array(RELEASES), steps,
     )  # fmt: skip
-    if not jerk > 0.0:
+    if count == 0:
         return None
-    kept = np.flatnonzero(duration > 1e-9)
-    ends = state[0] + states[np.r_[kept, 3], 0]
-    if not len(kept) or (np.diff(ends) <= 1e-13).any():
-        return None
-    part = cut_between(path, float(ends[0]), float(ends[-1]), ends)
-    nodes = np.searchsorted(part.s, ends).astype(np.int64)
-    cells = len(part.s) - 1
-    v, a = np.empty(cells + 1), np.empty(cells + 1)
-    jerks, durations = np.empty(cells), np.empty(cells)
-    rows = np.r_[kept, 3]
-    spread_law(
-        part.s, nodes, states[rows, 1], states[rows, 2], duration[kept], v, a, jerks, durations
-    )
-    return _piece_of(part, v, a, jerks, durations, time)
+    duration, s, v, a, j, cell = np.ascontiguousarray(steps[:count].T)
+    t = duration[-1]
+    end = grid_place(path, float(s[-1] + t * (v[-1] + t * (a[-1] / 2 + t * j[-1] / 6))))
+    if end == begin:
+        return None  # as good as at rest
+    part = cut_between(path, begin, end, np.array([begin, end]))
+    begins = time + np.concatenate([[0.0], np.cumsum(duration)[:-1]])
+    law = MotionLaw(begins, duration, s, v, a, j, (cell - cell[0]).astype(np.int64))
+    return PlannedPiece(part, law)
 
 
-def planned_stop(
-    path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float
-) -> PlannedPiece | None:
-    """
-    Plan a stop with the jerk stage, at the nearest possible of a few points ahead.
-
-    Parameters
-    ----------
-    path : AxisPath
-        Path that begins with the cell of the state.
-    state : tuple of float
-        State of motion: s, s_dot and s_ddot [m, m/s, m/s2].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
-    time : float
-        Time of the state on the clock of the law [s].
-
-    Returns
-    -------
-    PlannedPiece or None
-        The stop, None if none within the limits and ``LONGEST_STOP`` seconds was found.
-
-    """
-    s, v, a = state
-    straight = _straight_distance(path, v, a, table)
-    for factor in DISTANCE_FACTORS:
-        end = min(s + factor * straight, float(path.s[-1]))
-        part = cut_between(path, s, end, np.array([s, end]))
-        if not len(part.s) > 1:
-            return None
-        free = np.full(len(part.s) - 1, np.inf)
-        part = AxisPath(**{**vars(part), 'cell_feed': free})
-        stretch = plan(part, table, (v, a), STOP_OPTIONS)
-        if stretch is not None and float(stretch.duration.sum()) < LONGEST_STOP:
-            return _piece_of(
-                stretch.path, stretch.v, stretch.a, stretch.jerk, stretch.duration, time
-            )
-        if end >= path.s[-1]:
-            return None
-    return None
+def grid_place(path: AxisPath, s: float) -> float:
+    """Return a place on the path [m], or the grid point that is the same place."""
+    nearest = path.s[max(int(np.searchsorted(path.s, s)) - 1, 0) :][:2]
+    same = nearest[np.abs(nearest - s) < SAME]
+    return float(same[0]) if len(same) else s
 
 
 def cut_between(path: AxisPath, first: float, last: float, at: FloatArray) -> AxisPath:
@@ -319,16 +298,3 @@ def cut_between(path: AxisPath, first: float, last: float, at: FloatArray) -> Ax
     lowest, highest = max(lowest, 0), min(max(highest, lowest + 1), len(path.s) - 1)
     part = refine(cut(path, lowest, highest), at)
     return cut(part, int(np.searchsorted(part.s, first)), int(np.searchsorted(part.s, last)))
-
-
-def _piece_of(
-    path: AxisPath, v: FloatArray, a: FloatArray, jerk: FloatArray, duration: FloatArray,
-    time: float,
-) -> PlannedPiece:  # fmt: skip
-    """Build the committed motion from the states at all grid points of a path."""
-    begins = time + np.concatenate([[0.0], np.cumsum(duration)[:-1]])
-    cells: IntArray = np.arange(len(duration), dtype=np.int64)
-    law = MotionLaw(
-        begins, duration, path.s[:-1].copy(), v[:-1].copy(), a[:-1].copy(), jerk, cells
-    )
-    return PlannedPiece(path, law)

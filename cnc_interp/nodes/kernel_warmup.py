@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.jerk_stage import PlanOptions
 from cnc_interp.feedrate.limits import limit_table
-from cnc_interp.feedrate.stop_law import planned_stop, stopping_part
+from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -87,7 +87,7 @@ def warm_all(transform: Transform, period: float) -> None:
         planner = FeedPlanner(transform.machine, options)
         planner.push(path)
         planner.finish()
-    # stops in both ways, and a change of the override
+    # a stop, and a change of the override
     stream = MotionStream(transform.machine, period)
     stream.push(path)
     stream.end_leg(Wait.END)
@@ -98,4 +98,4 @@ def warm_all(transform: Transform, period: float) -> None:
     state = stream.state_at(handed_out - 1)
     table = limit_table(transform.machine)
     assert state is not None
-    planned_stop(stopping_part(path, *state[1], table), state[1], table, 0.0)
+    stop_law(path, state[1], table, 0.0)

@@ -22,6 +22,9 @@ SLICE = 0.5
 STILL = 1e-9
 """Speed below which the end of a law is rest [m/s]."""
 
+SAME_TIME = 1e-9
+"""Times nearer than this are the same [s]."""
+
 
 def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
     """Cut the motion of a planned piece into slices, on the same path."""
@@ -137,7 +140,9 @@ class Leg:
         assert self.number_of_zero is not None
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
-        if time >= piece.law.end_time and v < STILL:  # the sample at rest after the last slice
+        if (
+            time >= piece.law.end_time - SAME_TIME and v < STILL
+        ):  # the sample at rest after the last slice
             return s, 0.0, 0.0
         return s, v, a
 

@@ -5,20 +5,28 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.chunk_cutter import ChunkCutter
 from cnc_interp.run.course import Course, LegEnd, slowed
 from cnc_interp.run.interpolator import Setpoints
-from cnc_interp.run.leg import Leg
+from cnc_interp.run.leg import STILL, Leg
 from cnc_interp.run.stop_search import StopSearch
+
+WAY_DOWN_EVERY = 0.005
+"""Time between the setpoints from which a revision looks for a stop [s]."""
+
+WAY_DOWN_LEEWAY = 6e-3
+"""Part of every limit that this stop leaves free, so that a law beside it exists [-]."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +119,7 @@ class MotionPlan:
         stays = before._history if before is not None and number > 0 else ()
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
         self._cutter = ChunkCutter(context.chunk_size, number)
-        self._search = StopSearch(context.course, context.table, context.period, number)
+        self._search = StopSearch(context.course, context.table, context.period)
         self._last: Setpoints | None = None if before is None else before._last
         self._block_before = -1
 
@@ -218,7 +226,6 @@ class MotionPlan:
             if last is not None and (leg.moves or leg.wait is Wait.END):
                 self._append(last)
                 cutter.end_leg(leg.wait)
-                self._search.rests_at(cutter.next_number - 1)
         return cutter.cut()
 
     def _append(self, samples: Setpoints) -> None:
@@ -249,8 +256,58 @@ class MotionPlan:
                 return leg, leg.state_at(number, piece)
         return None
 
+    def way_down(self, number: int) -> PlannedPiece | None:
+        """
+        Return a way to rest: on as planned until there is a stop, then the stop.
 
-def shifted(piece: PlannedPiece, time: float) -> PlannedPiece:
-    """Let a law begin at another time [s]."""
+        Parameters
+        ----------
+        number : int
+            Number of a setpoint in motion that was handed out.
+
+        Returns
+        -------
+        PlannedPiece or None
+            The way from this setpoint on the clock of its leg; None where the motion planned so
+            far has no stop.
+
+        """
+        found = self.state_at(number)
+        if found is None:
+            return None
+        leg, table = found[0], self._context.table
+        assert leg.number_of_zero is not None
+        begin = (number - leg.number_of_zero) * self._context.period
+        ahead = self._context.course.ahead(found[1][0])
+        driven: list[PlannedPiece] = []
+        sampled = [piece for of_leg, piece in self._history if of_leg is leg]
+        for piece in [*sampled, *leg.slices]:
+            first, last = max(begin, float(piece.law.time[0])), piece.law.end_time
+            for time in np.arange(first, last, WAY_DOWN_EVERY):
+                s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
+                stop = stop_law(ahead, (s, v, a), table, float(time), WAY_DOWN_LEEWAY)
+                if stop is not None:
+                    rest = [between(piece, first, float(time))] if time > first else []
+                    return PlannedPiece.join([*driven, *rest, stop])
+            if last > first:
+                driven.append(between(piece, first, last))
+        if driven and driven[-1].law.evaluate(np.array([last]))[1][0] < STILL:
+            return PlannedPiece.join(driven)
+        return None
+
+
+def between(piece: PlannedPiece, begin: float, end: float) -> PlannedPiece:
+    """Cut a law and its path at two times on its clock [s]."""
     law = piece.law
-    return PlannedPiece(piece.path, replace(law, time=law.time - law.time[0] + time))
+    first, last = law.piece_at(np.array([begin, end])).tolist()
+    last -= law.time[last] == end and last > first
+    rows = np.arange(first, last + 1)
+    times = np.maximum(law.time[rows], begin)
+    s, v, a, j = law.evaluate(times, rows)
+    ends = np.append(times[1:], end)
+    until = float(law.evaluate(np.array([end]), rows[-1:])[0][0])
+    places = grid_place(piece.path, float(s[0])), grid_place(piece.path, until)
+    path = cut_between(piece.path, *places, np.array(places))
+    start = int(np.searchsorted(piece.path.s, places[0], side='right')) - 1
+    cells = np.maximum(law.cell[rows] - start, 0)
+    return PlannedPiece(path, MotionLaw(times, ends - times, s, v, a, j, cells))

@@ -13,12 +13,11 @@ from collections.abc import Callable
 
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
-from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import finely
 from cnc_interp.run.leg import Leg
-from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings, PlanContext, shifted
+from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings, PlanContext
 
 
 class MotionStream:
@@ -144,14 +143,14 @@ class MotionStream:
         if v <= 0.0:
             todo = finely(self._course.after(s))
             return MotionPlan(self._context, settings, todo, number + 1, before=self._plan)
-        stop = stop_law(self._course.ahead(s), (s, v, a), self._context.table, 0.0, thorough=True)
+        stop = self._plan.way_down(number)
         if stop is None:
             return None
         assert leg.number_of_zero is not None
         begun, period = number - leg.number_of_zero + 1, self._context.period
         new = Leg(self._context.limits, period, begun, (v, a))
         if settings.override <= 0.0:
-            new.drive(shifted(stop, (begun - 1) * period), Wait.OVERRIDE)
+            new.drive(stop, Wait.OVERRIDE)
             todo = self._course.after(float(stop.path.s[-1]))
             return MotionPlan(self._context, settings, todo, number + 1, new, before=self._plan)
         todo = finely(self._course.after(s))

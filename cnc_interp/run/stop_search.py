@@ -15,9 +15,6 @@ from cnc_interp.run.leg import Leg
 STOP_EVERY = 0.02
 """Time between setpoints at which a stop is looked for [s]."""
 
-THOROUGH_AFTER, THOROUGH_EVERY = 0.1, 0.06
-"""Time without a stop after which the jerk stage is asked, and how often it is asked [s]."""
-
 
 class StopSearch:
     """
@@ -31,20 +28,12 @@ class StopSearch:
         Limits of the axes as ``limit_table`` returns them.
     period : float
         Interpolation period [s].
-    number : int
-        Number of the plan's first setpoint.
 
     """
 
-    def __init__(self, course: Course, table: FloatArray, period: float, number: int):
+    def __init__(self, course: Course, table: FloatArray, period: float):
         self._course, self._table, self._period = course, table, period
         self._every = max(1, round(STOP_EVERY / period))
-        self._known = number  # last setpoint with a stop
-        self._asked = number  # setpoint of the last thorough search
-
-    def rests_at(self, number: int) -> None:
-        """Note that the plan is at rest at a setpoint: no search is needed there."""
-        self._known = number + 1
 
     def stops(
         self, leg: Leg, piece: PlannedPiece, numbers: range
@@ -75,15 +64,8 @@ class StopSearch:
                 continue
             if ahead is None:
                 ahead = self._course.ahead(float(piece.law.s[0]))
-            thorough = (
-                number - self._known >= THOROUGH_AFTER / self._period
-                and number - self._asked >= THOROUGH_EVERY / self._period
-            )
-            stop = stop_law(ahead, state, self._table, 0.0, thorough)
-            if thorough:
-                self._asked = number
+            stop = stop_law(ahead, state, self._table, 0.0)
             if stop is not None:
-                self._known = number
                 yield number, self._sampled(stop)
 
     def _sampled(self, stop: PlannedPiece) -> Setpoints:

@@ -128,7 +128,8 @@ def _brake(
 
     Returns the number of steps, and FOUND or why there is no such stop.
     """
-    jet, now, then = np.empty((left.shape[2], 4)), np.empty(4), np.empty(4)
+    jet = np.empty((left.shape[2], 4))
+    now, halfway, then = np.empty(4), np.empty(4), np.empty(4)
     s, v, a = start
     cell = max(min(np.searchsorted(s_grid, s, side='right') - 1, len(s_grid) - 2), 0)
     h = s_grid[cell + 1] - s_grid[cell]
@@ -137,43 +138,50 @@ def _brake(
     releasing = False
     for k in range(len(steps)):
         releasing = releasing or (a < 0.0 and 2 * release * now[3] * v <= a * a)
-        longest = min(STEP, SHARE * np.sqrt(v / now[3]))
+        longest, to_rest = min(STEP, SHARE * np.sqrt(v / now[3])), 0.0
         if releasing:
-            longest = STEP
-            j = a * a / (2 * v)
+            j, to_rest = a * a / (2 * v), -2 * v / a
+            longest = to_rest if to_rest < 1.5 * STEP else STEP
             if not now[0] <= j <= now[1]:
                 return k, NO_RELEASE
-            if -2 * v / a <= 1.5 * STEP:
-                longest = -2 * v / a
         else:
             j = now[0] * braking if now[0] < 0.0 else now[0]
             j = max(j, (now[2] - a) / longest)
             if j > now[1]:
                 return k, NO_BRAKING
         duration, at_border, rests, worst = longest, False, False, 0.0
+        least, most = now[0], now[1]
         for attempt in range(3):
             ahead = s_grid[cell + 1] - s
             duration = longest
-            distance = duration * (v + duration * (a / 2 + duration * j / 6))
-            at_border = distance >= ahead
+            at_border = duration * (v + duration * (a / 2 + duration * j / 6)) >= ahead
             if at_border:
                 duration = _time_to(ahead, v, a, j, longest)
             s_end = s + duration * (v + duration * (a / 2 + duration * j / 6))
-            rests = releasing and longest != STEP and s_end + SAME > s + distance
+            rests = releasing and s_end + SAME > s + v * to_rest / 3
+            if rests:
+                duration = to_rest
             v_end = 0.0 if rests else v + duration * (a + duration * j / 2)
             a_end = 0.0 if rests else a + duration * j
             if v_end < 0.0:
                 return k, NO_RELEASE
+            half = 0.5 * duration
+            s_half = s + half * (v + half * (a / 2 + half * j / 6))
+            v_half, a_half = v + half * (a + half * j / 2), a + half * j
+            _jets_at(left, right, cell, (s_half - s_grid[cell]) / h, h, jet)
+            worst = _left_by_axes(jet, v_half, a_half, table, leeway, halfway)
             _jets_at(left, right, cell, min((s_end - s_grid[cell]) / h, 1.0), h, jet)
-            worst = _left_by_axes(jet, v_end, a_end, table, leeway, then)
+            worst = max(worst, _left_by_axes(jet, v_end, a_end, table, leeway, then))
+            least = max(now[0], halfway[0], then[0])
+            most = min(now[1], halfway[1], then[1])
             if releasing or attempt == 2:
                 break
-            wanted = min(max(j, then[0], now[0], (then[2] - a) / duration), then[1], now[1])
+            wanted = min(max(j, least, (then[2] - a) / duration), most)
             if abs(wanted - j) <= 1e-9 * now[3]:
                 break
             j = wanted
         rounding = 0.5 * LEEWAY * then[3]
-        if worst > ACCEPTED or not then[0] - rounding <= j <= then[1] + rounding:
+        if worst > ACCEPTED or not least - rounding <= j <= most + rounding:
             return k, NO_RELEASE if releasing else NO_BRAKING
         steps[k, 0], steps[k, 1], steps[k, 2] = duration, s, v
         steps[k, 3], steps[k, 4], steps[k, 5] = a, j, cell

@@ -305,3 +305,52 @@ def test_curves_of_another_shape_are_refused(curve, field, value):
     setattr(getattr(message, curve), field, value)
     with pytest.raises(StreamError, match=curve):
         check(message)
+
+
+LINEAR_ROTARY = """G21 G90
+G0 X0 Y0 Z30 A10 C0
+G0 A-10 C40
+G1 X20 C180 F1000
+G1 Y10
+M428
+G1 X30 Y0 A5 C90
+G1 X0 A-5 C-90
+G1 Z40
+M30
+"""
+
+
+@pytest.mark.parametrize('parametrization', ['exact', 'paper'])
+def test_linear_rotary_axes_keep_every_bit(parametrization):
+    blocks = read_text(LINEAR_ROTARY, 'axes.ngc', TRANSFORM, Settings()).blocks
+    assert set(blocks.interpolation.tolist()) == {0, 1, 2}
+    keeps_every_bit(blocks)
+    segments = segments_of(blocks, parametrization=parametrization)
+    kinds = set(zip(segments.kind.tolist(), segments.interpolation.tolist(), strict=True))
+    assert {(0, 1), (0, 2), (1, 1), (1, 2)} <= kinds
+    sent = messages.segment_messages(segments, P, 0, H, end=True)
+    received = messages.segments_from(checked(over_the_wire(sent), soundness.check_segment))
+    for field in fields(segments):
+        if field.name != 'parametrization' or parametrization == 'exact':
+            a, b = getattr(received, field.name), getattr(segments, field.name)
+            assert a.tobytes() == b.tobytes(), field.name
+
+
+def test_linear_rotary_axes_without_positions_are_refused():
+    blocks = read_text(LINEAR_ROTARY, 'axes.ngc', TRANSFORM, Settings()).blocks
+    row = int(np.flatnonzero(blocks.interpolation)[0])
+    message = messages.block_messages(blocks, P, 0, H, end=True)[row]
+    soundness.check_block(message)
+    message.rotary_from = [np.nan, 0.0]
+    with pytest.raises(StreamError, match='both ends'):
+        soundness.check_block(message)
+    message.interpolation = 3
+    with pytest.raises(StreamError, match='interpolation 3'):
+        soundness.check_block(message)
+    segments = segments_of(blocks)
+    corner = int(np.flatnonzero((segments.kind == 1) & (segments.interpolation > 0))[0])
+    sent = messages.segment_messages(segments, P, 0, H, end=True)[corner]
+    soundness.check_segment(sent)
+    sent.rotary[8] = np.nan
+    with pytest.raises(StreamError, match='control values of the rotary axes'):
+        soundness.check_segment(sent)

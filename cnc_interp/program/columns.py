@@ -61,6 +61,9 @@ _MOST_TURN = 500.0 * 360.0 * DEG
 #: Nearer to the pole than this number of orientation tolerances, a direction does not give the
 #: rotary positions: a path within the tolerance could pass the pole on its other side.
 POLE_TOLERANCES = 4.0
+#: Without tool-tip programming, lines in axes become curves of poses after so many short blocks in
+#: a row. In each of them the tip moves more than this share of the turn at flank height [-].
+FEWEST_DENSE, SLOW_TIP = 32, 0.05
 #: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
 _LONGEST_TURN = 8.0 * 360.0 * DEG
 
@@ -87,6 +90,7 @@ class TargetColumns:
         self._before: FloatArray | None = None  # the last target that became a block
         self._parts: list[Blocks] = []
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
+        self._dense = 0  # number of short blocks before the next motion
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         first = EXTRA.start
         self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.extra_names]
@@ -217,7 +221,8 @@ class TargetColumns:
 
     def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
         """Return the blocks of the motions between the rows."""
-        moves = Moves(self._geometry, self._zero, before, rows, self._settings.flank_height)
+        moves = Moves(self._geometry, self._zero, before, rows, self._settings, self._dense)
+        self._dense = moves.dense
         counts = self._piece_counts(moves)
         row, piece = ragged(counts)
         u = (piece + 1.0) / counts[row]
@@ -301,7 +306,7 @@ class TargetColumns:
 
     def _start_pose(self, row: FloatArray) -> Blocks:
         """Return row 0, the start pose. It has no motion, so no feedrate and no duration."""
-        here = Moves(self._geometry, self._zero, row, row, self._settings.flank_height)
+        here = Moves(self._geometry, self._zero, row, row, self._settings)
         tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
         rotary = row[:, ROTARY].copy()
         if np.isfinite(rotary).all():
@@ -340,13 +345,17 @@ class Moves:
         Axis positions of the workpiece zero, with the rotary axes at zero [m].
     before, rows : ndarray, shape (n, 29)
         Targets at the start and at the end of each motion.
-    height : float
-        Flank height, at which the orientation tolerance counts [m].
+    settings : Settings
+        Choices of the user.
+    dense : int
+        Number of short blocks before the first motion, at most ``FEWEST_DENSE``.
 
     Attributes
     ----------
     interpolation : ndarray of int, shape (n,)
         What runs linearly in each motion, as in ``Blocks``.
+    dense : int
+        The same number before the next motion.
     rests : ndarray of bool, shape (n,)
         Motions with tool-tip programming in which words turn the rotary axes about a resting tip.
 
@@ -358,9 +367,11 @@ class Moves:
         zero: FloatArray,
         before: FloatArray,
         rows: FloatArray,
-        height: float,
+        settings: Settings,
+        dense: int = 0,
     ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
+        self.dense = dense
         self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
         self.axis_before = before[:, AXIS]
         self._along = np.zeros((3, 3))
@@ -373,10 +384,14 @@ class Moves:
         beside = (rows[:, EXTRA] != 0.0) | (before[:, EXTRA] != 0.0)
         turned = turned.any(axis=1) | beside.any(axis=1)
         self._by_axes = (rows[:, AXES] != 0.0) & turned
-        self.interpolation = self._interpolation(height)
+        self.interpolation = self._interpolation(settings)
 
-    def _interpolation(self, height: float) -> IntArray:
-        """Say what runs linearly; without tool-tip programming, the axes where one turns."""
+    def _interpolation(self, settings: Settings) -> IntArray:
+        """
+        Say what runs linearly; without tool-tip programming, the axes where one turns.
+
+        Short blocks whose poses run linearly as well become curves with their neighbours.
+        """
         rows = self.rows
         turns = (np.abs(self.sweep).max(axis=1) > _SAME) & (rows[:, GREAT_CIRCLE] == 0.0)
         kind = np.where(turns & (rows[:, AXES] != 0.0), AXES_LINEAR, POSES)
@@ -384,11 +399,43 @@ class Moves:
         self.rests = turns & (kind == POSES) & ~self._travels()
         words = np.flatnonzero(turns & (kind == POSES) & ~self.rests)
         if len(words):
-            start, end = self._before[words, ROTARY], rows[words, ROTARY]
-            cone = POLE_TOLERANCES * rows[words, ORIENTATION] / height
-            near = self._geometry.nearest_to_pole(start, end)
-            kind[words[near < np.maximum(cone, self._geometry.pole_cone)]] = ROTARY_LINEAR
+            kind[words[self._near_pole(words, settings.flank_height)]] = ROTARY_LINEAR
+        if settings.compress:
+            like = (kind == POSES) & (rows[:, RAPID] == 0.0) & self._travels()
+            short = np.flatnonzero((kind == AXES_LINEAR) & (rows[:, RAPID] == 0.0) & ~self._arc)
+            like[short[self._like_poses(short, settings)]] = True
+            row = np.arange(len(rows))
+            broken = np.maximum.accumulate(np.where(like, -1, row))
+            count = row - broken + np.where(broken < 0, self.dense, 0)
+            kind[like & (count > FEWEST_DENSE)] = POSES
+            self.dense = int(min(count[-1], FEWEST_DENSE)) if len(rows) else self.dense
         return kind
+
+    def _near_pole(self, row: IntArray, height: float) -> BoolArray:
+        """Return which motions come so near to the pole that words must rule, shape (m,)."""
+        cone = POLE_TOLERANCES * self.rows[row, ORIENTATION] / height
+        near = self._geometry.nearest_to_pole(self._before[row, ROTARY], self.rows[row, ROTARY])
+        return np.asarray(near < np.maximum(cone, self._geometry.pole_cone))
+
+    def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
+        """Return which lines in axes are short lines of poses within a tenth, shape (m,)."""
+        end, height = self.rows[row], settings.flank_height
+        (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
+        way, turn = np.linalg.norm(tip - tip_from, axis=1), height * angle_between(o_from, o)
+        fits = (way <= settings.longest_block) & (way > SLOW_TIP * turn)
+        fits &= ~self._near_pole(row, height)
+        some = row[fits]
+        if len(some):
+            fits[fits] = (
+                piece_counts(
+                    lambda block, u: self.poses(some[block], u),
+                    np.abs(self.sweep[some]).sum(axis=1),
+                    CHORD_SHARE * end[fits, CONTOUR],
+                    CHORD_SHARE * end[fits, ORIENTATION] / height,
+                )
+                == 1
+            )
+        return np.asarray(fits)
 
     def _travels(self) -> BoolArray:
         """Return which end points differ from their start points, shape (n,)."""

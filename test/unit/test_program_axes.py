@@ -264,3 +264,25 @@ def test_start_pose_by_a_tool_direction_names_no_rotary_positions():
     blocks = read_text(text, 't.ngc', Transform.of(Machine.load('xyzac')), Settings()).blocks
     assert np.isnan(blocks.rotary).all()
     assert blocks.axis[0] == pytest.approx([0.0, 5**-0.5, 2 * 5**-0.5])
+
+
+def dense(count, fast=True):
+    """Short blocks with A, read as a run of plain lines or line by line."""
+    u = np.arange(count)
+    x, a = 0.4 * u, 20.0 + 15.0 * np.sin(u / 60.0)
+    extra = '' if fast else ' (one)'
+    rows = [f'X{p:.4f} A{q:.4f}{extra}' for p, q in zip(x, a, strict=True)]
+    return 'G1 F6000\n' + '\n'.join(rows)
+
+
+def test_dense_blocks_become_poses_however_they_are_read():
+    start = 'G0 X0 Y0 Z0 A20 C0\nG1 X-40 A-20 F1000\nX-20 A0.5\nX-5 A20\n'
+    end = '\nG1 X900 A60 C90\nM30'
+    blocks = read(start + dense(500) + end).blocks
+    kinds = blocks.interpolation.tolist()
+    last = max(i for i, kind in enumerate(kinds[:-1]) if kind == AXES_LINEAR)
+    assert 30 < last < 40 and kinds[-1] == AXES_LINEAR
+    assert kinds[5:last] == [AXES_LINEAR] * (last - 5)
+    other = read(start + dense(500, fast=False) + end).blocks
+    for name in blocks.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(blocks, name), getattr(other, name), name)

@@ -115,6 +115,7 @@ main() {
       # shellcheck source=tools/environment.sh
       . "$root/tools/environment.sh"
       check_environment >/dev/null || remake_environment "${parts[@]}"
+      compile_kernels || true
       say "ready: $venv"
       ;;
     '' | help)

@@ -207,10 +207,12 @@ install_ros() {
     || explain 'adapting the ROS 2 wheels failed'
 }
 
-# numba compiles on first use and keeps the result. Done here, no node waits for it at its start.
+# numba compiles on first use and keeps the result.
+# Done here by the warm-up of the nodes, no node waits for it at its start.
 # Errors of the plan itself are ignored: they do not concern the environment.
 compile_kernels() {
-  "$venv/bin/cnc-interp" plan "$root/examples/pyramid.ngc" --out "$venv/first-plan" \
+  { "$venv/bin/python" -m cnc_interp.nodes.kernel_warmup \
+    && "$venv/bin/cnc-interp" plan "$root/examples/pyramid.ngc" --out "$venv/first-plan"; } \
     >"$venv/kernels.log" 2>&1
 }
 

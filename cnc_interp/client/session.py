@@ -15,7 +15,7 @@ from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.kinematics.axes import error_text
-from cnc_interp.nodes.node_processes import Children, begin_loading
+from cnc_interp.nodes.node_processes import Children
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.declaration import Stage, choices
@@ -224,8 +224,7 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
         raise InterpError('--out takes the motion of one program; leave out --then, or --record')
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
     domain = chosen_domain()
-    begin_loading()
-    # Imported meanwhile: ROS and the kernels take a second each.
+    # Imported while the nodes' libraries are loaded in another process.
     from cnc_interp.client.run_console import run_recorded
     from cnc_interp.kinematics.machine import Machine
 

@@ -12,7 +12,6 @@ from typing import Any
 
 from cnc_interp.command_options import FAILED, FINE, command
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine
 
 
 def add_check_command(commands: Any) -> None:
@@ -50,6 +49,7 @@ def add_report_command(commands: Any) -> None:
 
 def check_command(options: Namespace) -> int:
     """Prove a plan or a recorded run."""
+    from cnc_interp.kinematics.machine import Machine
     from cnc_interp.proof.plan_files import read_plan
     from cnc_interp.proof.verify import verify_plan
 
@@ -62,6 +62,7 @@ def check_command(options: Namespace) -> int:
 
 def report_command(options: Namespace) -> int:
     """Write the HTML page of a plan or a recorded run."""
+    from cnc_interp.kinematics.machine import Machine
     from cnc_interp.report import write_report
 
     page = options.html or options.directory / 'report.html'
@@ -96,6 +97,7 @@ def plan_files(path: Path, machine: str | None) -> Iterator[tuple[Path, str | No
         return
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_run import recorded_run, write_run
+    from cnc_interp.kinematics.machine import Machine
 
     with Bag(path) as bag:
         run = recorded_run(bag)

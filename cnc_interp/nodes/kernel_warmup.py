@@ -12,18 +12,27 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine.drive_model import DriveModel
+from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chunk import Wait
+from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 #: The tiny path has several windows, because some kernels are used after the first one only.
-SHORT_WINDOWS = PlanOptions(window_cells=8)
+SHORT_WINDOWS = PlanOptions(window_cells=16)
+
+#: The reader has kernels, too.
+TINY_TEXT = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nM30\n'
 
 
 def tiny_program(transform: Transform) -> Blocks:
@@ -35,7 +44,7 @@ def tiny_program(transform: Transform) -> Blocks:
         tip=np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 1.0], [5.0, 8.0, 1.0]]) * MM,
         axis=axis,
         rotary=np.full((4, 2), np.nan),
-        feedrate=np.full(4, 3000.0 * MM_PER_MIN),
+        feedrate=np.full(4, 300.0 * MM_PER_MIN),
         duration=np.full(4, np.nan),
         rapid=np.zeros(4, dtype=np.bool_),
         exact_stop=np.array([False, False, True, True]),
@@ -93,9 +102,38 @@ def warm_all(transform: Transform, period: float) -> None:
     stream.end_leg(Wait.END)
     while not stream.can_sample:
         stream.plan()
-    handed_out = sum(len(chunk.samples) for chunk in stream.sample())
+    chunks = list(stream.sample())
+    handed_out = sum(len(chunk.samples) for chunk in chunks)
     stream.revision(handed_out - 1, OperatorSettings(0.5))
     state = stream.state_at(handed_out - 1)
     table = limit_table(transform.machine)
     assert state is not None
     stop_law(path, state[1], table, 0.0)
+    warm_machine(transform.machine, period, chunks[0])
+
+
+def warm_machine(machine: Machine, period: float, chunk: Chunk) -> None:
+    """Load the kernels of the machine: it plays the beginning of a chunk without its clock."""
+    stands = chunk.samples.position[0]
+    drives = SimulatedDrives(DriveModel(), period, stands)
+    endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
+    playback = Playback(replace(machine, travel=endless), period, drives, 1)
+    playback.switch_on()
+    playback.begin_plan(RunId('warm'))
+    playback.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
+    playback.step()
+    for _ in range(3):
+        playback.cycle.step()
+    playback.read()
+
+
+def warm_nodes() -> None:
+    """Load all kernels of the four nodes: once in set-up, and in the process they fork from."""
+    transform, settings = Transform.of(Machine.load('xyzac')), Settings()
+    read_text(TINY_TEXT, 'warm-up', transform, settings)
+    warm_lookahead(transform, settings)
+    warm_all(transform, settings.interpolation_period)
+
+
+if __name__ == '__main__':
+    warm_nodes()

@@ -7,17 +7,12 @@ are in memory afterwards, and no thread of ours runs, so that a fork is safe.
 
 import gc
 
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+import cnc_interp.cli  # multiprocessing imports the command in every process again
 from cnc_interp.nodes import feedrate_node, lookahead_node, machine_node, program_node
-from cnc_interp.nodes.kernel_warmup import warm_all, warm_lookahead
-from cnc_interp.settings.choices import Settings
+from cnc_interp.nodes.kernel_warmup import warm_nodes
 
-__all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
+__all__ = ['cnc_interp', 'feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 
-TRANSFORM = Transform.of(Machine.load('xyzac'))
-SETTINGS = Settings()
-warm_lookahead(TRANSFORM, SETTINGS)
-warm_all(TRANSFORM, SETTINGS.interpolation_period)
+warm_nodes()
 gc.collect()
 gc.freeze()  # ignored by the collector from here on, so that the memory stays shared

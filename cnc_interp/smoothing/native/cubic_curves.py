@@ -10,9 +10,9 @@ with the neighbours. Knots are added until the given tolerance holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
@@ -21,6 +21,9 @@ from cnc_interp.core.errors import BlockError
 from cnc_interp.smoothing.native.joining import Jets, span_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, PathSegments, corner_jets, spline_jets
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 #: Most knot intervals of one segment, and points per interval at which the distance is measured.
 MOST_INTERVALS, PROBES = 512, 8
@@ -120,6 +123,9 @@ def cubic_curve(
 
 def _clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
     """Interpolate values by a cubic spline with given derivatives at both ends."""
+    # Importing it takes a tenth of a second; only native programs need it.
+    from scipy.interpolate import BSpline, make_interp_spline
+
     if len(sites) == 2:  # one cubic: its Bezier points
         points = np.stack(
             [values[0], values[0] + rate[0] / 3.0, values[1] - rate[1] / 3.0, values[1]]

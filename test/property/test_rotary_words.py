@@ -1,6 +1,7 @@
 """Random programs with rotary words: axes on their lines, words met, corners within bounds."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,3 +129,22 @@ def test_corners_in_coordinates_stay_within_their_bounds(name, tcp):
             assert np.linalg.norm(values[1] - values[2]) > 0.0
             tried += 1
     assert tried or tcp
+
+
+def test_an_axis_beside_its_line_is_found_where_the_tool_does_not_show_it():
+    machine = Machine.load('xyzac')
+    # The tip stands on the C axis, and the tool is vertical: C moves nothing else.
+    text = 'G21 G90\nG0 X-40 Y70 Z0 A0 C0\nG1 Z20 C90 F500\nM30'
+    program = read_text(text, 't.ngc', Transform.of(machine), Settings())
+    files = rotary_words.files_of(plan_program(program, machine))
+    assert verify(files, machine).ok
+    position = files.position.copy()
+    share = np.linspace(0.0, 1.0, len(position))
+    position[:, 4] += 1.0 * DEG * np.sin(np.pi * share) ** 4
+    bent = replace(files, setpoints={**files.setpoints, 'position': position})
+    failures = verify(bent, machine).failures
+    assert any('axes beside their line' in failure for failure in failures)
+    other = replace(files, blocks={**files.blocks, 'rotary': files.blocks['rotary'].copy()})
+    other.blocks['rotary'][-1, 1] += 360.0 * DEG
+    failures = verify(other, machine).failures
+    assert any('rotary word missed' in failure for failure in failures)

@@ -26,8 +26,8 @@ from cnc_interp.core.temporary_folder import TemporaryFolder, remove_dead_folder
 from cnc_interp.nodes.shared_memory import remove_dead_segments
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
-#: What the fork server loads before it forks.
-PRELOADED = 'cnc_interp.nodes.preloaded'
+#: What the fork server loads before it forks. multiprocessing imports the command in every child.
+PRELOADED = ['cnc_interp.nodes.preloaded', 'cnc_interp.cli']
 #: Loading takes longer than this only if the kernels must be compiled first [s].
 SLOW_START = 15.0
 COMPILING = 'compiling the kernels, once; takes a minute or two'
@@ -61,7 +61,7 @@ def begin_loading() -> None:
 
     It and its helper outlive a closed terminal: the run ends its nodes in order then.
     """
-    multiprocessing.set_forkserver_preload([PRELOADED])
+    multiprocessing.set_forkserver_preload(PRELOADED)
     if _sockets is None:
         _keep_sockets()
     hangup = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # they inherit it

@@ -7,11 +7,10 @@ are in memory afterwards, and no thread of ours runs, so that a fork is safe.
 
 import gc
 
-import cnc_interp.cli  # multiprocessing imports the command in every process again
 from cnc_interp.nodes import feedrate_node, lookahead_node, machine_node, program_node
 from cnc_interp.nodes.kernel_warmup import warm_nodes
 
-__all__ = ['cnc_interp', 'feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
+__all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 
 warm_nodes()
 gc.collect()

@@ -30,6 +30,7 @@ RENAMED = {
     'yaml': 'python3-yaml',
     'lark': 'python3-lark-parser',
     'ament_index_python': 'rclpy',
+    'llvmlite': 'python3-numba',  # its own dependency
 }
 
 

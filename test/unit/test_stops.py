@@ -12,6 +12,8 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.motion_stream import MotionStream
 
 ruckig = pytest.importorskip('ruckig')
 
@@ -120,6 +122,22 @@ def test_a_law_round_a_circle_can_be_stopped_anywhere(limits, what):
     if what == 'jerk':
         # without the reserve there is hardly a stop in three quarters of the motion
         assert np.median(longer_than_straight(without, limits)) > LONGER
+
+
+def test_tails_stay_short_in_a_law_at_the_jerk_limit():
+    """They were up to 20,000 setpoints long, and filled the memory."""
+    period = 1e-3
+    stream = MotionStream(XY, period)
+    stream.push(circle(0.02, 8, 1.0))
+    stream.end_leg(Wait.END)
+    chunks: list[Chunk] = []
+    while not chunks or chunks[-1].wait is not Wait.END:
+        if stream.can_sample:
+            chunks += stream.sample()
+        else:
+            stream.plan()
+    straight = 2 * np.sqrt(max(np.linalg.norm(c.samples.velocity[-1]) for c in chunks) / 5.0)
+    assert max(len(chunk.tail) for chunk in chunks) * period < straight + LONGER + 2 * EVERY
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -13,7 +13,9 @@ BAR = 30
 #: No progress is shown for work that takes less time than this [s].
 PATIENCE = 1.0
 #: Smallest part of the work from which the remaining time is estimated [-].
-ESTIMATED_FROM = 0.02
+ESTIMATED_FROM = 0.05
+#: Largest part that is shown while time is left [-].
+BEFORE_THE_END = 0.99
 
 
 def redraws(stream: TextIO) -> bool:
@@ -71,9 +73,10 @@ class ProgressBar:
         self._step = step
         if math.isnan(left) and share > 0.0:
             left = (now - self._began) * (1.0 - share) / share
-        estimated = ESTIMATED_FROM <= share < 1.0 and math.isfinite(left)
-        notes = [note, f'about {left:.0f} s left' if estimated else '']
-        self._write(work, share, ', '.join(text for text in notes if text))
+        estimated = share >= ESTIMATED_FROM and math.isfinite(left)
+        notes = [note, f'about {left:.0f} s left' if estimated and left >= 0.5 else '']
+        shown = min(share, BEFORE_THE_END) if left > 0.0 else share
+        self._write(work, shown, ', '.join(text for text in notes if text))
 
     def _write(self, work: str, share: float, note: str) -> None:
         """Write one line; on a terminal it replaces the line before."""

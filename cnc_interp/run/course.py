@@ -11,8 +11,9 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.stop_law import cut_between
 from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
+from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 from cnc_interp.run.chunk import Wait
+from cnc_interp.run.interpolator import Setpoints
 
 PORTION = 500
 """Cells of the path planned at a time."""
@@ -91,6 +92,26 @@ class Course:
                 if cells > AHEAD:
                     break
         return AxisPath.join(parts)
+
+    def rest_at(self, s: float) -> Setpoints | None:
+        """Return the setpoint of a machine that rests at a place [m]; None if it is forgotten."""
+        parts = (item for item in self.items if isinstance(item, AxisPath))
+        path = next((p for p in parts if p.s[0] - SAME <= s <= p.s[-1] + SAME), None)
+        if path is None:
+            return None
+        cell = min(max(int(np.searchsorted(path.s, s)) - 1, 0), len(path.s) - 2)
+        place = np.array([s])
+        position = evaluate(path, place, np.array([cell]))[0]
+        still: FloatArray = np.zeros_like(position)
+        return Setpoints(
+            time=np.zeros(1),
+            position=position,
+            velocity=still,
+            acceleration=still,
+            jerk=still,
+            block=path.cell_block[cell : cell + 1].copy(),
+            s=place,
+        )
 
     def after(self, s: float) -> deque[AxisPath | LegEnd]:
         """Return all items after a place [m]; the part that contains it is cut there."""

@@ -100,6 +100,8 @@ class MotionPlan:
         A stop from its first state. The feed may lie a little above it.
     before : MotionPlan, optional
         The plan that it follows. Its setpoints below ``number`` stay.
+    rests : Setpoints, optional
+        The setpoint at which the machine rests before this plan.
 
     """
 
@@ -112,15 +114,16 @@ class MotionPlan:
         leg: Leg | None = None,
         way_down: PlannedPiece | None = None,
         before: MotionPlan | None = None,
+        rests: Setpoints | None = None,
     ):
         self.settings = settings
         self._context, self._todo, self._way_down = context, todo, way_down
         self._legs: deque[Leg] = deque([] if leg is None else [leg])
-        stays = before._history if before is not None and number > 0 else ()
+        stays = () if before is None else before._history
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
         self._cutter = ChunkCutter(context.chunk_size, number)
         self._search = StopSearch(context.course, context.table, context.period)
-        self._last: Setpoints | None = None if before is None else before._last
+        self._last = rests  # the last setpoint
         self._block_before = -1
 
     def extend(self, items: Iterable[AxisPath | LegEnd]) -> None:

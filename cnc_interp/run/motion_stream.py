@@ -142,7 +142,10 @@ class MotionStream:
         leg, (s, v, a) = found
         if v <= 0.0:
             todo = finely(self._course.after(s))
-            return MotionPlan(self._context, settings, todo, number + 1, before=self._plan)
+            rest = self._course.rest_at(s)
+            return MotionPlan(
+                self._context, settings, todo, number + 1, before=self._plan, rests=rest
+            )
         stop = self._plan.way_down(number)
         if stop is None:
             return None
@@ -169,4 +172,5 @@ class MotionStream:
     def resume(self, s: float, settings: OperatorSettings) -> None:
         """Plan anew from rest at a place on the path [m]; setpoints are numbered from 0 again."""
         todo = self._course.after(s)
-        self._plan = MotionPlan(self._context, settings, todo, before=self._plan)
+        rest = self._course.rest_at(s)
+        self._plan = MotionPlan(self._context, settings, todo, rests=rest)

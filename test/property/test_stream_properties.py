@@ -140,6 +140,22 @@ def test_stopped_anywhere_and_resumed_runs_the_whole_path(name, seed):
         assert abs(rest[0].samples.s[0] - s) < 1e-12 and rest[-1].wait is Wait.END
 
 
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_stopped_by_the_last_tail_the_run_ends_at_the_end_of_the_path(name):
+    path, stream = path_of(name), stream_of(name)
+    *chunks, end = drain(stream)
+    assert end.wait is Wait.END
+    # what the stream has sampled behind this chunk was never executed
+    tail = chunks[-1].tail
+    stream.resume(float(tail.s[-1]), stream.settings)
+    rest = drain(stream)
+    assert rest[-1].wait is Wait.END
+    assert_sound(
+        Setpoints.concatenate([part_of(tail, len(tail) - 1, len(tail)), joined(rest)]), path
+    )
+    assert np.abs(joined(rest).position[-1] - path.cell_right[0, -1]).max() < 1e-12
+
+
 @pytest.mark.parametrize('seed', SEEDS)
 @pytest.mark.parametrize('name', PROGRAMS)
 def test_override_changes_anywhere_keep_limits_and_path(name, seed):

@@ -495,11 +495,11 @@ def _prove_feed(
     speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / period
     before, after = np.sort(np.stack([plan.block[:-1], plan.block[1:]]), axis=0)
     if lines is not None:
-        speed = np.where(
-            lines.known[before] | lines.known[after],
-            lines.speeds(plan.position, tip, before, period),
-            speed,
-        )
+        along = lines.speeds(plan.position, tip, before, period)
+        # In a row whose tip moves alone, one corner may be in coordinates, the other one in poses.
+        known = lines.known[before] | lines.known[after]
+        speed = np.where(known, np.minimum(speed, along), speed)
+        speed = np.where(lines.linear[before] | lines.linear[after], along, speed)
     spans = np.stack([before, after + 1], axis=1).ravel()
     allowed = np.maximum.reduceat(np.r_[feed, -np.inf], spans)[::2]
     contour = vertex_tolerances(plan)[0]

@@ -23,6 +23,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import stay_on_this_host
+from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import smoother_of
@@ -134,10 +135,10 @@ def _compare_run(
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)
-    pauses = {m.sequence for m in blocks if m.program_stop == G1Block.STOP}
+    stops = {m.sequence: Wait.PROGRAM_STOP for m in blocks if m.program_stop == G1Block.STOP}
     for segments in (smoother.push(blocks_from(blocks)), smoother.finish()):
         if len(segments):
-            planner.push(segments, pauses)
+            planner.push(segments, stops)
     planner.finish()
     rests = {
         m.plan: m.path_position

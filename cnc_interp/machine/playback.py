@@ -39,12 +39,19 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
 
 #: Why the machine rests after the last setpoint of a chunk.
-WAIT_REASONS = {Wait.OVERRIDE: Reason.OVERRIDE, Wait.CYCLE_START: Reason.PROGRAM_STOP}
+WAIT_REASONS = {
+    Wait.OVERRIDE: Reason.OVERRIDE,
+    Wait.PROGRAM_STOP: Reason.PROGRAM_STOP,
+    Wait.OPTIONAL_STOP: Reason.OPTIONAL_STOP,
+    Wait.SINGLE_BLOCK: Reason.SINGLE_BLOCK,
+}
 #: What the states are told when the machine rests after a chunk.
 REST_EVENTS = {
     Wait.NOTHING: Event.FILL,
     Wait.OVERRIDE: Event.PAUSE,
-    Wait.CYCLE_START: Event.WAIT,
+    Wait.PROGRAM_STOP: Event.WAIT,
+    Wait.OPTIONAL_STOP: Event.WAIT,
+    Wait.SINGLE_BLOCK: Event.WAIT,
     Wait.END: Event.FINISH,
 }
 #: Chunks that may wait, beyond one for each setpoint of a full buffer.

@@ -29,7 +29,7 @@ from cnc_interp.nodes.planning_thread import PlanningThread
 from cnc_interp.nodes.qos import STATE
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
-from cnc_interp.run.chunk import Chunk
+from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import ChunkSender, PlanningSession
 from cnc_interp.run.planning_states import Activity
@@ -159,10 +159,9 @@ class FeedrateNode(LifecycleNode):
             self._values['chunk_size'], stands, place, settings,
         )  # fmt: skip
 
-    def read(self, segments: list[PathSegment]) -> tuple[PathSegments, set[int]]:
+    def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:
         """Read segments and the blocks after which cycle_start is waited for."""
-        pauses = {int(s.last_block) for s in segments if self._inputs.pauses_after(s)}
-        return segments_from(segments), pauses
+        return segments_from(segments), self._inputs.pauses_after(segments)
 
     def consumed(self, count: int) -> None:
         """Open the window of the segments."""

@@ -8,6 +8,7 @@ from typing import Any
 from cnc_interp_msgs.msg import G1Block, PathSegment
 from std_srvs.srv import SetBool
 
+from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import OperatorSettings
 
 
@@ -46,8 +47,13 @@ class OperatorInputs:
         response.success, response.message = True, f'optional stop: {request.data}'
         return response
 
-    def pauses_after(self, segment: PathSegment) -> bool:
-        """Tell whether cycle_start is waited for after a segment (M0, M1)."""
-        return segment.program_stop == G1Block.STOP or (
-            segment.program_stop == G1Block.OPTIONAL_STOP and self._optional_stop
-        )
+    def pauses_after(self, segments: list[PathSegment]) -> dict[int, Wait]:
+        """Return the blocks after which cycle_start is waited for, and why (M0, M1)."""
+        waits = {G1Block.STOP: Wait.PROGRAM_STOP}
+        if self._optional_stop:
+            waits[G1Block.OPTIONAL_STOP] = Wait.OPTIONAL_STOP
+        return {
+            int(segment.last_block): waits[segment.program_stop]
+            for segment in segments
+            if segment.program_stop in waits
+        }

@@ -13,8 +13,10 @@ class Wait(IntEnum):
 
     NOTHING = 0  # goes on with the next chunk
     OVERRIDE = 1  # rests while the feed override is 0
-    CYCLE_START = 2  # rests until cycle_start: single block, M0, M1
+    PROGRAM_STOP = 2  # rests until cycle_start (M0)
     END = 3  # the program ends here
+    OPTIONAL_STOP = 4  # rests until cycle_start (M1)
+    SINGLE_BLOCK = 5  # rests until cycle_start
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,8 @@ class PlanContext:
         Returns the source line of a block; single block stops where it changes.
     course : Course
         The path of the run.
-    pause_blocks : set of int
-        Blocks after which cycle_start is waited for (M0, M1); grows with the path.
+    pause_blocks : dict of int to Wait
+        Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
 
     """
 
@@ -77,7 +77,7 @@ class PlanContext:
     chunk_size: int
     line_of: Callable[[int], int]
     course: Course = field(default_factory=Course)
-    pause_blocks: set[int] = field(default_factory=set)
+    pause_blocks: dict[int, Wait] = field(default_factory=dict)
 
 
 class MotionPlan:
@@ -182,18 +182,19 @@ class MotionPlan:
 
     def _until_pause(self, part: AxisPath) -> AxisPath | LegEnd:
         """Cut a part where cycle_start is waited for; the rest goes back to the path to plan."""
-        pause = self._pause(part)
-        if pause is None:
+        found = self._pause(part)
+        if found is None:
             return part
+        pause, wait = found
         if pause == 0:
             self._todo.appendleft(part)
             self._block_before = int(part.cell_block[0])
-            return LegEnd(Wait.CYCLE_START)
+            return LegEnd(wait)
         self._todo.appendleft(cut(part, pause, len(part.s) - 1))
         return cut(part, 0, pause)
 
-    def _pause(self, part: AxisPath) -> int | None:
-        """Find the first grid point of a part at which cycle_start is waited for."""
+    def _pause(self, part: AxisPath) -> tuple[int, Wait] | None:
+        """Find the first grid point of a part at which cycle_start is waited for, and why."""
         before = np.concatenate([[self._block_before], part.cell_block[:-1]])
         changes = np.flatnonzero((before != part.cell_block) & (before >= 0))
         undivided = -math.inf  # no leg is cut before this place: the motion cannot stop earlier
@@ -206,8 +207,9 @@ class MotionPlan:
             block, following = int(before[k]), int(part.cell_block[k])
             moves = k > 0 or (bool(self._legs) and self._legs[-1].wait is None)
             single = self.settings.single_block and line_of(block) != line_of(following)
-            if moves and (single or block in self._context.pause_blocks):
-                return int(k)
+            wait = self._context.pause_blocks.get(block, Wait.SINGLE_BLOCK if single else None)
+            if moves and wait is not None:
+                return int(k), wait
         return None
 
     def sample(self) -> list[Chunk]:

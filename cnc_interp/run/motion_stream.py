@@ -55,8 +55,8 @@ class MotionStream:
         """Take the next part of the path; nothing is planned yet."""
         self._plan.extend(self._course.push(path))
 
-    def pause_after(self, blocks: set[int]) -> None:
-        """Wait for cycle_start after these blocks (M0, M1)."""
+    def pause_after(self, blocks: dict[int, Wait]) -> None:
+        """Wait for cycle_start after these blocks, and why (M0, M1)."""
         self._context.pause_blocks.update(blocks)
 
     def end_leg(self, wait: Wait) -> None:

@@ -70,7 +70,7 @@ class SessionPort(Protocol):
     ) -> RunPlanner:
         """Make the planner of the run that begins with a segment message; see RunPlanner."""
 
-    def read(self, segments: list[Any]) -> tuple[PathSegments, set[int]]:
+    def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait]]:
         """Read segment messages; returns also the blocks after which cycle_start is waited for."""
 
     def consumed(self, count: int) -> None:

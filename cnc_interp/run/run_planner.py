@@ -71,7 +71,7 @@ class RunPlanner:
         self._begun = False
         self._continue_at = continue_at if continue_at > 0.0 else None
 
-    def push(self, segments: PathSegments, pauses: set[int]) -> None:
+    def push(self, segments: PathSegments, pauses: dict[int, Wait]) -> None:
         """
         Take further segments.
 
@@ -79,8 +79,8 @@ class RunPlanner:
         ----------
         segments : PathSegments
             Consecutive segments.
-        pauses : set of int
-            Blocks after which cycle_start is waited for (M0, M1).
+        pauses : dict of int to Wait
+            Blocks after which cycle_start is waited for, and why (M0, M1).
 
         Raises
         ------

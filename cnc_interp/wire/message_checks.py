@@ -202,7 +202,7 @@ def check_chunk(
     _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
     if (len(message.line_numbers), len(message.tail_line_numbers)) != (n, tail):
         raise StreamError(f'{name}: each setpoint needs a line number')
-    if message.wait > SetpointChunk.END or message.end_of_program != (
+    if message.wait > SetpointChunk.SINGLE_BLOCK or message.end_of_program != (
         message.wait == SetpointChunk.END
     ):
         raise StreamError(f'{name}: wait {message.wait} does not fit end_of_program')

@@ -213,7 +213,7 @@ def test_single_block_rests_where_the_block_changes():
     count = sum(len(chunk.samples) for chunk in chunks)
     assert revised(stream, count - 1, OperatorSettings(1.0, single_block=True))
     after = drain(stream)
-    waits = [chunk.samples.s[-1] for chunk in after if chunk.wait is Wait.CYCLE_START]
+    waits = [chunk.samples.s[-1] for chunk in after if chunk.wait is Wait.SINGLE_BLOCK]
     changes = path.s[1:-1][np.diff(path.cell_block) != 0]
     assert len(waits) >= 8 and np.isin(waits, changes).all()
     assert_sound(Setpoints.concatenate([joined(chunks), joined(after)]), path)
@@ -221,10 +221,10 @@ def test_single_block_rests_where_the_block_changes():
 
 def test_a_block_with_a_pause_is_waited_behind():
     path, stream = path_of('zigzag'), MotionStream(MACHINE, T)
-    stream.pause_after({4})
+    stream.pause_after({4: Wait.OPTIONAL_STOP})
     stream.push(path)
     stream.end_leg(Wait.END)
     chunks = drain(stream)
     waits = [chunk.wait for chunk in chunks if chunk.wait is not Wait.NOTHING]
-    assert waits == [Wait.CYCLE_START, Wait.END]
+    assert waits == [Wait.OPTIONAL_STOP, Wait.END]
     assert_sound(joined(chunks), path)

@@ -32,7 +32,7 @@ def chunk_of(positions, velocities):
                   ones[:n], np.zeros(n))
         for n in (k, 0)
     ]  # fmt: skip
-    return Chunk(*parts, Wait.CYCLE_START)
+    return Chunk(*parts, Wait.PROGRAM_STOP)
 
 
 class Axes(AxisMotion):

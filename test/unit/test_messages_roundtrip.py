@@ -198,7 +198,7 @@ def setpoints(n=10, axes=5):
 
 @pytest.mark.parametrize('axes', [3, 5])
 def test_setpoints_keep_every_bit(axes):
-    sent = Chunk(setpoints(axes=axes), setpoints(7, axes), Wait.CYCLE_START)
+    sent = Chunk(setpoints(axes=axes), setpoints(7, axes), Wait.SINGLE_BLOCK)
     message = chunk_messages.chunk_message(
         sent, list(range(10)), list(range(7)), RunId('p', 1, 3), 20, 0.001
     )
@@ -208,7 +208,7 @@ def test_setpoints_keep_every_bit(axes):
         for field in ('position', 'velocity', 'acceleration', 'jerk', 'block', 's'):
             there, here = (getattr(getattr(c, name), field) for c in (back, sent))
             assert there.tobytes() == here.tobytes(), (name, field)
-    assert back.wait is Wait.CYCLE_START
+    assert back.wait is Wait.SINGLE_BLOCK
     assert list(received.line_numbers) == list(range(10))
     assert list(received.tail_line_numbers) == list(range(7))
     assert (run_id_of(received), received.first_sample) == (RunId('p', 1, 3), 20)
@@ -277,7 +277,7 @@ NAN, INF = float('nan'), float('inf')
         (SetpointChunk, 'tail_positions', [0.0] * 30 + [1e-7] + [0.0] * 4, 'X asked for'),
         (SetpointChunk, 'positions', [0.0] * 49 + [1e6], 'C asked'),
         (SetpointChunk, 'positions', [0.6] + [0.0] * 49, 'soft limit: X'),
-        (SetpointChunk, 'wait', 4, 'wait 4'),
+        (SetpointChunk, 'wait', 6, 'wait 6'),
         (SetpointChunk, 'end_of_program', True, 'wait 0 does not fit'),
     ],
 )

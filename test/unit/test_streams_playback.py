@@ -23,7 +23,7 @@ from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_state import State
+from cnc_interp.run.run_state import Reason, State
 from cnc_interp.wire.machine_messages import executed_setpoints
 from cnc_interp.wire.run_id_messages import run_id_of
 
@@ -199,12 +199,21 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
     assert use_of(np.concatenate([heard, more])) <= 1.001
 
 
-def test_a_program_stop_waits_for_cycle_start_and_goes_on_in_the_same_plan():
+@pytest.mark.parametrize(
+    ('wait', 'reason'),
+    [
+        (Wait.PROGRAM_STOP, Reason.PROGRAM_STOP),
+        (Wait.OPTIONAL_STOP, Reason.OPTIONAL_STOP),
+        (Wait.SINGLE_BLOCK, Reason.SINGLE_BLOCK),
+    ],
+)
+def test_a_stop_of_the_program_waits_for_cycle_start_and_goes_on_in_the_same_plan(wait, reason):
     play = playback(20)
     play.begin(P)
-    feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.CYCLE_START))
+    feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], wait))
     step_until(play, lambda: play.state.resting and play.played > 0)
     assert play.state.state is State.HELD and not play.state.plan_over
+    assert play.state.reason is reason
     feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
     for _ in range(50):
         assert state_after_step(play) is State.HELD

@@ -403,7 +403,8 @@ class Moves:
         if settings.compress:
             like = (kind == POSES) & (rows[:, RAPID] == 0.0) & self._travels()
             short = np.flatnonzero((kind == AXES_LINEAR) & (rows[:, RAPID] == 0.0) & ~self._arc)
-            like[short[self._like_poses(short, settings)]] = True
+            if len(short):
+                like[short[self._like_poses(short, settings)]] = True
             row = np.arange(len(rows))
             broken = np.maximum.accumulate(np.where(like, -1, row))
             count = row - broken + np.where(broken < 0, self.dense, 0)

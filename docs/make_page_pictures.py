@@ -5,8 +5,9 @@ Take pictures of the operator page while the nodes run a program.
 
 makes a program of constant scallop height from ``examples/bumps.json``, runs it with
 ``cnc-interp panel`` in a real browser, and writes the animation ``docs/pictures/page.gif`` for the
-README; then runs it again and writes ``page.png``, ``page_wide.png`` and ``page_phone.png`` for
-docs/operate/operation.md. Needs Chromium, requirements/panel.txt and Pillow.
+README; then runs it again and writes ``page.png``, ``page_wide.png``, ``page_phone.png`` and the
+numbered ``page_labelled.png`` for docs/operate/page.md. Needs Chromium, requirements/panel.txt and
+Pillow.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / 'test' / 'ros'))
+sys.path.insert(0, str(HERE.parent / 'test' / 'page'))
 
 from browser import Browser, Tab  # noqa: E402  the driver that the tests use
 
@@ -33,6 +34,13 @@ SCREENS = {
     'page_wide': (1920, 1080, False),
     'page': (*SIZE, False),
 }
+#: Marks of the parts that get a number, in the order of the list in docs/operate/page.md.
+LABELLED = (
+    'state', 'rights', 'program', 'load', 'check', 'settings', 'queue next', 'axis X', 'tip x',
+    'feed', 'override slider', 'line', 'progress', 'buffer', 'contour', 'cycle start', 'feed hold',
+    'reset', 'single block', 'EMERGENCY STOP', 'look',
+)  # fmt: skip
+RED, WHITE, RADIUS = (200, 30, 30), (255, 255, 255), 10
 #: The animation: at most so many frames, so far apart in the run and on the page [s].
 FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
 #: A page that has got another size draws everything anew [s].
@@ -81,8 +89,24 @@ def write_screens(tab: Tab, folder: Path) -> None:
         tab.size(width, height, phone)
         time.sleep(SETTLE)
         tab.wait(lambda: tab.text('contact') == '')
-        shown = seen_on(tab, folder).quantize(256)
-        shown.save(HERE / 'pictures' / f'{name}.png', optimize=True)
+        shown = seen_on(tab, folder)
+        shown.quantize(256).save(HERE / 'pictures' / f'{name}.png', optimize=True)
+    label(tab, shown)
+    shown.quantize(256).save(HERE / 'pictures' / 'page_labelled.png', optimize=True)
+
+
+def label(tab: Tab, shown: Image.Image) -> None:
+    """Draw a number beside each part of the page that the documentation names."""
+    places = tab.run(
+        'Object.fromEntries([...document.querySelectorAll("[data-mark]")].map(part => {'
+        'const box = part.getBoundingClientRect();'
+        'return [part.dataset.mark, [box.left, box.top]]; }))'
+    )
+    draw, font = ImageDraw.Draw(shown), ImageFont.load_default(13)
+    for number, mark in enumerate(LABELLED, start=1):
+        x, y = (max(place, RADIUS) for place in places[mark])
+        draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), RED, WHITE)
+        draw.text((x, y), str(number), WHITE, font, anchor='mm')
 
 
 def write_animation(seen: list[Image.Image]) -> None:

@@ -104,7 +104,7 @@ def label(tab: Tab, shown: Image.Image) -> None:
     )
     draw, font = ImageDraw.Draw(shown), ImageFont.load_default(13)
     for number, mark in enumerate(LABELLED, start=1):
-        x, y = (max(place, RADIUS) for place in places[mark])
+        x, y = (max(place, RADIUS) for place in (places[mark][0] - RADIUS, places[mark][1]))
         draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), RED, WHITE)
         draw.text((x, y), str(number), WHITE, font, anchor='mm')
 

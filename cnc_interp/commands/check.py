@@ -7,6 +7,7 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +51,16 @@ def add_report_command(commands: Any) -> None:
 def check_command(options: Namespace) -> int:
     """Prove a plan or a recorded run."""
     from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.proof.given import given_of
     from cnc_interp.proof.plan_files import read_plan
-    from cnc_interp.proof.verify import verify_plan
+    from cnc_interp.proof.verify import verify
 
-    with plan_files(options.directory, options.machine) as (folder, machine):
-        name = machine or read_plan(folder).summary.get('machine', '')
-        proof = verify_plan(folder, Machine.load(name))
+    with plan_files(options.directory, options.machine) as (folder, named):
+        plan = read_plan(folder)
+        name = named or str(plan.summary.get('machine', ''))
+        machine = Machine.load(name)
+        given = given_of(plan, machine, name, options.directory)
+        proof = replace(verify(plan, machine), given=given)
     print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
     return FINE if proof.ok else FAILED
 

@@ -29,7 +29,7 @@ BLOCK_COLUMNS = {
     'tip': '3', 'axis': '3', 'feed': '', 'line': '', 'contour_tolerance': '',
     'orientation_tolerance': '', 'rapid': '',
 }  # fmt: skip
-# One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n).
+# One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
 # Columns that a program needs only for rotary words, durations (G93), exact stops, splines, extra
 # axes or linear rotary axes.
@@ -37,10 +37,16 @@ OPTIONAL_BLOCK_COLUMNS = {
     'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
     'extra_axes': 'k', 'interpolation': '', 'rotary_from': '2',
 }  # fmt: skip
-MAY_BE_UNBOUNDED = frozenset((
-    'programmed_feed', 'feed_limit', 'feed', 'rotary', 'duration', 'top', 'knot_interval',
-    'rotary_from',
-))  # fmt: skip
+# Columns that may be infinite (no limit), and columns that may be NaN (no word).
+MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))
+MAY_BE_MISSING = frozenset(('rotary', 'duration', 'top', 'knot_interval', 'rotary_from'))
+# Columns of whole numbers, and of True and False; all others are of real numbers.
+WHOLE = frozenset(('block', 'line', 'interpolation'))
+LOGICAL = frozenset(('rapid', 'exact_stop', 'stop'))
+# Largest feed override that the nodes accept, and the periods that can be chosen [s].
+LARGEST_OVERRIDE, PERIODS = 1.5, (1e-5, 0.1)
+# Rows of less length have no feed [m]; a unit vector is so long to rounding.
+NO_LENGTH, UNIT = 1e-9, 1e-6
 
 
 @dataclass(frozen=True)
@@ -124,10 +130,12 @@ def read_plan(directory: Path) -> PlanFiles:
         raise InterpError(f'{directory}: the plan contains no motion; plan another program')
     cells = (4, len(path['s']) - 1, path['q'].shape[1])
     for name in PATH_CELLS:
-        if name in path and path[name].shape != cells:
+        found = path.get(name, np.zeros(0))
+        real = found.dtype.kind == 'f' and found.shape == cells
+        if not real or not np.isfinite(found).all():
             raise InterpError(
-                f'{directory / "path.npz"}: column {name} has shape {path[name].shape}, '
-                f'expected {cells}; plan again'
+                f'{directory / "path.npz"}: column {name} has shape {found.shape} of '
+                f'{found.dtype}, expected {cells} of finite float64; plan again'
             )
     for name, columns in (('setpoints.npz', setpoints), ('path.npz', path)):
         rows = columns['block']
@@ -136,7 +144,35 @@ def read_plan(directory: Path) -> PlanFiles:
                 f'{directory / name}: block runs from {rows.min()} to {rows.max()}, but '
                 f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
             )
-    return PlanFiles(setpoints, path, _complete_blocks(blocks), summary)
+    program = _complete_blocks(blocks)
+    fault = _nonsense(program)
+    if fault:
+        raise InterpError(f'{directory / "blocks.npz"}: {fault}; plan again')
+    return PlanFiles(setpoints, path, program, summary)
+
+
+def _nonsense(blocks: Columns) -> str:
+    """Return what no program can say, with its line; empty if there is nothing."""
+    tip, duration = blocks['tip'], blocks['duration']
+    length = np.linalg.norm(np.diff(tip, axis=0, prepend=tip[:1]), axis=1)
+    endless = np.isinf(blocks['feed']) & ~blocks['rapid'] & ~np.isfinite(duration)
+    endless &= (length > NO_LENGTH) & (blocks['interpolation'] == 0)
+    size = np.linalg.norm(blocks['axis'], axis=1)
+    faults = {
+        'the feed must be positive': ~(blocks['feed'] > 0.0) & np.isnan(duration),
+        'only a rapid has no feed': endless,
+        'the duration must be positive': duration <= 0.0,
+        'the contour tolerance must be positive': blocks['contour_tolerance'] <= 0.0,
+        'the orientation tolerance must be positive': blocks['orientation_tolerance'] <= 0.0,
+        'the tool axis must be a unit vector': np.abs(size - 1.0) > UNIT,
+        'interpolation must be 0, 1 or 2': ~np.isin(blocks['interpolation'], (0, 1, 2)),
+    }
+    for text, where in faults.items():
+        if text.startswith(('the feed', 'only', 'the duration')):
+            where[0] = False  # the start pose has no feed
+        if where.any():
+            return f'line {blocks["line"][int(np.argmax(where))]}: {text}'
+    return ''
 
 
 def with_override(plan: PlanFiles) -> PlanFiles:
@@ -178,8 +214,12 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
         value = summary.get(key) if isinstance(summary, dict) else None
         if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
             raise InterpError(f'{file}: {key} must be a number >= 0, not {value!r}')
-    if summary['interpolation_period'] == 0:
-        raise InterpError(f'{file}: interpolation_period must be positive')
+    for key, (low, high) in (
+        ('interpolation_period', PERIODS), ('largest_override', (1.0, LARGEST_OVERRIDE))
+    ):  # fmt: skip
+        value = summary.get(key, high)
+        if not isinstance(value, int | float) or not low <= value <= high:
+            raise InterpError(f'{file}: {key} must be from {low:g} to {high:g}, not {value!r}')
     checked: Mapping[str, Any] = summary
     return checked
 
@@ -190,8 +230,11 @@ def _read_columns(
     """Load the columns of one file and check each against its shape."""
     try:
         with np.load(file, allow_pickle=False) as archive:
-            wanted = {*needed, *(optional or {}), *PATH_CELLS}
-            columns = {name: archive[name] for name in archive.files if name in wanted}
+            wanted = {*needed, *(optional or {}), *(PATH_CELLS if 'q' in needed else ())}
+            unknown = sorted(set(archive.files) - wanted)
+            if unknown:
+                raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
+            columns = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, BadZipFile) as fault:
         raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
     missing = [name for name in needed if name not in columns]
@@ -206,14 +249,22 @@ def _read_columns(
         if column.ndim != dimensions or len(column) != rows or width_wrong:
             raise InterpError(
                 f'{file}: column {name} has shape {column.shape}, expected '
-                f' ({rows}{", " + tail if tail else ""}); plan again'
+                f'({rows}{", " + tail if tail else ""}); plan again'
             )
-        if column.dtype.kind not in 'biuf':
-            raise InterpError(f'{file}: column {name} does not hold numbers; plan again')
-        bad = np.isnan(column) if name == 'feed_limit' else ~np.isfinite(column)
-        if name not in MAY_BE_UNBOUNDED and bad.any():
+        kinds = 'iu' if name in WHOLE else 'b' if name in LOGICAL else 'iuf'
+        if column.dtype.kind not in kinds:
+            raise InterpError(
+                f'{file}: column {name} holds {column.dtype}, which it cannot; plan again'
+            )
+        if name in MAY_BE_INFINITE:
+            bad = np.isnan(column) & (file.name != 'blocks.npz')  # timed blocks have no feed
+        else:
+            bad = np.isinf(column) if name in MAY_BE_MISSING else ~np.isfinite(column)
+        if bad.any():
             row = int(np.argwhere(bad)[0][0])
             raise InterpError(f'{file}: column {name} is not finite in row {row}; plan again')
+        kind = np.int64 if name in WHOLE else np.bool_ if name in LOGICAL else np.float64
+        columns[name] = column.astype(kind, copy=False)
     return columns
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.proof.given import Given
 from cnc_interp.proof.plan_files import PlanFiles
 
 # Differences of the positions that have limits, and the power of the second in their units.
@@ -73,6 +74,10 @@ class Proof:
         One sentence for each fact that is not proven.
     remarks : dict
         Figures for information only.
+    machine_file : str
+        File of the machine; empty for a bundled one.
+    given : tuple of Given
+        What is taken as given.
 
     """
 
@@ -85,6 +90,8 @@ class Proof:
     findings: tuple[Finding, ...]
     failures: tuple[str, ...]
     remarks: dict[str, float] = field(default_factory=dict)
+    machine_file: str = ''
+    given: tuple[Given, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -103,7 +110,8 @@ class Proof:
 
     def text(self) -> str:
         """Return the proof as text for a terminal."""
-        lines = [
+        lines = [row.text() for row in self.given]
+        lines += [
             f'{self.samples} samples of {self.period * 1e3:g} ms, {self.cycle_time:.3f} s, '
             f'{self.blocks} blocks, machine {self.machine}'
         ]
@@ -116,7 +124,11 @@ class Proof:
             if not finding.axis:
                 value, limit = _with_units(finding)
                 lines.append(f'{finding.what:<22}{value:>17} of {limit:<17}{_place(finding)}')
-        verdict = f'NOT proven, faults: {len(self.failures)}' if self.failures else 'proven'
+        verdict = 'proven'
+        if self.failures:
+            verdict = f'NOT proven, faults: {len(self.failures)}'
+        elif self.machine_file:
+            verdict = f'proven for the machine file {self.machine_file}, which is not bundled'
         return '\n'.join([*lines, *self.failures, verdict])
 
 
@@ -228,7 +240,7 @@ class Ledger:
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
             plan.period, (len(plan.position) - 1) * plan.period, tuple(self.findings),
-            tuple(self.failures), self.remarks,
+            tuple(self.failures), self.remarks, machine.file,
         )  # fmt: skip
 
 

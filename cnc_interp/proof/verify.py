@@ -9,8 +9,12 @@ kinematics of the machine.
 - Tolerances: distance of the tip and of the point at flank height from the programmed lines and
   great circles. At a corner, the smaller tolerance of its two blocks counts.
   Where the rotary axes run linearly, the axes are compared with their lines, too.
+- Order: the motion follows the program from vertex to vertex, none left out, none twice
+  (``order.py``).
 - Completeness: the motion passes every programmed vertex within the tolerance, and every axis with
   a word passes it on its own branch and turn.
+
+- The planner's path and the figures of the summary agree with the setpoints (``path_grid.py``).
 
 Native splines are first replaced by chords (``programmed_splines.py``).
 """
@@ -23,26 +27,34 @@ from pathlib import Path
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import POSES
+from cnc_interp.proof.order import order_of
+from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
 from cnc_interp.proof.programmed_axes import ProgrammedAxes
-from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath, distances_to_vertices
+from cnc_interp.proof.programmed_path import (
+    WINDOW,
+    Deviation,
+    ProgrammedPath,
+    distances_to_vertices,
+)
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
 
-# An excess of up to 0.1 % of a limit is rounding.
-ROUNDING = 1.001
+# Uses of limits agree when they differ by less [-].
+SAME_USE = 1e-6
 # Distances below this are zero [m].
 SLACK = 1e-9
-# Largest accepted difference between forward kinematics and the path file [m].
-ROUND_TRIP = 1e-8
 # Largest accepted distance between an exact stop and its vertex [m].
 STOP_DISTANCE = 1e-6
 # A search is widened by this number of tolerances where blocks are tiny. There one path segment
 # covers many rows, but names only the middle row of each of its halves.
 REACH = 50.0
+# Where the plan does not say which blocks may become curves: those up to this length [m].
+LONGEST_BLOCK = 5e-3
 # Rotary words are met within this at an exact stop [rad].
 STOP_ANGLE = 1e-6
 # At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
@@ -91,7 +103,16 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     Proof
         Largest use of every limit, and all failures.
 
+    Raises
+    ------
+    InterpError
+        If the flank height is 0 on a machine with rotary axes.
+
     """
+    if machine.has_rotary and plan.flank_height <= 0.0:
+        raise InterpError(
+            'flank_height is 0, so that the tool axis would not be checked; plan again'
+        )
     plan = with_override(plan)
     ledger, programmed = Ledger(plan, machine), len(plan.blocks['tip']) - 1
     axes = machine.axis_names
@@ -105,8 +126,12 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     tip, axis = Transform.of(machine).forward(plan.position)
     _prove_limits(ledger, plan, machine)
     _prove_order(ledger, plan)
+    _prove_summary(ledger, plan)
+    if plan.path:
+        prove_grid(ledger, plan, machine)
     ledger.plan = plan = with_chords(plan, machine)
     lines = ProgrammedAxes.of(plan, machine)
+    plan = _prove_sequence(ledger, plan, machine, tip, axis, lines)
     deviation = measure(plan, machine, tip, axis)
     _prove_tolerances(ledger, plan, deviation)
     if lines is not None:
@@ -181,13 +206,33 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
         f'the motion starts with line {plan.blocks["line"][block[0]]}, '
         f'but line {_first(plan.blocks["line"][away])} comes before it',
     )
-    stated = plan.summary.get('cycle_time')
-    spanned = float(time[-1] - time[0])
-    if isinstance(stated, int | float):
+
+
+def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
+    """Compare figures of `summary.json` with the setpoints."""
+    time, summary = plan.setpoints['time'], plan.summary
+    figures = (
+        ('cycle_time', float(time[-1] - time[0]), 1.01 * plan.period),
+        ('path_length', float(plan.setpoints['s'][-1]), ROUND_TRIP),
+        ('samples', len(time), 0.0),
+        ('blocks', len(plan.blocks['tip']) - 1, 0.0),
+    )
+    for name, found, room in figures:
+        stated = summary.get(name, found)
         ledger.require(
-            abs(stated - spanned) <= 1.01 * plan.period,
-            f'summary says cycle time {stated:.4f} s, setpoints span {spanned:.4f} s',
+            isinstance(stated, int | float) and abs(stated - found) <= room,
+            f'summary.json says {name} {stated!r}, the setpoints say {found:.9g}',
         )
+    uses = summary.get('largest_use')
+    for kind, of_axes in uses.items() if isinstance(uses, dict) else ():
+        for axis, stated in of_axes.items() if isinstance(of_axes, dict) else ():
+            found = next(
+                (f.ratio for f in ledger.findings if (f.what, f.axis) == (kind, axis)), np.nan
+            )
+            ledger.require(
+                isinstance(stated, int | float) and abs(stated - found) <= SAME_USE,
+                f'summary.json says {axis} uses {stated!r} of its {kind}, it uses {found:.6g}',
+            )
 
 
 def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray) -> Deviation:
@@ -401,6 +446,69 @@ def _search_vertices(
     return nearest, where
 
 
+def _prove_sequence(
+    ledger: Ledger,
+    plan: PlanFiles,
+    machine: Machine,
+    tip: FloatArray,
+    axis: FloatArray,
+    lines: ProgrammedAxes | None,
+) -> PlanFiles:
+    """
+    Demand that the motion follows the program in order, and that its row numbers say so.
+
+    Returns the plan with the nearest row number that is possible by order alone, for each sample.
+    """
+    contour, orientation = (tolerance + SLACK for tolerance in vertex_tolerances(plan))
+    program = _program_of(plan)
+    order = order_of(plan, machine, tip, axis, program, lines, (contour, orientation))
+    line, time = plan.blocks['line'], plan.setpoints['time']
+    for what, sample, reached in order.left:
+        ledger.require(
+            False,
+            f'out of order: from sample {sample} on ({time[sample]:.3f} s) the {what} does not '
+            f'follow the program, which it followed to line {line[reached]}',
+        )
+    if order.left:
+        return plan
+    # A segment of a curve covers many rows, but names only the middle row of each of its halves.
+    row, reach = plan.block, REACH * np.maximum(contour, orientation)
+    way = np.cumsum(np.linalg.norm(program.chord, axis=1) + plan.flank_height * program.turn)
+    early, late = row < order.low, row > order.high
+    gap = np.zeros(len(row))
+    gap[early] = (way[order.low - 1] - way[row])[early]
+    gap[late] = (way[row - 1] - way[order.high])[late]
+    # The vertex that the motion has left behind, or not yet reached.
+    vertex = np.where(early, row, np.maximum(row - 1, 0))
+    tips, axes = plan.blocks['tip'][vertex], plan.blocks['axis'][vertex]
+    off = np.linalg.norm(tip - tips, axis=1)
+    off_top = np.linalg.norm(tip - tips + plan.flank_height * (axis - axes), axis=1)
+    gap = np.maximum(gap, np.maximum(off, off_top))
+    if machine.has_rotary:
+        turn = np.abs(plan.position[:, 3:5] - plan.blocks['rotary'][vertex]).max(axis=1)
+        gap = np.fmax(gap, np.where(program.by_axes[row], plan.flank_height * turn, 0.0))
+    length = np.diff(way, prepend=0.0)
+    meant = np.where(early, order.low, order.high)
+    dense = np.maximum(length[row], length[meant]) <= longest_block(plan)
+    dense &= (np.abs(row - meant) <= WINDOW) & ~program.by_axes[row] & ~program.by_axes[meant]
+    wrong = (early | late) & (gap > reach[row]) & ~dense
+    at = _first(np.flatnonzero(wrong))
+    ledger.require(
+        not wrong.any(),
+        f'wrong row number at sample {at} ({time[at]:.3f} s): line {line[row[at]]}, but the '
+        f'motion executes line {line[order.low[at]]}; {np.count_nonzero(wrong)} places in all',
+    )
+    possible = np.clip(row, order.low, np.maximum(order.low, order.high))
+    return replace(plan, setpoints={**plan.setpoints, 'block': possible})
+
+
+def longest_block(plan: PlanFiles) -> float:
+    """Return the length up to which blocks of a plan may become curves [m]."""
+    settings = plan.summary.get('settings')
+    length = settings.get('longest_block') if isinstance(settings, dict) else None
+    return float(length) if isinstance(length, int | float) else LONGEST_BLOCK
+
+
 def _prove_rotary_words(
     ledger: Ledger, plan: PlanFiles, machine: Machine, where: IntArray
 ) -> None:
@@ -426,8 +534,8 @@ def _prove_rotary_words(
         sine = np.linalg.norm(ahead - back, axis=1) / 2e-4
         least = POLE_TOLERANCES * orientation / height
         allowed[:, i] = (contour + orientation) / height / np.maximum(sine, least)
-    by_rotary = plan.blocks['interpolation'] != POSES
-    linear = by_rotary | np.r_[by_rotary[1:], False]
+    by_axes = _program_of(plan).by_axes
+    linear = by_axes | np.r_[by_axes[1:], False]
     allowed[linear, :2] = (orientation[linear] / height)[:, None]
     stops = np.asarray(plan.blocks['exact_stop'], dtype=bool).copy()
     stops[-1] = True
@@ -437,7 +545,7 @@ def _prove_rotary_words(
     angle = allowed[:, :2].max(axis=1)
     gap, passed = _search_vertices(plan, points, targets, angle, allowed)
     ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
-    still = rows[_program_of(plan).by_axes[rows]]
+    still = rows[by_axes[rows]]
     resting = np.linalg.norm(np.diff(plan.blocks['tip'], axis=0, prepend=0.0), axis=1) < SLACK
     # A turn of the tool about its own axis is not visible in the workpiece frame.
     still = still[resting[still]]
@@ -536,35 +644,10 @@ def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 
 def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Check the grid of the planner: poses, continuity, contour error and feed."""
-    path, height = plan.path, plan.flank_height
-    rows = np.asarray(path['block'], dtype=np.int64)
+    """Judge the contour error of the path of the planner."""
+    path, rows = plan.path, np.asarray(plan.path['block'], dtype=np.int64)
     tip, axis = Transform.of(machine).forward(path['q'])
-    gap = np.linalg.norm(tip - path['tip'], axis=1)
-    gap = np.maximum(gap, height * np.linalg.norm(axis - path['axis'], axis=1))
-    ledger.check('path pose against its axes', gap, ROUND_TRIP, rows=rows)
-    steps = np.diff(path['s'])
-    ledger.require(bool((steps > 0.0).all()), 'path.npz: s must increase at every grid point')
     lines = ProgrammedAxes.of(plan, machine)
     deviation = _measure_widely(_program_of(plan), plan, tip, axis, rows, path['q'], lines)
     contour, _ = corner_tolerances(plan, deviation)
     ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)
-    feed = np.asarray(path['feed'], dtype=float)
-    programmed = np.asarray(path['programmed_feed'], dtype=float)
-    around = np.maximum(
-        programmed, np.maximum(np.r_[programmed[1:], 0.0], np.r_[0.0, programmed[:-1]])
-    )
-    ledger.check('planned feed', feed, around, allowed=ROUNDING, rows=rows)
-    if 'cell_left' in path and 'cell_right' in path:
-        left, right = path['cell_left'], path['cell_right']
-        torn = np.abs(left[0, 1:] - right[0, :-1]).max(axis=1, initial=0.0)
-        ledger.check('axes across path cells', torn, ROUND_TRIP, rows=rows[1:-1])
-        for j, name in enumerate(machine.axis_names):
-            rate = np.maximum(np.abs(left[1, :, j]) * feed[:-1], np.abs(right[1, :, j]) * feed[1:])
-            limit = float(machine.max_velocity[j])
-            ledger.check('planned velocity', rate, limit, name, ROUNDING, rows=rows[:-1])
-    # Eq. 10 leaves out tangential acceleration and jerk, so a correct law may exceed it.
-    bounded = path['feed_limit'] > 0.0
-    ledger.remarks['largest_feed_over_limit'] = float(
-        np.max(feed[bounded] / path['feed_limit'][bounded], initial=0.0)
-    )

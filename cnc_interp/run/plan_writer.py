@@ -144,6 +144,7 @@ class PlanWriter:
         """Write further samples."""
         self.figures.setpoints(samples)
         columns = {field.name: getattr(samples, field.name) for field in fields(samples)}
+        del columns['jerk']  # the proof takes the jerk from the positions
         self._archives['setpoints'].append(columns)
 
     def finish(

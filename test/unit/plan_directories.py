@@ -41,6 +41,16 @@ def line_x(machine: Machine, length: float = 60 * MM, feed: float = 6000 * MM_PE
     return files(machine, np.stack([np.outer(c, direction) for c in (x, v, a)]), block, tip, feed)
 
 
+def turned_tip(a: Any, c: Any) -> Any:
+    """Find by hand the X Y Z that keep the tip where it is at A = C = 0."""
+    d = np.array([0.0, 0.15, 80.0]) * MM
+    around = np.stack([d[0] * np.cos(c) - d[1] * np.sin(c), d[0] * np.sin(c) + d[1] * np.cos(c)])
+    arm = np.stack([d[0] - around[0], d[1] - around[1], np.zeros_like(c)])
+    return np.stack([
+        arm[0], arm[1] * np.cos(a) - arm[2] * np.sin(a), arm[1] * np.sin(a) + arm[2] * np.cos(a)
+    ], axis=1)  # fmt: skip
+
+
 def files(
     machine: Machine, motion: Any, block: Any, tip: Any, feed: float, axis: Any = None
 ) -> Files:
@@ -50,21 +60,11 @@ def files(
     origin = transform.forward(home)[0][0]
     tip = np.asarray(tip, float) + origin
     axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1)) if axis is None else np.asarray(axis)
-    at, towards = transform.forward(motion[0])
-    turned = HEIGHT * np.abs(np.diff(motion[0][:, 3:], axis=0)).sum(axis=1)
-    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(at, axis=0), axis=1) + turned)]
-    grid = np.flatnonzero(np.r_[True, np.diff(way) > 0.0])
-    speed = np.linalg.norm(motion[1][:, :3], axis=1)
     rows = len(tip)
-    return {
+    content: Files = {
         'setpoints': {
-            'time': np.arange(len(way)) * PERIOD, 'position': motion[0], 'velocity': motion[1],
-            'acceleration': motion[2], 'jerk': np.zeros_like(motion[0]), 'block': block, 's': way,
-        },
-        'path': {
-            's': way[grid], 'tip': at[grid], 'axis': towards[grid], 'q': motion[0][grid],
-            'programmed_feed': np.full(len(grid), feed), 'feed_limit': np.full(len(grid), feed),
-            'feed': speed[grid], 'block': block[grid], 'stop': np.zeros(len(grid), bool),
+            'time': np.arange(len(block)) * PERIOD, 'position': motion[0], 'velocity': motion[1],
+            'acceleration': motion[2], 'block': block,
         },
         'blocks': {
             'tip': tip, 'axis': axis, 'feed': np.full(rows, feed),
@@ -72,9 +72,45 @@ def files(
             'orientation_tolerance': np.full(rows, 0.01 * MM), 'rapid': np.zeros(rows, bool),
         },
         'summary': {
-            'cycle_time': (len(way) - 1) * PERIOD, 'interpolation_period': PERIOD,
+            'cycle_time': (len(block) - 1) * PERIOD, 'interpolation_period': PERIOD,
             'flank_height': HEIGHT, 'machine': machine.name,
         },
+    }  # fmt: skip
+    lay_path(machine, content, feed)
+    return content
+
+
+def lay_path(machine: Machine, content: Files, feed: float) -> None:
+    """Make the path of the setpoints: a grid point at each of them, and stops where they rest."""
+    position, block = content['setpoints']['position'], content['setpoints']['block']
+    at, towards = Transform.of(machine).forward(position)
+    turned = HEIGHT * np.abs(np.diff(position[:, 3:], axis=0)).sum(axis=1)
+    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(at, axis=0), axis=1) + turned)]
+    grid = np.flatnonzero(np.r_[True, np.diff(way) > 0.0])
+    speed = np.gradient(way, PERIOD)
+    speed[[0, -1]] = 0.0
+    s, q = way[grid], position[grid]
+    rests = np.diff(way, prepend=-1.0, append=way[-1]) == 0.0
+    stop = (rests[:-1] | rests[1:])[grid]
+    stop[[0, -1]] = True
+    secant = np.diff(q, axis=0) / np.diff(s)[:, None]
+    mean = 0.5 * (secant[:-1] + secant[1:])
+    inner = np.where(stop[1:-1, None], np.nan, mean)
+    left, right = np.zeros((2, 4, len(s) - 1, q.shape[1]))
+    left[0], right[0] = q[:-1], q[1:]
+    left[1], right[1] = secant, secant
+    left[1, 1:] = np.where(np.isnan(inner), secant[1:], inner)
+    right[1, :-1] = np.where(np.isnan(inner), secant[:-1], inner)
+    limit = np.full(len(s), feed)
+    with np.errstate(divide='ignore'):
+        for side, at_side in ((left, slice(None, -1)), (right, slice(1, None))):
+            reach = np.min(machine.max_velocity / np.abs(side[1]), axis=1)
+            limit[at_side] = np.minimum(limit[at_side], reach)
+    content['setpoints']['s'] = way
+    content['path'] = {
+        's': s, 'tip': at[grid], 'axis': towards[grid], 'q': q, 'cell_left': left,
+        'cell_right': right, 'programmed_feed': np.full(len(grid), feed), 'feed_limit': limit,
+        'feed': speed[grid], 'block': block[grid], 'stop': stop,
     }  # fmt: skip
 
 

@@ -104,6 +104,7 @@ def test_rapids_leave_the_feed_pictures_finite(tmp_path):
     motion = np.zeros((3, len(x), 5))
     motion[:, :, 2] = x, v, a
     content = files(MACHINE, motion, np.ones(len(x), int), [[0, 0, 0], [0, 0, 60 * MM]], np.inf)
+    content['blocks']['rapid'][:] = True
     series = series_of(read_plan(write(tmp_path, content)), MACHINE)
     assert np.isinf(series.programmed_feed).all()
     assert np.isfinite(feed_ceiling(series)) and feed_ceiling(series) > series.feed.max()

@@ -6,7 +6,16 @@ import json
 
 import numpy as np
 import pytest
-from plan_directories import HEIGHT, PERIOD, files, line_x, stroke, write
+from plan_directories import (
+    HEIGHT,
+    PERIOD,
+    files,
+    lay_path,
+    line_x,
+    stroke,
+    turned_tip,
+    write,
+)
 from ruckig import InputParameter, Ruckig, Trajectory
 
 from cnc_interp.core.errors import InterpError
@@ -20,16 +29,6 @@ from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
-
-
-def turned_tip(a, c):
-    """Find by hand the X Y Z that keep the tip where it is at A = C = 0."""
-    d = np.array([0.0, 0.15, 80.0]) * MM
-    around = np.stack([d[0] * np.cos(c) - d[1] * np.sin(c), d[0] * np.sin(c) + d[1] * np.cos(c)])
-    arm = np.stack([d[0] - around[0], d[1] - around[1], np.zeros_like(c)])
-    return np.stack([
-        arm[0], arm[1] * np.cos(a) - arm[2] * np.sin(a), arm[1] * np.sin(a) + arm[2] * np.cos(a)
-    ], axis=1)  # fmt: skip
 
 
 def tool_axis(a, c):
@@ -109,6 +108,7 @@ def test_a_jerk_limit_exceeded_by_one_percent_is_caught_but_rounding_is_not(tmp_
         content['setpoints']['velocity'][:, 0] = v * factor ** (-1 / 3)
         content['setpoints']['acceleration'][:, 0] = a * factor ** (-2 / 3)
         content['blocks']['feed'] *= 2
+        lay_path(MACHINE, content, 12000 * MM_PER_MIN)
         proof = proof_of(tmp_path, content)
         assert proof.ok is ok, proof.failures
         assert proof.largest('jerk', 'X').ratio == pytest.approx(1 / factor, rel=2e-4)
@@ -289,6 +289,7 @@ def test_a_rotation_about_the_tool_axis_must_stop_at_its_exact_stop(tmp_path):
     ends = [(0.0, 0.0), (0.0, 90 * DEG), (0.0, 180 * DEG)]
     content = rotation(0 * turn, turn, ends, rotary=np.array(ends))
     content['setpoints']['block'] = np.where(turn <= 90 * DEG, 1, 2)
+    lay_path(MACHINE, content, np.inf)
     assert proof_of(tmp_path, content).ok
     content['blocks']['exact_stop'] = np.array([False, True, True])
     only_failure(proof_of(tmp_path, content), 'no rest at the exact stop of line 20')
@@ -337,6 +338,7 @@ def test_the_faster_feed_counts_near_the_border_only(tmp_path):
     content['setpoints']['block'] = np.where(x <= vertex, 1, content['setpoints']['block'].clip(2))
     steps = np.diff(x) / PERIOD
     last = int(np.searchsorted(x, vertex)) - 2
+    lay_path(MACHINE, content, 6000 * MM_PER_MIN)
     for earlier, ok in ((1, True), (6, False)):
         content['blocks']['feed'][1] = steps[last - earlier]
         content['path']['programmed_feed'][:] = 6000 * MM_PER_MIN
@@ -381,7 +383,7 @@ def test_the_planner_s_grid_is_looked_at(tmp_path):
 def test_the_stated_cycle_time_and_the_first_row(tmp_path):
     content = line_x(MACHINE)
     content['summary']['cycle_time'] -= 2.5 * PERIOD
-    only_failure(proof_of(tmp_path, content), 'summary says cycle time')
+    only_failure(proof_of(tmp_path, content), 'summary.json says cycle_time')
     content = line_x(MACHINE)
     content['setpoints']['block'] = np.maximum(content['setpoints']['block'], 2)
     only_failure(proof_of(tmp_path, content), 'line 20 comes before it')
@@ -400,9 +402,7 @@ def test_blocks_far_shorter_than_the_tolerance(tmp_path, monkeypatch):
     block = (np.searchsorted(tip[:, 0], x) - 30).clip(1, 12000)
     content['setpoints']['block'] = block
     content['blocks'] = dense
-    content['path']['block'] = np.interp(
-        content['path']['s'], x[np.r_[True, np.diff(x) > 0]], block[np.r_[True, np.diff(x) > 0]]
-    ).astype(int)
+    lay_path(MACHINE, content, 6000 * MM_PER_MIN)
     proof = proof_of(tmp_path, content)
     assert proof.ok, proof.failures
     monkeypatch.setattr('cnc_interp.proof.verify.REACH', 0.0)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 import rclpy
@@ -121,7 +122,9 @@ def _compare_run(
     bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, dict[int, SetpointChunk]]
 ) -> Iterator[Comparison]:
     """Compute the plans of one attempt at a run again."""
-    told = [joined(bag, plans[plan]) for plan in sorted(plans)]
+    # A plan that joins in motion follows settings whose moment is not in the bag.
+    compared = list(takewhile(lambda plan: 0 in plans[plan], sorted(plans)))
+    told = [joined(bag, plans[plan]) for plan in compared]
     blocks = stream_of(bag, 'blocks', run_id)
     period = plans[min(plans)][0].period
     overrides = _overrides(bag, run_id)
@@ -130,7 +133,7 @@ def _compare_run(
     goes_on = blocks[0].continue_at > 0.0
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
-        int(bag.parameters.get('feedrate_node.chunk_size', 10)), told[0].position[0],
+        float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
         float(told[0].s[0]) if goes_on else math.nan, followed,
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
@@ -145,7 +148,7 @@ def _compare_run(
         for m in bag.read('machine_state')
         if run_id_of(m).same_attempt(run_id) and m.plan_over
     }
-    for plan, samples in zip(sorted(plans), told, strict=True):
+    for plan, samples in zip(compared, told, strict=True):
         if plan > 0:
             if plan - 1 not in rests:
                 raise InterpError(f'{bag.path}: does not tell where plan {plan - 1} was left')

@@ -123,6 +123,7 @@ class Refusal(IntEnum):
     FOREIGN_RUN = 19  # the message belongs to another run
     LATE = 20  # it comes after the end of its run
     PLAN_OVER = 21  # its plan has ended by a stop; no error: it was on its way
+    TOO_LATE = 22  # its plan was to join where the machine has passed; the plan before goes on
 
 
 class StreamError(InterpError):

@@ -10,6 +10,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.run_id import RunId
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,10 @@ class BufferedChunk:
     ----------
     serial : int
         Its number in the cycle.
+    run_id : RunId
+        The plan that it belongs to.
+    first : int
+        Number of its first setpoint since the last rest by a stop.
     chunk : Chunk
         Setpoints, stop tail, and what comes after.
     rows, tail : Rows
@@ -45,9 +50,23 @@ class BufferedChunk:
     """
 
     serial: int
+    run_id: RunId
+    first: int
     chunk: Chunk
     rows: Rows
     tail: Rows
+
+    def head(self, count: int, serial: int) -> BufferedChunk:
+        """Return its first setpoints as a chunk with another serial number."""
+        chunk, lines = self.chunk.head(count), self.rows.lines
+        tail = Rows(chunk.tail, lines[count:] + self.tail.lines)
+        rows = Rows(chunk.samples, lines[:count])
+        return BufferedChunk(serial, self.run_id, self.first, chunk, rows, tail)
+
+    @property
+    def after(self) -> int:
+        """Number of the setpoint after its last one."""
+        return self.first + len(self.rows)
 
 
 class Buffer:
@@ -69,6 +88,7 @@ class Buffer:
         """Forget all chunks; the next one begins where the machine stands."""
         self.chunks.clear()
         self.count = 0  # setpoints
+        self.next_number = 0  # of the next setpoint to be received
         self.rests = 0  # chunks after which the machine rests
         self.newest: FloatArray = np.tile(stands, (3, 1))  # the last three setpoints
 
@@ -77,7 +97,16 @@ class Buffer:
         self.chunks.append(chunk)
         self.count += len(chunk.rows)
         self.rests += chunk.chunk.wait is not Wait.NOTHING
+        self.next_number = chunk.after
         self.newest = np.concatenate([self.newest, chunk.rows.samples.position])[-3:]
+
+    def cut(self, number: int, newest: FloatArray) -> None:
+        """Forget the chunks that end after a setpoint; ``newest`` are the last three kept."""
+        while self.chunks and self.chunks[-1].after > number:
+            chunk = self.chunks.pop()
+            self.count -= len(chunk.rows)
+            self.rests -= chunk.chunk.wait is not Wait.NOTHING
+        self.newest = newest
 
     def pop(self) -> BufferedChunk:
         """Hand out the next chunk."""

@@ -6,12 +6,14 @@ It also decides on stops. After a hold, an emergency stop, and where the next ch
 plays the stop tail of the current chunk. So no thread of Python lies between clock and stop.
 
 Chunks stand in a ring of descriptors with the addresses of their arrays; ``Cycle`` keeps the
-arrays alive. Records of what was played stand in a second ring. Each ring has one writer and one
-reader, and its index is written after the data.
+arrays alive. A chunk is linked to the one before it after all of it is written, and another link
+lets a new plan join in the middle of the ring. Records of what was played stand in a second ring.
+Each ring has one writer and one reader.
 """
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from typing import NamedTuple
 
@@ -36,11 +38,14 @@ REST, CHUNK, TAIL = 0, 1, 2
 #: What happened in a period: bits of a record.
 STARVED, ENDED, WAITED, REFUSED, FAILED = 1, 2, 4, 8, 16
 #: Words that Python writes and the cycle reads ...
-QUIT, WRITTEN, LEAVE, HALT, START, FIRST, READ, FORGET = range(8)
+QUIT, LEAVE, HALT, START, FIRST, READ, FORGET = range(7)
 #: ... and words that the cycle writes.
-HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, WORDS = range(8, 16)
-#: Columns of a descriptor: positions, velocities and count of a chunk, then of its stop tail.
-POSITIONS, VELOCITIES, COUNT, TAIL_COLUMNS, RESTS, COLUMNS = 0, 1, 2, 3, 6, 7
+HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, WORDS = range(7, 15)
+#: Columns of a descriptor: positions, velocities and count of a chunk, then of its stop tail;
+#: whether the machine rests after it; and the chunk that comes next.
+POSITIONS, VELOCITIES, COUNT, TAIL_COLUMNS, RESTS, NEXT, COLUMNS = 0, 1, 2, 3, 6, 7, 8
+#: No chunk comes next, so far.
+NONE = -1
 #: After a longer stall of the computer the clock starts anew and does not catch up [ns].
 LONGEST_CATCH_UP = 500_000_000
 #: Records are kept so long until they are read [s]: longer than any buffer and any stop tail.
@@ -109,8 +114,8 @@ def _choose(memory: Memory) -> int:
         elif chunks[slot, RESTS]:
             source = REST
             events |= WAITED
-        elif serial + 1 < control[WRITTEN]:
-            serial, row = serial + 1, 0
+        elif chunks[slot, NEXT] != NONE:
+            serial, row = chunks[slot, NEXT], 0
         else:
             source, row = TAIL, 0
             events |= STARVED
@@ -169,14 +174,14 @@ def _advance(memory: Memory, step: int) -> None:
 @njit(cache=True, nogil=True)
 def _run(memory: Memory, step: int, period: int) -> None:
     """Advance at absolute deadlines, ``period`` [ns] apart, until it is told to quit."""
-    control, time = memory.control, np.zeros(2, dtype=np.int64)
-    due = time_now(time)
+    control, spec = memory.control, np.zeros(2, dtype=np.int64)
+    due = time_now(spec)
     while control[QUIT] == 0:
         due += period
-        now = time_now(time)
+        now = time_now(spec)
         if now < due:
-            sleep_until(due, time)
-            now = time_now(time)
+            sleep_until(due, spec)
+            now = time_now(spec)
         elif now - due > LONGEST_CATCH_UP:
             due = now
         if control[FORGOTTEN] != control[FORGET]:
@@ -267,6 +272,7 @@ class Cycle:
         )
         self._control = self._memory.control
         self._kept: deque[tuple[int, tuple[FloatArray, ...]]] = deque()
+        self._written = 0  # chunks
         self._control[QUIT] = 1
         self.run()  # compiled, or read from the cache, before it counts
 
@@ -276,8 +282,12 @@ class Cycle:
         self._memory.feedback[0] = position
 
     def push(self, chunk: Chunk) -> int:
-        """Append a chunk; return its serial number, which is never used again."""
-        serial, descriptors = int(self._control[WRITTEN]), self._memory.chunks
+        """
+        Write a chunk into the ring; return its serial number, which is never used again.
+
+        The cycle does not find it before it is linked, or told to start with it.
+        """
+        serial, descriptors = self._written, self._memory.chunks
         if self._kept and serial - self._kept[0][0] >= len(descriptors):
             raise StreamError('the buffer is full; keep to the window of the stream')
         arrays: list[FloatArray] = []
@@ -286,10 +296,30 @@ class Cycle:
             both = [np.ascontiguousarray(rows) for rows in (part.position, part.velocity)]
             arrays += both
             descriptor[column : column + 3] = *(rows.ctypes.data for rows in both), len(part)
-        descriptor[RESTS] = chunk.rests
+        descriptor[RESTS], descriptor[NEXT] = chunk.rests, NONE
         self._kept.append((serial, tuple(arrays)))
-        publish(self._control, WRITTEN, serial + 1)
+        self._written = serial + 1
         return serial
+
+    def link(self, after: int, serial: int) -> None:
+        """Let a chunk come after one after which none came so far."""
+        descriptors = self._memory.chunks
+        publish(descriptors[after % len(descriptors)], NEXT, serial)
+
+    def relink(self, after: int, serial: int) -> bool:
+        """
+        Let one chunk come after another, in place of those between; False where it is too late.
+
+        The cycle reads the link when it leaves a chunk. It is certain to take the new one where it
+        had not begun the chunk after the link was written.
+        """
+        control = self._control
+        if control[SOURCE] != REST and control[SERIAL] >= after:
+            return False
+        self.link(after, serial)
+        while control[SOURCE] == CHUNK and control[SERIAL] == after:
+            time.sleep(1e-9 * self._period)  # it began that chunk meanwhile: see what it took
+        return bool(control[SOURCE] == REST or not after < control[SERIAL] < serial)
 
     def start(self, serial: int) -> None:
         """Play from a chunk on, from rest."""

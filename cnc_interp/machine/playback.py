@@ -9,6 +9,7 @@ where the machine rests. ``read`` takes over what the cycle has done.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -154,7 +155,7 @@ class Playback:
         if run_id.program_id == self._given_up:
             text = f'{run_id.program_id} was given up by reset; run the program again'
             raise StreamError(text, Refusal.GIVEN_UP)
-        follows = run_id == mine.next_plan() and state.plan_over
+        follows = run_id.continues(mine) and state.plan_over
         if run_id.same_attempt(mine) and not follows:
             raise StreamError(
                 f'plan {run_id.plan} cannot follow plan {mine.plan} here; '
@@ -207,9 +208,86 @@ class Playback:
         """Take a chunk into the buffer, unless its plan was left."""
         self.read()
         if not self.left:
-            serial = self.cycle.push(chunk)
-            rows, tail = Rows(chunk.samples, lines), Rows(chunk.tail, tail_lines)
-            self.buffer.push(BufferedChunk(serial, chunk, rows, tail))
+            last = self.buffer.chunks[-1] if self.buffer.chunks else self._current
+            pushed = self._written(chunk, lines, tail_lines, self.buffer.next_number)
+            if last is not None:
+                self.cycle.link(last.serial, pushed.serial)
+            self.buffer.push(pushed)
+
+    def _written(
+        self, chunk: Chunk, lines: list[int], tail_lines: list[int], first: int
+    ) -> BufferedChunk:
+        """Write a chunk into the ring of the cycle, not linked."""
+        rows, tail = Rows(chunk.samples, lines), Rows(chunk.tail, tail_lines)
+        return BufferedChunk(self.cycle.push(chunk), self.run_id, first, chunk, rows, tail)
+
+    def before_join(self, run_id: RunId, number: int) -> FloatArray:
+        """
+        Return the last three setpoints before a plan that is to join.
+
+        Parameters
+        ----------
+        run_id : RunId
+            The plan.
+        number : int
+            Number of its first setpoint; those with lower numbers are executed as they are.
+
+        Returns
+        -------
+        ndarray, shape (3, n_axes)
+            Setpoints [m, rad].
+
+        Raises
+        ------
+        StreamError
+            If the machine has passed there, or has not received all setpoints before it.
+
+        """
+        self.read()
+        mine, buffer, row = self.run_id, self.buffer, self._row + 1
+        waits = self.state.resting and number >= self.played_of_plan
+        ahead = waits or (buffer.chunks and number >= buffer.chunks[0].after)
+        known = run_id.same_attempt(mine) and run_id.continues(mine) and not self.left
+        if not (known and ahead and number <= buffer.next_number):
+            text = f'plan {run_id.plan} cannot join plan {mine.plan} at setpoint {number} any more'
+            raise StreamError(text, Refusal.TOO_LATE)
+        parts = [self.axes.setpoints]
+        if self._current is not None:
+            parts.append(self._current.rows.samples.position[row:])
+        parts += [c.rows.samples.position[: max(number - c.first, 0)] for c in buffer.chunks]
+        before: FloatArray = np.concatenate(parts)[-3:]
+        return before
+
+    def join(
+        self, run_id: RunId, number: int, chunk: Chunk, lines: list[int], tail_lines: list[int]
+    ) -> None:
+        """
+        Let a plan join in motion: setpoints from a number on give way to its first chunk.
+
+        Raises
+        ------
+        StreamError
+            If the machine has passed there. Then nothing has changed.
+
+        """
+        newest, buffer = self.before_join(run_id, number), self.buffer
+        kept = [c for c in buffer.chunks if c.after <= number]
+        split = next((c for c in buffer.chunks if c.first < number < c.after), None)
+        before, comes = kept[-1] if kept else self._current, []
+        if split is not None:
+            head = split.chunk.head(number - split.first)
+            comes.append(split.head(number - split.first, self.cycle.push(head)))
+        pushed = replace(self._written(chunk, lines, tail_lines, number), run_id=run_id)
+        if comes:
+            self.cycle.link(comes[0].serial, pushed.serial)
+        comes.append(pushed)
+        if before is not None and not self.cycle.relink(before.serial, comes[0].serial):
+            text = f'plan {run_id.plan} came too late to join at setpoint {number}'
+            raise StreamError(text, Refusal.TOO_LATE)
+        buffer.cut(number, newest)
+        for each in comes:
+            buffer.push(each)
+        self.run_id = run_id
 
     def coming(self) -> list[Setpoints]:
         """Return the setpoints to come as things stand, the stop after them included."""
@@ -414,7 +492,7 @@ class Playback:
         if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
             self.least_buffered = min(self.least_buffered, self.buffer.count + left)
         samples = rows.samples
-        self.executed.append(Executed(self.run_id, self.played, rows))
+        self.executed.append(Executed(current.run_id, self.played, rows))
         self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
         self.played += len(rows)
         self.approach_samples += int(np.sum(samples.block == 0))

@@ -6,7 +6,6 @@ What the planning of a run is doing is decided in ``run/planning_session.py``.
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from typing import Any
@@ -31,8 +30,9 @@ from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import ChunkSender, PlanningSession
+from cnc_interp.run.planning_session import ChunkSender, PlanningSession, Received
 from cnc_interp.run.planning_states import Activity
+from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
@@ -122,16 +122,22 @@ class FeedrateNode(LifecycleNode):
         outlet.pump()
         if (done := self._thread.done()) is not None:
             session.finish(*done, time.monotonic())
-            outlet.paused = session.activity is Activity.REVISING
             outlet.pump()
         if outlet.refused:
             session.give_up(outlet.refused, outlet.refusal_text)
-        buffered = math.nan if outlet.peer is None else outlet.peer.buffered_time
-        if (task := session.step(time.monotonic(), buffered)) is not None:
+        if (task := session.step(time.monotonic(), self._received())) is not None:
             self._thread.submit(task)
-        outlet.paused = session.activity is Activity.REVISING
         outlet.pump()
         self._watch.look(session.wants_segments and self._inlet.receiver.active)
+
+    def _received(self) -> Received:
+        """Return what the machine receives, and where it is by now."""
+        outlet, peer = self._outlet, self._outlet.peer
+        if peer is None:
+            return Received()
+        left = peer.buffered_time - (time.monotonic() - outlet.heard)
+        executed = peer.next_sequence - left / self._values['interpolation_period']
+        return Received(run_id_of(peer), executed, outlet.turned_away)
 
     def _tell_planning(self) -> None:
         """Tell how much motion is ready beyond what the machine holds, and how long tasks take."""
@@ -156,12 +162,20 @@ class FeedrateNode(LifecycleNode):
         """Make the planner of the run that begins with a segment."""
         return RunPlanner(
             self._transform, first.flank_height, self._values['interpolation_period'],
-            self._values['chunk_size'], stands, place, settings,
+            self._values['chunk_time'], stands, place, settings,
         )  # fmt: skip
 
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:
         """Read segments and the blocks after which cycle_start is waited for."""
         return segments_from(segments), self._inputs.pauses_after(segments)
+
+    def join(self, run_id: RunId, first: int) -> None:
+        """Send a plan from a number on, which joins the plan that is being sent."""
+        self._outlet.join(run_id, first)
+
+    def take_back(self) -> None:
+        """Go on with the plan before the one that was to join."""
+        self._outlet.take_back()
 
     def consumed(self, count: int) -> None:
         """Open the window of the segments."""
@@ -181,7 +195,7 @@ class FeedrateNode(LifecycleNode):
         lines_of = planner.lines_of
         return chunk_message(
             chunk, lines_of(chunk.samples), lines_of(chunk.tail), self._session.run_id, first,
-            self._values['interpolation_period'],
+            self._values['interpolation_period'], joins=0 < first == self._session.joins_at,
         )  # fmt: skip
 
     def close(self) -> None:

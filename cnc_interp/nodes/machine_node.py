@@ -23,6 +23,7 @@ from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.stream_inlet import Inlet
+from cnc_interp.run.chunk import Chunk
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.chunk_messages import chunk_from
 from cnc_interp.wire.message_checks import check_chunk
@@ -71,6 +72,7 @@ class MachineNode(LifecycleNode):
             self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
             self._see_refusal, self._diagnostics, status_period=0.01,
         )  # fmt: skip
+        self._inlet.buffered_time = 0.0
         self._override = FeedOverride(self, self._diagnostics)
         self._reports = MachineReports(self, self._playback, values, self._override)
         self._controls = Controls(self, self._playback, self._give_up)
@@ -96,19 +98,24 @@ class MachineNode(LifecycleNode):
 
     def _check(self, chunk: SetpointChunk) -> None:
         """Let in what fits the machine, its state, and where it stands."""
-        playback, run_id = self._playback, run_id_of(chunk)
+        playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0
+        playback.read()
         state = playback.state
         if run_id == playback.run_id and playback.left:
             raise StreamError(self._void(), Refusal.PLAN_OVER)
-        if chunk.first_sample == 0:
+        if begins:
             playback.make_room(run_id)
-        before = playback.buffer.newest
         if state.state in CLOSED:
             stopped = state.state is not State.INACTIVE
             kind = Refusal.MACHINE_FAULT if stopped else Refusal.NOT_READY
             reason = state.text or 'activate it'
             raise StreamError(f'the machine is {state.state.value}: {reason}', kind)
+        number, before = chunk.first_sample, playback.buffer.newest
+        if chunk.joins:
+            before = playback.before_join(run_id, number)
         check_chunk(chunk, playback.axes.machine, self._period, before)
+        if chunk.joins:
+            playback.join(run_id, number, *_parts(chunk))
 
     def _void(self) -> str:
         """Say why setpoints of the plan that was left are void; the same text for all of them."""
@@ -122,7 +129,8 @@ class MachineNode(LifecycleNode):
             playback.begin_plan(run_id_of(chunk))
             if not playback.played:
                 playback.cycle.forget_lateness()  # a new run, and its figures
-        playback.push(chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers))
+        if not chunk.joins:  # else it is in the buffer already
+            playback.push(*_parts(chunk))
 
     def _see_refusal(self) -> None:
         """Stop on the path after the sound setpoints: nothing more comes of this run."""
@@ -168,6 +176,11 @@ class MachineNode(LifecycleNode):
         """Stop the clock; the drives hold the last setpoint."""
         if self._clock_of_drives is not None:
             self._clock_of_drives.stop()
+
+
+def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:
+    """Return a chunk, and the source lines of its setpoints and of its stop tail."""
+    return chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -70,7 +70,7 @@ FEEDRATE = (
     *of_settings(Stage.MOTION),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
-    Declared('chunk_size', 10, 'Setpoints in a message', 1, 100),
+    Declared('chunk_time', 0.005, 'Motion in a message, at least a setpoint [s]', 0.0, 0.1),
     RESEND,
     PEER_TIMEOUT,
 )
@@ -78,7 +78,7 @@ MACHINE_NODE = (
     MACHINE,
     AUTOSTART,
     *of_settings(Stage.MOTION),
-    Declared('buffer_time', 0.25, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
+    Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     Declared('position_gain', 100.0, 'Gain kv of the drives [1/s]', 1.0, 1000.0),

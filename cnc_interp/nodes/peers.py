@@ -89,8 +89,11 @@ class Peers:
     def refusal(self, run_id: RunId) -> tuple[Refusal, str]:
         """Return why a run was refused, by the node nearest to the machine that did."""
         for stream in reversed(RECEIVERS):
-            if self.knows(stream, run_id) and self._status[stream].refusal_kind:
-                status = self._status[stream]
+            status = self._status.get(stream)
+            # A plan that joins too late is between its two nodes: the run goes on.
+            if status is None or status.refusal_kind in (Refusal.NONE, Refusal.TOO_LATE):
+                continue
+            if self.knows(stream, run_id):
                 return Refusal(status.refusal_kind), str(status.refusal)
         return Refusal.NONE, ''
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,11 +11,15 @@ from typing import Any
 
 from cnc_interp.run.planning_session import Task
 
+#: The thread that sends waits no longer for the one that plans, each time [s].
+SWITCH = 5e-4
+
 
 class PlanningThread:
     """A thread and the task that it was given last."""
 
     def __init__(self) -> None:
+        sys.setswitchinterval(SWITCH)
         self.longest = 0.0  # time of the longest task since the last reading [s]
         self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: tuple[Task, Future[Any], float] | None = None

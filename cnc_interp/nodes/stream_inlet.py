@@ -22,15 +22,17 @@ from cnc_interp.wire.window_protocol import WindowedReceiver
 HEARTBEAT = 0.1
 
 
-def numbers_of(message: Any) -> tuple[RunId, int, int]:
+def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
     """
-    Return the run of a message, the number of its first item and how many it has.
+    Return the run of a message, the number of its first item, how many it has, and if it begins.
 
-    Every plan of a run is a stream of its own: it is numbered from 0 and acknowledged alone.
+    Every plan of a run is a stream of its own and is acknowledged alone. It is numbered from 0, or
+    goes on with the numbers of the plan that it joins.
     """
     if isinstance(message, SetpointChunk):
-        return run_id_of(message), message.first_sample, len(message.sequences)
-    return run_id_of(message), message.sequence, 1
+        first, count = message.first_sample, len(message.sequences)
+        return run_id_of(message), first, count, first == 0 or message.joins
+    return run_id_of(message), message.sequence, 1, message.sequence == 0
 
 
 class Inlet:
@@ -94,9 +96,9 @@ class Inlet:
         except StreamError as fault:
             self._ask_again(fault.kind, f'{receiver.stream}: {fault}')
             return
-        run_id, first, count = numbers_of(message)
+        run_id, first, count, begins = numbers_of(message)
         try:
-            receiver.expect(run_id, first)
+            receiver.expect(run_id, first, begins)
         except StreamError as fault:
             self._pass_over(fault, mine=run_id == receiver.run_id)
             return
@@ -105,15 +107,20 @@ class Inlet:
         except StreamError as fault:
             if fault.kind is Refusal.PLAN_OVER:
                 receiver.close(str(fault))
+            elif fault.kind is Refusal.TOO_LATE:
+                self._turn_away(run_id, fault)
             else:
                 self.refuse(run_id, fault.kind, str(fault))
             return
         if receiver.run_id != run_id:
             self._refused.clear()
             self._diagnostics.say(receiver.stream, OK, 'no message refused')
-        receiver.take(run_id, count, message.end_of_program)
+        begun = receiver.run_id != run_id
+        receiver.take(run_id, first, count, message.end_of_program)
         self._gap = False
         self._on_message(message)
+        if begun:
+            self.tell()  # the sender may go on
 
     def _pass_over(self, fault: StreamError, mine: bool) -> None:
         """Name why a message does not belong here; where something is missing, ask for it."""
@@ -126,6 +133,20 @@ class Inlet:
             self._name(ERROR, receiver.refused, receiver.refusal_text)
         else:
             self._name(WARN, fault.kind, str(fault))
+
+    def _turn_away(self, run_id: RunId, fault: StreamError) -> None:
+        """Tell the sender that a plan cannot join; the stream goes on with the plan before."""
+        self._name(WARN, fault.kind, str(fault))
+        self._status.publish(
+            StreamStatus(
+                program_id=run_id.program_id,
+                attempt=run_id.attempt,
+                plan=run_id.plan,
+                stream=self.receiver.stream,
+                refusal_kind=fault.kind,
+                refusal=str(fault),
+            )
+        )
 
     def _ask_again(self, kind: Refusal, reason: str) -> None:
         """Have what is missing sent again."""

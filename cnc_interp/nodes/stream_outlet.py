@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +13,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.message_seal import sealed
 from cnc_interp.nodes.qos import STATUS, STREAM
+from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
@@ -46,7 +48,9 @@ class Outlet:
         self.sender: WindowedSender[Any] = WindowedSender(resend_after)
         self.stream = stream
         self.peer: StreamStatus | None = None
-        self.paused = False
+        self.heard = -math.inf  # when, by the monotonic clock [s]
+        self.turned_away = False  # the plan that was to join came too late
+        self._before = self.sender
         self._encode = encode
         self._publisher = node.create_publisher(kind, stream, STREAM)
         self._subscription = node.create_subscription(
@@ -57,12 +61,28 @@ class Outlet:
         """Move the window on and use it."""
         if status.stream != self.stream:
             return
-        self.peer = status
+        if status.refusal_kind == Refusal.TOO_LATE:
+            self.turned_away = run_id_of(status) == self.sender.run_id
+            return
+        self.peer, self.heard = status, time.monotonic()
         self.sender.acknowledge(
             run_id_of(status), status.next_sequence, status.window_limit, time.monotonic(),
             status.gap,
         )  # fmt: skip
         self.pump()
+
+    def join(self, run_id: RunId, first: int) -> None:
+        """
+        Send a plan that joins the one before, from a number on; that one can be taken back.
+
+        The numbers go on, and the window with them: nothing waits for the first acknowledgement.
+        """
+        self._before, self.sender = self.sender, WindowedSender(self.sender.resend_after)
+        self.sender.begin(run_id, first, self._before.limit)
+
+    def take_back(self) -> None:
+        """Go on with the plan that was sent before the one that was to join."""
+        self.sender, self.turned_away = self._before, False
 
     @property
     def refused(self) -> Refusal:
@@ -79,7 +99,7 @@ class Outlet:
 
     def pump(self) -> None:
         """Send what may be sent."""
-        if not self.sender.run_id or self.refused or self.paused:
+        if not self.sender.run_id or self.refused:
             return
         items = self.sender.due(time.monotonic())
         for done, item in enumerate(items):

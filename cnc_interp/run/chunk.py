@@ -49,6 +49,12 @@ class Chunk:
         """Tell whether the machine rests after it and goes on only when it is told to."""
         return self.wait is not Wait.NOTHING or self.ends_approach
 
+    def head(self, count: int) -> Chunk:
+        """Return the first setpoints; their stop goes on through the others and the tail."""
+        rest = part_of(self.samples, count, len(self.samples))
+        tail = Setpoints.concatenate([rest, self.tail])
+        return Chunk(part_of(self.samples, 0, count), tail, Wait.NOTHING)
+
 
 def part_of(samples: Setpoints, first: int, last: int) -> Setpoints:
     """

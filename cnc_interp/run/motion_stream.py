@@ -19,6 +19,10 @@ from cnc_interp.run.course import finely
 from cnc_interp.run.leg import Leg
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings, PlanContext
 
+#: A stop that is over so soon is finished, and the motion goes on from rest [s]. From a state so
+#: near to rest the path of a few periods is shorter than what the jerk stage can resolve.
+BRIEF = 0.01
+
 
 class MotionStream:
     """
@@ -152,9 +156,11 @@ class MotionStream:
         assert leg.number_of_zero is not None
         begun, period = number - leg.number_of_zero + 1, self._context.period
         new = Leg(self._context.limits, period, begun, (v, a))
-        if settings.override <= 0.0:
-            new.drive(stop, Wait.OVERRIDE)
-            todo = self._course.after(float(stop.path.s[-1]))
+        rests = settings.override <= 0.0
+        if rests or float(stop.law.duration.sum()) < BRIEF:
+            wait = Wait.OVERRIDE if rests else Wait.NOTHING
+            new.drive(stop, wait)
+            todo = finely(self._course.after(float(stop.path.s[-1])))
             return MotionPlan(self._context, settings, todo, number + 1, new, before=self._plan)
         todo = finely(self._course.after(s))
         plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self._plan)
@@ -165,9 +171,10 @@ class MotionStream:
             return None
         return None if new.planner.stuck else plan
 
-    def adopt(self, revision: MotionPlan) -> None:
-        """Put a revision in the place of the current plan."""
-        self._plan = revision
+    def adopt(self, revision: MotionPlan) -> MotionPlan:
+        """Put a revision in the place of the current plan; return that one."""
+        before, self._plan = self._plan, revision
+        return before
 
     def resume(self, s: float, settings: OperatorSettings) -> None:
         """Plan anew from rest at a place on the path [m]; setpoints are numbered from 0 again."""

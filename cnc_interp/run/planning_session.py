@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, cast
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
@@ -21,7 +21,7 @@ from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.run.run_planner import Revision, RunPlanner
 from cnc_interp.smoothing.segments import PathSegments
 
 SEGMENTS_PER_TASK = 64
@@ -33,11 +33,11 @@ SAMPLED_AHEAD = 0.6
 REVISE_AGAIN = 0.02
 """Time between the end of a revision and the next one [s]."""
 
-RESERVE = 0.1
-"""The old plan goes on when the machine holds less motion than this during a revision [s]."""
+LEAD, LONGEST_LEAD = 0.08, 1.0
+"""Motion ahead of the machine after which a revision joins; twice as much after a late one [s]."""
 
-MOST_LATE = 5
-"""After so many late revisions in a row, the next one may take all the time that it needs."""
+MARGIN = 0.04
+"""A revision that joins less ahead of the machine than this is late [s]."""
 
 
 class ChunkSender(Protocol):
@@ -45,6 +45,9 @@ class ChunkSender(Protocol):
 
     sent: int
     """Number after the last setpoint that was sent."""
+
+    next_number: int
+    """Number after the last setpoint that was queued."""
 
     @property
     def unsent(self) -> int:
@@ -55,9 +58,6 @@ class ChunkSender(Protocol):
 
     def put(self, item: Chunk, count: int = 1) -> None:
         """Queue a chunk of so many setpoints."""
-
-    def drop_unsent(self) -> None:
-        """Forget the setpoints that are not sent."""
 
 
 class SessionPort(Protocol):
@@ -73,11 +73,48 @@ class SessionPort(Protocol):
     def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait]]:
         """Read segment messages; returns also the blocks after which cycle_start is waited for."""
 
+    def join(self, run_id: RunId, first: int) -> None:
+        """Send a plan from a number on, which joins the plan that is being sent."""
+
+    def take_back(self) -> None:
+        """Go on with the plan before the one that was to join."""
+
     def consumed(self, count: int) -> None:
         """Open the window of the segments."""
 
     def refuse(self, kind: Refusal, reason: str) -> None:
         """Tell the sender of the segments that the run is over."""
+
+
+@dataclass(frozen=True)
+class Received:
+    """
+    What the machine told of the setpoints it receives.
+
+    Parameters
+    ----------
+    run_id : RunId
+        The plan that it receives.
+    executed : float
+        Number of the next setpoint that it executes, by now.
+    turned_away : bool
+        The plan sent last was to join where the machine has passed.
+
+    """
+
+    run_id: RunId = NO_RUN
+    executed: float = -math.inf
+    turned_away: bool = False
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The plan before the one that is to join."""
+
+    run_id: RunId
+    joins_at: int
+    plan: MotionPlan
+    path_end: PathEnd
 
 
 @dataclass(frozen=True)
@@ -117,7 +154,9 @@ class PlanningSession:
         self._segments: deque[Any] = deque()
         self._machine: MachineReport | None = None  # since the run began
         self._executing = False  # the machine has begun the run and has not completed it
-        self._revised_at, self._late = -math.inf, 0  # late revisions in a row
+        self._received, self._kept = Received(), cast(Kept | None, None)
+        self._revised_at, self._lead = -math.inf, LEAD
+        self._joins_at = self._plans = 0
 
     def _change(self, step: Step) -> None:
         """Go on to the next activity of the table."""
@@ -138,7 +177,8 @@ class PlanningSession:
         self._change(Step.BEGIN)
         self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
         self.planner, self.task, self._machine, self._executing = None, None, None, False
-        self.sent_before = self._late = 0
+        self.sent_before = self._joins_at = self._plans = 0
+        self._kept, self._lead = None, LEAD
         self._segments.clear()
         self._port.sender.begin(run_id)
 
@@ -171,7 +211,12 @@ class PlanningSession:
         self._segments.clear()
         self.task, self.wants_segments = None, False
 
-    def step(self, now: float, buffered_time: float) -> Task | None:
+    @property
+    def joins_at(self) -> int:
+        """Number of the first setpoint of a plan that joins; 0 of any other."""
+        return self._joins_at
+
+    def step(self, now: float, received: Received) -> Task | None:
         """
         Decide what is done next.
 
@@ -179,8 +224,8 @@ class PlanningSession:
         ----------
         now : float
             Time of any steady clock [s].
-        buffered_time : float
-            Motion that the machine holds [s]; NaN where that is unknown.
+        received : Received
+            What the machine receives.
 
         Returns
         -------
@@ -189,15 +234,17 @@ class PlanningSession:
             or nothing is to be done.
 
         """
+        self._received = received
+        if self.activity is Activity.JOINING:
+            self._see_join()
         if self.task is not None:
-            self._keep_fed(buffered_time)
             return None
         if self._given_up():
             reason = 'the machine has given up this run; run the program again'
             self.give_up(Refusal.GIVEN_UP, reason)
         if self.activity is Activity.WAITING:
             self._find_place()
-        if self.activity is Activity.PLANNING and self.planner is not None:
+        if self.activity in (Activity.PLANNING, Activity.JOINING) and self.planner is not None:
             self.task = self._next_task(self.planner, now)
         return self.task
 
@@ -223,6 +270,8 @@ class PlanningSession:
     def _next_task(self, planner: RunPlanner, now: float) -> Task | None:
         """Choose the most urgent task."""
         report = self._machine
+        if self.activity is Activity.JOINING:
+            return self._plan_ahead_task(planner, report)
         if report is not None and report.left(self.run_id):
             return self._resume(planner, report.path_position)
         if self._must_revise(planner, now):
@@ -233,56 +282,82 @@ class PlanningSession:
         """Plan anew from where the machine rests."""
         self._change(Step.RESUME)
         sender, settings = self._port.sender, self.settings
-        self.run_id = self.run_id.next_plan()
         self.sent_before += sender.sent
-        self.path_end = min(self.path_end, PathEnd.PLANNED)
+        self._begin_plan(0)
         sender.begin(self.run_id)
         return Task(lambda: planner.resume(s, settings), self._resumed)
+
+    def _begin_plan(self, joins_at: int) -> None:
+        """Give the next plan its identity; no two plans of an attempt have the same."""
+        self._plans += 1
+        self.run_id, self._joins_at = replace(self.run_id, plan=self._plans), joins_at
+        self.path_end = min(self.path_end, PathEnd.PLANNED)
 
     def _resumed(self, chunks: list[Chunk], _now: float) -> None:
         self._change(Step.DONE)
         self._put(chunks)
 
     def _must_revise(self, planner: RunPlanner, now: float) -> bool:
-        """
-        Tell whether a setting has changed for setpoints that are not sent.
-
-        The machine is given all that it may hold first, so that a revision has time.
-        """
-        sender, stream = self._port.sender, planner.stream
+        """Tell whether a setting has changed for setpoints that can still be replaced."""
+        if self.settings == planner.stream.settings or self._received.run_id != self.run_id:
+            return False
+        number = self._join_after()
         return (
-            self.settings != stream.settings
-            and sender.sent > 0
-            and (sender.unsent > 0 or not (stream.can_sample or stream.can_plan))
-            and not (self.path_end is PathEnd.QUEUED and sender.unsent == 0)
+            self._port.sender.sent > self._joins_at
+            and not (self.path_end is PathEnd.QUEUED and self._is_last(number))
             and now - self._revised_at > REVISE_AGAIN
         )
 
+    def _is_last(self, number: int) -> bool:
+        """Tell whether no setpoint is queued after one."""
+        return number == self._port.sender.next_number - 1
+
+    def _join_after(self) -> int:
+        """Return the number of the setpoint after which a revision joins."""
+        ahead = self._received.executed + self._lead / self._period
+        return min(max(math.ceil(ahead), self._joins_at), self._port.sender.sent - 1)
+
     def _revise(self, planner: RunPlanner) -> Task:
-        """
-        Plan anew after the last setpoint that was sent; until then nothing is sent.
-
-        If that takes too long the old plan goes on; from another place it is mostly faster.
-        """
+        """Plan anew after a setpoint a little ahead of the machine; the old plan goes on."""
         self._change(Step.REVISE)
-        number, settings = self._port.sender.sent - 1, self.settings
-        return Task(lambda: planner.stream.revision(number, settings), self._revised)
+        number, settings = self._join_after(), self.settings
+        return Task(lambda: planner.revise(number, settings), self._revised)
 
-    def _keep_fed(self, buffered_time: float) -> None:
-        """Let the old plan go on, if it does, before the machine has nothing left."""
-        short = buffered_time < RESERVE and self._port.sender.unsent > 0
-        if self.activity is Activity.REVISING and short and self._late < MOST_LATE:
-            self._change(Step.RUN_SHORT)
-
-    def _revised(self, revision: MotionPlan | None, now: float) -> None:
-        """Adopt a revision that came in time; a late one is dropped."""
-        late = self.activity is Activity.REVISING_LATE
-        if revision is not None and not late and self.planner is not None:
-            self.planner.stream.adopt(revision)
-            self._port.sender.drop_unsent()
-            self.path_end = min(self.path_end, PathEnd.PLANNED)
-        self._late = self._late + 1 if late else 0
+    def _revised(self, revision: Revision | None, now: float) -> None:
+        """Send a revision that came in time; a late one is dropped."""
         self._revised_at = now
+        planner = self.planner
+        if revision is None or planner is None or self._is_late(revision.number):
+            self._change(Step.DONE)
+            return
+        self._lead = max(LEAD, 0.5 * self._lead)
+        self._change(Step.JOIN)
+        before = planner.stream.adopt(revision.plan)
+        self._kept = Kept(self.run_id, self._joins_at, before, self.path_end)
+        self._begin_plan(revision.number + 1)
+        self._port.join(self.run_id, self._joins_at)
+        self._put(revision.chunks)
+
+    def _is_late(self, number: int) -> bool:
+        """Tell whether the machine may pass a setpoint before a plan can join there."""
+        ahead = (number - self._received.executed) * self._period
+        late = ahead < MARGIN and not self._is_last(number)
+        if late:
+            self._lead = min(2.0 * self._lead, LONGEST_LEAD)
+        return late
+
+    def _see_join(self) -> None:
+        """Go on when the machine has answered; where it has passed, with the plan before."""
+        kept, planner = self._kept, self.planner
+        if self._received.turned_away and kept is not None and planner is not None:
+            planner.stream.adopt(kept.plan)
+            self.run_id, self.path_end, self._joins_at = kept.run_id, kept.path_end, kept.joins_at
+            self._port.take_back()
+            self.task = None
+            self._lead = min(2.0 * self._lead, LONGEST_LEAD)
+        elif self._received.run_id != self.run_id:
+            return
+        self._kept = None
         self._change(Step.DONE)
 
     def _plan_ahead_task(self, planner: RunPlanner, report: MachineReport | None) -> Task | None:
@@ -298,6 +373,10 @@ class PlanningSession:
             mine = report is not None and report.run_id.same_attempt(self.run_id)
             executed = report.path_position if report is not None and mine else -math.inf
             return Task(lambda: planner.work(sample, executed), self._planned)
+        if self.activity is Activity.JOINING:
+            return (
+                None  # the plan before needs the path that comes, too: once it is known to go on
+            )
         if wants and self._segments:
             count = min(SEGMENTS_PER_TASK, len(self._segments))
             segments, pauses = self._port.read([self._segments.popleft() for _ in range(count)])

@@ -11,8 +11,8 @@ class Activity(Enum):
     NONE = 'no run'
     WAITING = 'waits for the machine to rest'
     PLANNING = 'plans ahead'
-    REVISING = 'revises; nothing is sent until the revision is there'
-    REVISING_LATE = 'revises too late; the old plan goes on'
+    REVISING = 'plans with other settings; the old plan goes on'
+    JOINING = 'has sent a plan that joins the one before'
     RESUMING = 'plans anew from rest'
     ENDED = 'the run is over'
 
@@ -23,7 +23,7 @@ class Step(Enum):
     BEGIN = 'the first segment of a run came'
     PLACE = 'the machine told where it rests'
     REVISE = 'the operator changed a setting'
-    RUN_SHORT = 'the machine needs setpoints'
+    JOIN = 'the plan with other settings is in time'
     RESUME = 'the machine left the plan and rests'
     DONE = 'the plan is there'
     END = 'the run was executed, refused or given up'
@@ -33,9 +33,9 @@ A, S = Activity, Step
 TABLE: dict[tuple[Activity, Step], Activity] = {
     (A.WAITING, S.PLACE): A.PLANNING,
     (A.PLANNING, S.REVISE): A.REVISING,
-    (A.REVISING, S.RUN_SHORT): A.REVISING_LATE,
     (A.REVISING, S.DONE): A.PLANNING,
-    (A.REVISING_LATE, S.DONE): A.PLANNING,
+    (A.REVISING, S.JOIN): A.JOINING,
+    (A.JOINING, S.DONE): A.PLANNING,
     (A.PLANNING, S.RESUME): A.RESUMING,
     (A.RESUMING, S.DONE): A.PLANNING,
     **{(activity, S.BEGIN): A.WAITING for activity in A},

@@ -38,8 +38,9 @@ class RunId:
         return (self.program_id, self.attempt) == (other.program_id, other.attempt)
 
     def continues(self, other: RunId) -> bool:
-        """Tell whether this is a later attempt at the other's run."""
-        return self.program_id == other.program_id and self.attempt > other.attempt
+        """Tell whether this is a later attempt at the other's run, or a later plan of it."""
+        later = (self.attempt, self.plan) > (other.attempt, other.plan)
+        return self.program_id == other.program_id and later
 
     def next_attempt(self) -> RunId:
         """Return the identity of the run when it is begun again after a loss."""

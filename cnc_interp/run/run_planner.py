@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.interpolator import Setpoints
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -24,6 +25,17 @@ from cnc_interp.smoothing.segments import PathSegments
 ON_PATH = 1e-8
 #: Source lines that are kept before those of executed blocks are looked for and forgotten.
 LINES_KEPT = 4096
+
+#: Motion that is handed out together with a revision [s].
+AT_ONCE = 0.2
+
+
+class Revision(NamedTuple):
+    """A plan with other settings that joins the current one after a setpoint, and its begin."""
+
+    number: int
+    plan: MotionPlan
+    chunks: list[Chunk]
 
 
 class RunPlanner:
@@ -41,8 +53,8 @@ class RunPlanner:
         Height that measures rotations [m].
     period : float
         Interpolation period [s].
-    chunk_size : int
-        Setpoints in a chunk.
+    chunk_time : float
+        Motion in a chunk; it has one setpoint at least [s].
     stands : ndarray, shape (n_axes,)
         Where the machine stands, at rest [m, rad].
     continue_at : float
@@ -57,7 +69,7 @@ class RunPlanner:
         transform: Transform,
         flank_height: float,
         period: float,
-        chunk_size: int,
+        chunk_time: float,
         stands: FloatArray,
         continue_at: float = math.nan,
         settings: OperatorSettings | None = None,
@@ -65,9 +77,11 @@ class RunPlanner:
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height, period)
         limits = limits_at(transform.machine, period)
+        chunk_size = max(1, round(chunk_time / period))
         self.stream = MotionStream(limits, period, chunk_size, self.line_of, settings)
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
+        self._enough = round(AT_ONCE / period)
         self._begun = False
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -170,6 +184,37 @@ class RunPlanner:
         """Plan anew from rest at a place on the path [m]; return no chunks yet."""
         self.stream.resume(s, settings)
         return []
+
+    def revise(self, number: int, settings: OperatorSettings) -> Revision | None:
+        """
+        Plan with other settings after a setpoint that was handed out; the current plan stays.
+
+        Parameters
+        ----------
+        number : int
+            Number of the last setpoint that is executed as it is.
+        settings : OperatorSettings
+            The settings that the revision follows.
+
+        Returns
+        -------
+        Revision or None
+            None where no other motion was found from there: ask again at a later setpoint.
+
+        """
+        plan, chunks, count = self.stream.revision(number, settings), [], 0
+        if plan is None:
+            return None
+        try:
+            while count < self._enough and (plan.can_sample or plan.can_plan):
+                if plan.can_sample:
+                    chunks += plan.sample()
+                    count = sum(len(chunk.samples) for chunk in chunks)
+                else:
+                    plan.plan()
+        except PlanningError:
+            return None
+        return Revision(number, plan, chunks) if chunks else None
 
     def _note_lines(self, segments: PathSegments) -> None:
         """Keep the source line of each block on the path that is kept."""

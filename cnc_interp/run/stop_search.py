@@ -12,7 +12,7 @@ from cnc_interp.run.course import Course
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import Leg
 
-STOP_EVERY = 0.02
+STOP_EVERY = 0.005
 """Time between setpoints at which a stop is looked for [s]."""
 
 

@@ -16,8 +16,14 @@ from cnc_interp.wire.path_messages import packed
 
 
 def chunk_message(
-    chunk: Chunk, lines: list[int], tail_lines: list[int], run_id: RunId, first: int, period: float
-) -> SetpointChunk:  # fmt: skip
+    chunk: Chunk,
+    lines: list[int],
+    tail_lines: list[int],
+    run_id: RunId,
+    first: int,
+    period: float,
+    joins: bool = False,
+) -> SetpointChunk:
     """
     Turn a chunk into a message.
 
@@ -33,6 +39,8 @@ def chunk_message(
         Number of the first setpoint in the plan.
     period : float
         Interpolation period [s].
+    joins : bool
+        True for the first chunk of a plan that joins the one before in motion.
 
     """
     samples, tail = chunk.samples, chunk.tail
@@ -40,6 +48,7 @@ def chunk_message(
         program_id=run_id.program_id,
         attempt=run_id.attempt,
         plan=run_id.plan,
+        joins=joins,
         first_sample=first,
         period=period,
         axis_count=samples.position.shape[1],

@@ -55,33 +55,29 @@ class WindowedSender(Generic[Item]):
     def __init__(self, resend_after: float):
         self.resend_after = self._patience = resend_after
         self.run_id = NO_RUN
-        self._begin()
+        self._begin(0, 0)
 
-    def _begin(self) -> None:
+    def _begin(self, first: int, limit: int) -> None:
         self._items: deque[Numbered[Item]] = deque()  # from the first unacknowledged one
         self._in_flight = 0  # how many of them are sent
-        self.next_number = 0
-        self.acknowledged = 0
-        self.limit = 0
-        self.sent = 0  # number after the last item that was ever sent
+        self._first = first
+        self.next_number = first
+        self.acknowledged = first
+        self.limit = limit
+        self.sent = first  # number after the last item that was ever sent
         self._since = 0.0
         self._again = -math.inf
         self._patience = self.resend_after
 
-    def begin(self, run_id: RunId) -> None:
-        """Start a new program; what is left of the old one is dropped."""
+    def begin(self, run_id: RunId, first: int = 0, limit: int = 0) -> None:
+        """Start a new program with a number; what is left of the old one is dropped."""
         self.run_id = run_id
-        self._begin()
+        self._begin(first, limit)
 
     def put(self, item: Item, count: int = 1) -> None:
         """Queue the next item."""
         self._items.append(Numbered(self.next_number, count, item))
         self.next_number += count
-
-    def drop_unsent(self) -> None:
-        """Forget the items that were never sent; their numbers are free again."""
-        while self._items and self._items[-1].first >= self.sent:
-            self.next_number = self._items.pop().first
 
     @property
     def unsent(self) -> int:
@@ -105,7 +101,7 @@ class WindowedSender(Generic[Item]):
         found = []
         while self._in_flight < len(self._items):
             item = self._items[self._in_flight]
-            if item.first >= max(self.limit, 1):
+            if item.first >= self.limit and item.first > self._first:
                 break
             if self._in_flight == 0:
                 self._since = now
@@ -170,9 +166,9 @@ class WindowedReceiver:
         """Number of the first item that must not be sent yet."""
         return self.consumed + self.window if self.active else self.next_number
 
-    def expect(self, run_id: RunId, first: int) -> None:
+    def expect(self, run_id: RunId, first: int, begins: bool) -> None:
         """
-        Check that an item is the next one, or the first of a new program.
+        Check that an item is the next one, or ``begins`` a new program.
 
         Raises
         ------
@@ -185,7 +181,7 @@ class WindowedReceiver:
                 f'{self.stream}: {first} has no program id; name the program', Refusal.FOREIGN_RUN
             )
         if run_id != self.run_id:
-            self._expect_new(run_id, first)
+            self._expect_new(run_id, first, begins)
         elif self.refused:
             text = f'{self.stream}: {first} after the refusal: {self.refusal_text}'
             raise StreamError(text, self.refused)
@@ -206,9 +202,11 @@ class WindowedReceiver:
                 Refusal.GAP,
             )
 
-    def _expect_new(self, run_id: RunId, first: int) -> None:
+    def _expect_new(self, run_id: RunId, first: int, begins: bool) -> None:
         """Check that another program may begin here."""
-        if self.active and not run_id.continues(self.run_id):
+        # A plan from rest begins after the one before is closed; one that joins does not wait.
+        goes_on = run_id.attempt > self.run_id.attempt or first > 0
+        if self.active and not (goes_on and run_id.continues(self.run_id)):
             raise StreamError(
                 f'{self.stream}: foreign program {run_id} while {self.run_id} runs; '
                 'wait for its end',
@@ -216,24 +214,24 @@ class WindowedReceiver:
             )
         if run_id in self._past:
             raise StreamError(f'{self.stream}: {first} of old program {run_id}', Refusal.LATE)
-        if first != 0:
+        if not begins:
             raise StreamError(
                 f'{self.stream}: gap: {first} of unknown program {run_id}; a program begins at 0',
                 Refusal.FOREIGN_RUN,
             )
 
-    def take(self, run_id: RunId, count: int = 1, end: bool = False) -> None:
+    def take(self, run_id: RunId, first: int, count: int = 1, end: bool = False) -> None:
         """Count an item that ``expect`` accepted and that is valid."""
         if run_id != self.run_id:
-            self._begin(run_id)
+            self._begin(run_id, first)
         self.next_number += count
         self.complete = end
 
-    def _begin(self, run_id: RunId) -> None:
+    def _begin(self, run_id: RunId, first: int = 0) -> None:
         if self.run_id:
             self._past.append(self.run_id)
         self.run_id = run_id
-        self.next_number = self.consumed = 0
+        self.next_number = self.consumed = first
         self.complete, self.refused, self.refusal_text, self._closed = False, Refusal.NONE, '', ''
 
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:

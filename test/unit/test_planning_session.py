@@ -9,14 +9,15 @@ from cnc_interp.core.errors import PlanningError, Refusal
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.machine_report import MachineReport, Motion
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import MOST_LATE, PlanningSession
+from cnc_interp.run.planning_session import LEAD, MARGIN, PlanningSession, Received
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_planner import Revision
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')
 SLOW = OperatorSettings(override=0.5)
-PLENTY, LITTLE = 0.25, 0.05
+T = 1e-3
 
 
 class Stream:
@@ -30,11 +31,10 @@ class Stream:
     def can_sample(self):
         return self.left > 0
 
-    def revision(self, number, settings):
-        return SimpleNamespace(after=number, settings=settings) if self.finds else None
-
-    def adopt(self, revision):
-        self.settings, self.adopted = revision.settings, revision
+    def adopt(self, plan):
+        before = SimpleNamespace(settings=self.settings)
+        self.settings = plan.settings
+        return before
 
 
 class Planner:
@@ -55,6 +55,12 @@ class Planner:
         wait = Wait.NOTHING if self.stream.left else Wait.END
         return [SimpleNamespace(samples=range(10), wait=wait)]
 
+    def revise(self, number, settings):
+        if not self.stream.finds:
+            return None
+        chunk = SimpleNamespace(samples=range(10), wait=Wait.NOTHING)
+        return Revision(number, SimpleNamespace(settings=settings), [chunk])
+
     def resume(self, s, settings):
         self.resumed, self.stream.settings = s, settings
         return []
@@ -74,6 +80,13 @@ class Port:
     def read(self, segments):
         return segments, set()
 
+    def join(self, run_id, first):
+        self.before, self.sender = self.sender, WindowedSender(0.5)
+        self.sender.begin(run_id, first)
+
+    def take_back(self):
+        self.sender = self.before
+
     def consumed(self, count):
         self.opened += count
 
@@ -92,11 +105,14 @@ class Bench:
 
     def __init__(self):
         self.port, self.now = Port(), 0.0
-        self.session = PlanningSession(self.port, 1e-3, 10.0)
+        self.session = PlanningSession(self.port, T, 10.0)
+        self.executed, self.receives, self.turned_away = 0, None, False
 
-    def step(self, buffered=PLENTY):
+    def step(self):
         self.now += 0.1
-        return self.session.step(self.now, buffered)
+        receives = self.receives or self.session.run_id
+        received = Received(receives, self.executed, self.turned_away)
+        return self.session.step(self.now, received)
 
     def finish(self, task):
         self.session.finish(task, task.work, self.now)
@@ -151,42 +167,63 @@ def test_a_run_waits_until_the_machine_rests_and_ends_when_it_was_executed(bench
     assert bench.port.refused == []
 
 
-def test_a_revision_in_time_takes_the_place_of_what_is_not_sent(bench):
-    planner = bench.planning(window=60)
+def test_a_revision_joins_a_little_ahead_of_the_machine_and_not_after_the_buffer(bench):
+    planner = bench.planning(window=150)
+    session, sender = bench.session, bench.port.sender
+    bench.executed, session.settings = 20, SLOW
+    task = bench.step()
+    assert session.activity is Activity.REVISING
+    bench.executed += 10  # the machine goes on meanwhile
+    assert bench.step() is None
+    bench.finish(task)
+    joins = 20 + round(LEAD / T) + 1
+    assert session.activity is Activity.JOINING and planner.stream.settings == SLOW
+    assert session.run_id == RunId('run', plan=1) and session.joins_at == joins
+    assert (bench.port.sender.run_id, bench.port.sender.next_number) == (
+        session.run_id,
+        joins + 10,
+    )
+    bench.receives = RUN
+    bench.finish(bench.step())
+    assert session.activity is Activity.JOINING, 'it has not answered'
+    assert bench.port.sender.next_number == joins + 20, 'the new plan is sampled on meanwhile'
+    bench.receives = session.run_id
+    assert bench.step() is not None and session.activity is Activity.PLANNING
+    assert bench.port.sender is not sender
+
+
+def test_a_late_revision_is_dropped_and_the_next_one_has_twice_the_time(bench):
+    planner = bench.planning(window=400)
+    sender = bench.port.sender
     bench.session.settings = SLOW
     task = bench.step()
-    assert bench.session.activity is Activity.REVISING
-    assert bench.step() is None and bench.session.activity is Activity.REVISING
+    bench.executed += round((LEAD - 0.5 * MARGIN) / T)
+    bench.step()
     bench.finish(task)
-    assert planner.stream.adopted.after == 59 and planner.stream.settings == SLOW
-    assert bench.port.sender.next_number == bench.port.sender.sent == 60
+    assert planner.stream.settings != SLOW and bench.port.sender is sender
     assert bench.session.activity is Activity.PLANNING
+    bench.executed -= 40
+    bench.finish(bench.step())
+    assert bench.session.joins_at == bench.executed + round(2 * LEAD / T) + 1
 
 
-def test_a_late_revision_is_dropped_and_the_old_plan_goes_on(bench):
-    planner = bench.planning(window=60)
-    queued = bench.port.sender.next_number
-    bench.session.settings = SLOW
+def test_where_the_machine_has_passed_the_plan_before_goes_on(bench):
+    planner = bench.planning(window=150)
+    session, sender, end = bench.session, bench.port.sender, bench.session.path_end
+    session.settings = SLOW
+    bench.finish(bench.step())
+    bench.receives = RUN
+    void = bench.step()
+    bench.turned_away = True
     task = bench.step()
-    bench.step(LITTLE)
-    assert bench.session.activity is Activity.REVISING_LATE
+    bench.finish(void)
+    assert session.task is task, 'what was sampled of the plan that did not join is void'
+    assert session.activity is Activity.REVISING, 'it is tried again'
+    assert (session.run_id, session.joins_at, session.path_end) == (RUN, 0, end)
+    assert bench.port.sender is sender and planner.stream.settings != SLOW
+    bench.turned_away = False
     bench.finish(task)
-    assert not hasattr(planner.stream, 'adopted') and bench.port.sender.next_number == queued
-    assert bench.session.activity is Activity.PLANNING
-
-
-def test_after_many_late_revisions_the_next_one_gets_its_time(bench):
-    planner = bench.planning(window=60)
-    bench.session.settings = SLOW
-    for _ in range(MOST_LATE):
-        task = bench.step()
-        bench.step(LITTLE)
-        bench.finish(task)
-    task = bench.step()
-    bench.step(LITTLE)
-    assert bench.session.activity is Activity.REVISING
-    bench.finish(task)
-    assert planner.stream.settings == SLOW
+    assert session.run_id == RunId('run', plan=2), 'answers to plan 1 may still be on their way'
 
 
 def test_a_revision_that_was_not_found_is_tried_again_a_moment_later(bench):
@@ -198,10 +235,8 @@ def test_a_revision_that_was_not_found_is_tried_again_a_moment_later(bench):
     assert bench.session.activity is Activity.PLANNING
     bench.finish(task)
     planner.stream.finds = True
-    task = bench.step()
-    assert bench.session.activity is Activity.REVISING
-    bench.finish(task)
-    assert planner.stream.settings == SLOW
+    bench.finish(bench.step())
+    assert bench.session.activity is Activity.JOINING and planner.stream.settings == SLOW
 
 
 def test_when_the_last_setpoint_is_sent_nothing_is_revised(bench):
@@ -210,7 +245,7 @@ def test_when_the_last_setpoint_is_sent_nothing_is_revised(bench):
     for _ in range(200):
         bench.work()
         bench.send()
-    bench.session.settings = SLOW
+    bench.executed, bench.session.settings = 990, SLOW
     assert bench.step() is None and bench.session.activity is Activity.PLANNING
 
 

@@ -18,10 +18,10 @@ P, Q, R, OTHER = (RunId(name) for name in ('p', 'q', 'r', 'other'))
 def receive(receiver, program, first, count=1, end=False):
     """What an inlet does with a sound message; True when it was let in."""
     try:
-        receiver.expect(program, first)
+        receiver.expect(program, first, first == 0)
     except StreamError:
         return False
-    receiver.take(program, count, end)
+    receiver.take(program, first, count, end)
     return True
 
 
@@ -136,19 +136,25 @@ def test_words_about_another_program_or_from_the_future_are_ignored():
     assert sender.limit == 0 and sender.acknowledged == 0
 
 
-def test_dropping_unsent_items_frees_their_numbers():
-    sender = WindowedSender(RESEND)
-    sender.begin(P)
-    for i in range(10):
-        sender.put(i)
-    sender.due(0.0)
-    sender.acknowledge(P, 1, 4, 0.0)
-    sender.due(0.0)
-    sender.drop_unsent()
-    assert sender.next_number == sender.sent == 4
-    sender.put('end')
-    sender.acknowledge(P, 4, 9, 0.0)
-    assert [(i.first, i.item) for i in sender.due(0.0)] == [(4, 'end')]
+def test_a_plan_that_joins_goes_on_with_the_numbers_of_the_plan_before():
+    sender, receiver = WindowedSender(RESEND), WindowedReceiver('setpoints', 10)
+    for i in range(8):
+        receive(receiver, P, i)
+    joins = P.next_plan()
+    sender.begin(joins, 5)
+    sender.put('a', 2)
+    sender.put('b', 2)
+    (first,) = sender.due(0.0)  # with it the receiver learns of the plan
+    assert (first.first, first.item) == (5, 'a')
+    with pytest.raises(StreamError, match='gap'):
+        receiver.expect(joins, 7, False)
+    receiver.expect(joins, 5, True)
+    receiver.take(joins, 5, 2)
+    assert receiver.limit == 15, 'nothing of it is executed: the window begins where it joins'
+    sender.acknowledge(joins, receiver.next_number, receiver.limit, 0.0)
+    assert [item.first for item in sender.due(0.0)] == [7]
+    with pytest.raises(StreamError, match=r'foreign|old'):
+        receiver.expect(P, 8, False)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +172,7 @@ def test_receiver_names_what_is_wrong_and_stays_as_it_was(program, first, word):
     for i in range(3):
         receive(receiver, P, i)
     with pytest.raises(StreamError, match=word):
-        receiver.expect(program, first)
+        receiver.expect(program, first, first == 0)
     assert (receiver.run_id, receiver.next_number) == (P, 3)
     assert receive(receiver, P, 3)
 
@@ -174,10 +180,10 @@ def test_receiver_names_what_is_wrong_and_stays_as_it_was(program, first, word):
 def test_a_program_begins_with_its_first_item_only():
     receiver = WindowedReceiver('blocks', 10)
     with pytest.raises(StreamError, match='unknown program'):
-        receiver.expect(P, 4)
+        receiver.expect(P, 4, False)
     assert receive(receiver, P, 0, end=True)
     with pytest.raises(StreamError, match='after the end'):
-        receiver.expect(P, 1)
+        receiver.expect(P, 1, False)
     assert receive(receiver, Q, 0)
     assert (receiver.next_number, receiver.consumed, receiver.complete) == (1, 0, False)
 
@@ -189,7 +195,7 @@ def test_a_closed_program_answers_all_that_still_comes_in_the_same_words():
     said = set()
     for number in (1, 2, 9):
         with pytest.raises(StreamError) as fault:
-            receiver.expect(P, number)
+            receiver.expect(P, number, number == 0)
         said.add(str(fault.value))
     assert said == {'came after the stop'}
     assert not receiver.active and receive(receiver, Q, 0)
@@ -201,7 +207,7 @@ def test_a_later_attempt_may_begin_while_the_one_before_is_active():
     assert receive(receiver, P.next_attempt(), 0) and receiver.active
     assert receiver.run_id == RunId('p', attempt=1)
     with pytest.raises(StreamError, match='foreign'):
-        receiver.expect(P, 0)  # an earlier one may not
+        receiver.expect(P, 0, True)  # an earlier one may not
     sender = WindowedSender(RESEND)
     sender.begin(P.next_attempt())
     sender.put('a')
@@ -216,7 +222,7 @@ def test_another_plan_begins_only_after_the_one_before_is_closed():
     receiver = WindowedReceiver('setpoints', 10)
     assert receive(receiver, P, 0)
     with pytest.raises(StreamError, match='foreign'):
-        receiver.expect(P.next_plan(), 0)
+        receiver.expect(P.next_plan(), 0, True)
     receiver.close('left by its stop')
     assert receive(receiver, P.next_plan(), 0)
 
@@ -226,7 +232,7 @@ def test_old_programs_never_come_back():
     for program in (P, Q, R):
         assert receive(receiver, program, 0, end=True)
     with pytest.raises(StreamError, match='old program'):
-        receiver.expect(P, 0)
+        receiver.expect(P, 0, True)
 
 
 def test_after_a_refusal_nothing_of_the_program_gets_in_but_another_may_begin():
@@ -234,7 +240,7 @@ def test_after_a_refusal_nothing_of_the_program_gets_in_but_another_may_begin():
     receive(receiver, P, 0)
     receiver.refuse(P, Refusal.BAD_MESSAGE, 'the tool axis has length 2')
     with pytest.raises(StreamError, match='length 2'):
-        receiver.expect(P, 1)
+        receiver.expect(P, 1, False)
     assert receiver.limit == 1
     assert receive(receiver, Q, 0)
     assert receiver.refused is Refusal.NONE

@@ -39,7 +39,7 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     parts = [builder.push(first), builder.push(second)]
     path, place = AxisPath.join(parts), float(parts[0].s[-1]) - before
     stands = evaluate(path, np.array([place]))[0][0]
-    planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 10, stands, place)
+    planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, stands, place)
     planner.push(first, {})
     planner.push(second, {})
     planner.finish()

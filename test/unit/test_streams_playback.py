@@ -1,13 +1,11 @@
 """The machine's buffer and the approach: moves played period by period."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.core.errors import StreamError, TravelError
+from cnc_interp.core.errors import Refusal, StreamError, TravelError
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
@@ -21,6 +19,7 @@ from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
@@ -271,12 +270,83 @@ def test_what_cannot_begin_is_refused():
         play.make_room(Q)
     play.hold()
     step_until(play, lambda: play.state.resting)
-    with pytest.raises(StreamError, match='plan 3 cannot follow plan 0'):
-        play.make_room(replace(P, plan=3))
+    with pytest.raises(StreamError, match='plan 0 cannot follow plan 0'):
+        play.make_room(P)
     with pytest.raises(StreamError, match='p is on hold'):
         play.make_room(Q)
     play.make_room(P.next_plan())
     play.make_room(P.next_attempt())
+
+
+def moving_with_a_stop_from(number):
+    """A machine that has played 100 setpoints of a long move, and chunks that stop earlier."""
+    stream, chunks = MotionStream(MACHINE, T), []
+    stream.push(approach(TRANSFORM, 0.03, HOME, np.array([0.4, 0.1, 0.0, 0.2, 0.0])))
+    stream.end_leg(Wait.END)
+    while stream.can_plan or stream.can_sample:
+        chunks += stream.sample() if stream.can_sample else stream.plan() or []
+    revision, stop = stream.revision(number - 1, OperatorSettings(0.0)), []
+    while revision.can_sample:
+        stop += revision.sample()
+    play = playback(50)
+    play.begin(P)
+    feed(play, chunks)
+    heard = [setpoint_after_step(play) for _ in range(100)]
+    return play, np.concatenate([c.samples.position for c in chunks]), stop, heard
+
+
+def join(play, number, chunks):
+    first, *others = chunks
+    lines = [1] * len(first.samples), [2] * len(first.tail)
+    play.join(P.next_plan(), number, first, *lines)
+    feed(play, others)
+
+
+@pytest.mark.parametrize('number', [110, 115, 121, 130, 399])
+@pytest.mark.parametrize('ask', ['nothing', 'hold'])
+def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
+    play, old, stop, heard = moving_with_a_stop_from(number)
+    join(play, number, stop)
+    assert play.run_id == P.next_plan() and play.starvations == 0
+    if ask == 'hold':
+        play.hold()
+    heard = np.array(heard + list(step_until(play, lambda: play.state.resting)))
+    assert use_of(heard) <= 1.001
+    if ask == 'hold':
+        assert play.state.state is State.HELD and play.state.plan_over
+        return
+    new = np.concatenate([chunk.samples.position for chunk in stop])
+    assert np.array_equal(heard[: number + len(new)], np.concatenate([old[:number], new]))
+    assert play.state.state is State.PAUSED and play.played_of_plan == number + len(new)
+    told = executed_setpoints(play, T)
+    assert [(run_id_of(m), m.first_sample) for m in told] == [(P, 0), (P.next_plan(), number)]
+
+
+def test_a_plan_that_joins_and_does_not_go_on_starves_within_limits():
+    play, _, stop, heard = moving_with_a_stop_from(150)
+    join(play, 150, stop[:1])
+    heard = np.array(heard + list(step_until(play, lambda: play.state.resting)))
+    assert play.state.state is State.STARVED and play.starvations == 1
+    assert use_of(heard) <= 1.001
+    assert np.array_equal(heard[-1], stop[0].tail.position[-1])
+
+
+@pytest.mark.parametrize('number', [50, 100, 105])
+def test_where_the_machine_has_passed_nothing_joins_and_it_goes_on(number):
+    play, old, stop, heard = moving_with_a_stop_from(number)
+    with pytest.raises(StreamError, match='join') as refused:
+        join(play, number, stop)
+    assert refused.value.kind is Refusal.TOO_LATE and play.run_id == P
+    heard += list(step_until(play, lambda: play.state.completed))
+    assert np.array_equal(np.array(heard)[: len(old)], old)
+
+
+def test_the_setpoints_before_a_plan_that_joins_are_those_it_comes_after():
+    play, old, _, _ = moving_with_a_stop_from(150)
+    for number in (121, 130, 131, 399):
+        assert np.array_equal(play.before_join(P.next_plan(), number), old[number - 3 : number])
+    with pytest.raises(StreamError, match='join'):  # setpoints before it are missing
+        play.before_join(P.next_plan(), len(old) + 1)
 
 
 def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():

@@ -18,7 +18,7 @@ from cnc_interp.client.recorder import Recorder
 
 HERE = Path(__file__).resolve().parent
 #: Chunks as long as they may be: fewer tails, smaller bags.
-PARAMETERS = {'feedrate_node': {'chunk_size': 100}}
+PARAMETERS = {'feedrate_node': {'chunk_time': 0.1}}
 PROGRAM = """G21 G90 G94
 TRAORI
 G0 X0 Y0 Z0 A10 C0

@@ -54,7 +54,7 @@ class FeedrateNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__('feedrate_node')
         self._values = parameters.declare(self, parameters.FEEDRATE)
-        self._active = False
+        self._active = self._moves = False
         self._thread = PlanningThread()
         if self._values['autostart']:
             start_lifecycle(self)
@@ -96,7 +96,9 @@ class FeedrateNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def _see_machine(self, state: MachineState) -> None:
-        self._session.see_machine(machine_report(state))
+        report = machine_report(state)
+        self._moves = report.moves
+        self._session.see_machine(report)
         if self._inputs.see_override(state.feed_override):
             self._work()  # it counts for what is planned already, too
 
@@ -135,7 +137,8 @@ class FeedrateNode(LifecycleNode):
         outlet, peer = self._outlet, self._outlet.peer
         if peer is None:
             return Received()
-        left = peer.buffered_time - (time.monotonic() - outlet.heard)
+        age = time.monotonic() - outlet.heard if self._moves else 0.0
+        left = peer.buffered_time - age
         executed = peer.next_sequence - left / self._values['interpolation_period']
         return Received(run_id_of(peer), executed, outlet.turned_away)
 

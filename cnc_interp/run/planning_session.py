@@ -33,7 +33,7 @@ SAMPLED_AHEAD = 0.6
 REVISE_AGAIN = 0.02
 """Time between the end of a revision and the next one [s]."""
 
-LEAD, LONGEST_LEAD = 0.08, 1.0
+LEAD, LONGEST_LEAD = 0.08, 0.4
 """Motion ahead of the machine after which a revision joins; twice as much after a late one [s]."""
 
 MARGIN = 0.04

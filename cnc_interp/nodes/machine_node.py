@@ -24,8 +24,10 @@ from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.run.chunk import Chunk
+from cnc_interp.run.run_planner import JOIN_RESERVE
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.chunk_messages import chunk_from
+from cnc_interp.wire.join_gate import JoinGate
 from cnc_interp.wire.message_checks import check_chunk
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
@@ -68,9 +70,10 @@ class MachineNode(LifecycleNode):
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)
         self._diagnostics = Diagnostics(self)
+        self._gate = JoinGate(round(JOIN_RESERVE / self._period))
         self._inlet = Inlet(
             self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
-            self._see_refusal, self._diagnostics, status_period=0.01,
+            self._see_refusal, self._diagnostics, status_period=0.01, gate=self._pass,
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
         self._override = FeedOverride(self, self._diagnostics)
@@ -95,6 +98,11 @@ class MachineNode(LifecycleNode):
             self.get_logger().error(str(problem))
             return TransitionCallbackReturn.FAILURE
         return super().on_deactivate(state)
+
+    def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
+        """Keep the first chunks of a plan that joins until there are enough."""
+        receiver = self._inlet.receiver
+        return self._gate.passed(chunk, receiver.run_id, receiver.limit)
 
     def _check(self, chunk: SetpointChunk) -> None:
         """Let in what fits the machine, its state, and where it stands."""

@@ -58,6 +58,8 @@ class Inlet:
         Where refusals are named.
     status_period : float
         Time between acknowledgements while a program is received [s].
+    gate : callable
+        Takes a message and returns those that are received now, in order.
 
     """
 
@@ -71,10 +73,12 @@ class Inlet:
         on_refusal: Callable[[], None],
         diagnostics: Diagnostics,
         status_period: float = 0.02,
+        gate: Callable[[Any], list[Any]] = lambda message: [message],
     ):
         self.receiver = receiver
         self.buffered_time = math.nan
         self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
+        self._gate = gate
         self._diagnostics, self._logger = diagnostics, node.get_logger()
         self._told: tuple[Any, ...] = ()
         self._told_at = -math.inf
@@ -89,13 +93,18 @@ class Inlet:
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
     def _receive(self, data: bytes) -> None:
-        """Take a message, or name why it is not taken."""
-        receiver = self.receiver
+        """Open a message and take those that the gate lets pass."""
         try:
             message = opened(data, self._kind)
         except StreamError as fault:
-            self._ask_again(fault.kind, f'{receiver.stream}: {fault}')
+            self._ask_again(fault.kind, f'{self.receiver.stream}: {fault}')
             return
+        for passed in self._gate(message):
+            self._enter(passed)
+
+    def _enter(self, message: Any) -> None:
+        """Take a message, or name why it is not taken."""
+        receiver = self.receiver
         run_id, first, count, begins = numbers_of(message)
         try:
             receiver.expect(run_id, first, begins)

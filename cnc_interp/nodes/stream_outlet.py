@@ -65,10 +65,12 @@ class Outlet:
             self.turned_away = run_id_of(status) == self.sender.run_id
             return
         self.peer, self.heard = status, time.monotonic()
-        self.sender.acknowledge(
-            run_id_of(status), status.next_sequence, status.window_limit, time.monotonic(),
-            status.gap,
-        )  # fmt: skip
+        run_id = run_id_of(status)
+        told = run_id, status.next_sequence, status.window_limit, self.heard, status.gap
+        self.sender.acknowledge(*told)
+        if self._before.run_id == run_id:  # the plan before counts until the new one has joined
+            self._before.acknowledge(*told)
+            self.sender.open(status.window_limit)
         self.pump()
 
     def join(self, run_id: RunId, first: int) -> None:

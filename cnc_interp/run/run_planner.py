@@ -26,8 +26,9 @@ ON_PATH = 1e-8
 #: Source lines that are kept before those of executed blocks are looked for and forgotten.
 LINES_KEPT = 4096
 
-#: Motion that is handed out together with a revision [s].
-AT_ONCE = 0.2
+#: Motion that a plan brings before it joins another one in motion [s]. So a planner that is late
+#: behind it makes the change later, and the machine does not run out of setpoints.
+JOIN_RESERVE = 0.2
 
 
 class Revision(NamedTuple):
@@ -81,7 +82,7 @@ class RunPlanner:
         self.stream = MotionStream(limits, period, chunk_size, self.line_of, settings)
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
-        self._enough = round(AT_ONCE / period)
+        self._enough = round(JOIN_RESERVE / period)
         self._begun = False
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -199,7 +200,8 @@ class RunPlanner:
         Returns
         -------
         Revision or None
-            None where no other motion was found from there: ask again at a later setpoint.
+            None where no other motion was found from there, or too little of it: ask again at a
+            later setpoint.
 
         """
         plan, chunks, count = self.stream.revision(number, settings), [], 0
@@ -214,7 +216,8 @@ class RunPlanner:
                     plan.plan()
         except PlanningError:
             return None
-        return Revision(number, plan, chunks) if chunks else None
+        enough = count >= self._enough or (chunks and chunks[-1].wait is not Wait.NOTHING)
+        return Revision(number, plan, chunks) if enough else None
 
     def _note_lines(self, segments: PathSegments) -> None:
         """Keep the source line of each block on the path that is kept."""

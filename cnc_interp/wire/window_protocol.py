@@ -131,6 +131,10 @@ class WindowedSender(Generic[Item]):
             self._in_flight = max(0, self._in_flight - 1)
             self._since, self._patience = now, self.resend_after
         self.acknowledged = max(self.acknowledged, next_number)
+        self.open(window_limit)
+
+    def open(self, window_limit: int) -> None:
+        """Move the window on."""
         self.limit = max(self.limit, window_limit)
 
 

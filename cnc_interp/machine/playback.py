@@ -100,6 +100,7 @@ class Playback:
             step, memory = drives.step, drives.memory
         self.cycle = Cycle(period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory)
         self.state = RunState()
+        self.single_block = False  # rests that were planned for it count
         self.executed: deque[Executed] = deque()  # until they are published
         self._place(drives.position)
         self._given_up = ''  # the run that was reset last
@@ -429,6 +430,8 @@ class Playback:
             self.state = self.state.after(Event.REST)
             return
         wait, self._current = current.chunk.wait, None
+        if wait is Wait.SINGLE_BLOCK and not self.single_block:
+            wait = Wait.NOTHING  # it was switched off after this rest was planned
         reason = WAIT_REASONS.get(wait, Reason.NONE)
         self.state = self.state.after(REST_EVENTS[wait], reason)
 

@@ -1,11 +1,11 @@
-"""Services of the machine for the operator: feed_hold, cycle_start, emergency_stop, reset."""
+"""Services of the machine for the operator: holds and stops, cycle start, single block, reset."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from cnc_interp.core.errors import StreamError
 from cnc_interp.machine.playback import Playback
@@ -35,6 +35,13 @@ class Controls:
             ('reset', playback.reset, 'given up by reset'),
         ):
             node.create_service(Trigger, name, self._answering(act, gives_up))
+        node.create_service(SetBool, 'single_block', self._set_single_block)
+
+    def _set_single_block(self, request: Any, response: Any) -> Any:
+        """Answer the service ``single_block``."""
+        self._playback.single_block = request.data
+        response.success, response.message = True, f'single block: {request.data}'
+        return response
 
     def _answering(self, act: Callable[[], None], gives_up: str) -> Callable[[Any, Any], Any]:
         """Make a service of an action; an action that is not possible raises."""

@@ -99,7 +99,7 @@ class FeedrateNode(LifecycleNode):
         report = machine_report(state)
         self._moves = report.moves
         self._session.see_machine(report)
-        if self._inputs.see_override(state.feed_override):
+        if self._inputs.see(state):
             self._work()  # it counts for what is planned already, too
 
     def _check(self, segment: PathSegment) -> None:

@@ -162,7 +162,7 @@ class MachineNode(LifecycleNode):
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
-        told = state, run_id, self._override.value
+        told = state, run_id, self._override.value, playback.single_block
         if told != self._published:
             self._published = told
             level = LEVELS.get(state.state, OK)

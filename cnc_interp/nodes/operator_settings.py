@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-from cnc_interp_msgs.msg import G1Block, PathSegment
+from cnc_interp_msgs.msg import G1Block, MachineState, PathSegment
 from std_srvs.srv import SetBool
 
 from cnc_interp.run.chunk import Wait
@@ -14,32 +13,25 @@ from cnc_interp.run.motion_plan import OperatorSettings
 
 class OperatorInputs:
     """
-    Inputs of the operator (feed override, single block, optional stop) and their current values.
+    Inputs of the operator and their current values; override and single block from the machine.
 
     Parameters
     ----------
     node : Node
-        The node that offers the services.
+        The node that offers the service ``optional_stop``.
 
     """
 
     def __init__(self, node: Any):
         self.settings, self._optional_stop = OperatorSettings(), False
-        node.create_service(SetBool, 'single_block', self._set_single_block)
         node.create_service(SetBool, 'optional_stop', self._set_optional_stop)
 
-    def see_override(self, value: float) -> bool:
-        """Take the feed override [-] that the machine tells; tell whether it has changed."""
-        changed = value != self.settings.override
-        if changed:
-            self.settings = replace(self.settings, override=value)
-        return changed
-
-    def _set_single_block(self, request: Any, response: Any) -> Any:
-        """Answer the service ``single_block``."""
-        self.settings = replace(self.settings, single_block=request.data)
-        response.success, response.message = True, f'single block: {request.data}'
-        return response
+    def see(self, state: MachineState) -> bool:
+        """Take what the machine tells; tell whether it has changed."""
+        before, self.settings = (
+            self.settings, OperatorSettings(state.feed_override, state.single_block)
+        )  # fmt: skip
+        return self.settings != before
 
     def _set_optional_stop(self, request: Any, response: Any) -> Any:
         """Answer the service ``optional_stop``."""

@@ -19,8 +19,8 @@ from cnc_interp.run.course import finely
 from cnc_interp.run.leg import Leg
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings, PlanContext
 
-#: A stop that is over so soon is finished, and the motion goes on from rest [s]. From a state so
-#: near to rest the path of a few periods is shorter than what the jerk stage can resolve.
+#: No revision begins so near to rest, but a moment later [s]: the path of a few periods is shorter
+#: than what the jerk stage can resolve.
 BRIEF = 0.01
 
 
@@ -150,16 +150,14 @@ class MotionStream:
             return MotionPlan(
                 self._context, settings, todo, number + 1, before=self._plan, rests=rest
             )
-        stop = self._plan.way_down(number)
-        if stop is None:
+        stop, rests = self._plan.way_down(number), settings.override <= 0.0
+        if stop is None or (float(stop.law.duration.sum()) < BRIEF and not rests):
             return None
         assert leg.number_of_zero is not None
         begun, period = number - leg.number_of_zero + 1, self._context.period
         new = Leg(self._context.limits, period, begun, (v, a))
-        rests = settings.override <= 0.0
-        if rests or float(stop.law.duration.sum()) < BRIEF:
-            wait = Wait.OVERRIDE if rests else Wait.NOTHING
-            new.drive(stop, wait)
+        if rests:
+            new.drive(stop, Wait.OVERRIDE)
             todo = finely(self._course.after(float(stop.path.s[-1])))
             return MotionPlan(self._context, settings, todo, number + 1, new, before=self._plan)
         todo = finely(self._course.after(s))

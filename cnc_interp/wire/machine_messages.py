@@ -92,6 +92,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         start_wanted=run.start_wanted,
         completed=run.completed,
         interpolation_period=period,
+        single_block=playback.single_block,
         samples=playback.played,
         approach_samples=playback.approach_samples,
         sequence=last.block if last else 0,

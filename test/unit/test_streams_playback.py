@@ -208,6 +208,7 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
 )
 def test_a_stop_of_the_program_waits_for_cycle_start_and_goes_on_in_the_same_plan(wait, reason):
     play = playback(20)
+    play.single_block = wait is Wait.SINGLE_BLOCK
     play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], wait))
     step_until(play, lambda: play.state.resting and play.played > 0)
@@ -218,6 +219,15 @@ def test_a_stop_of_the_program_waits_for_cycle_start_and_goes_on_in_the_same_pla
         assert state_after_step(play) is State.HELD
     play.start()
     assert step_until(play, lambda: play.state.completed)[-1][0] == 0.02
+
+
+def test_a_rest_that_was_planned_for_single_block_is_passed_when_it_is_off():
+    play = playback(20)
+    play.begin(P)
+    feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.SINGLE_BLOCK))
+    feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
+    heard = step_until(play, lambda: play.state.completed)
+    assert heard[-1][0] == 0.02 and use_of(heard) <= 1.001 and play.starvations == 0
 
 
 def test_an_override_of_zero_rests_without_starving():

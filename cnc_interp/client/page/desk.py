@@ -101,7 +101,8 @@ class Desk:
     # The machine --------------------------------------------------------------------------------
 
     def _see_state(self, state: MachineState) -> None:
-        """Keep a point for the charts; in the thread of ROS."""
+        """Keep what counts, and a point for the charts; in the thread of ROS."""
+        self.single_block = state.single_block
         now = time.monotonic()
         use = np.array(
             [state.recent_velocity_use, state.recent_acceleration_use, state.recent_jerk_use]

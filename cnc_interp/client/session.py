@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from cnc_interp.core.differences import excesses
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
@@ -172,7 +173,18 @@ class RunResult:
             use = getattr(self, f'{name}_use')
             values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
             lines.append(f'{name:<15}{values}')
+        if self.excesses:
+            lines.append(f'NOT proven     {"; ".join(self.excesses)}')
+        elif self.ok:
+            lines.append('proven         every executed setpoint kept the limits, every curve '
+                         'the tolerances')  # fmt: skip
         return '\n'.join(lines)
+
+    @property
+    def excesses(self) -> list[str]:
+        """Limits that executed setpoints exceeded; tolerances are checked before motion."""
+        kinds = ('velocity', 'acceleration', 'jerk')
+        return excesses({kind: getattr(self, f'{kind}_use') for kind in kinds}, {})
 
 
 def underruns(count: int) -> str:

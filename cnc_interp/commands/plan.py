@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.command_options import (
+    FAILED,
     FINE,
     command,
     program_options,
@@ -63,7 +64,20 @@ def plan_command(options: argparse.Namespace) -> int:
         if options.look or sys.stdout.isatty():
             print(sketch(options.out))
         print(f'plan files     {options.out}')
-    return FINE
+        over = excesses_of(summary)
+        print(
+            f'NOT proven     {"; ".join(over)}' if over
+            else 'proven         every setpoint keeps the limits, every curve the tolerances; '
+            f'all of it: cnc-interp check {options.out}'
+        )  # fmt: skip
+    return FAILED if excesses_of(summary) else FINE
+
+
+def excesses_of(summary: dict[str, Any]) -> list[str]:
+    """Name the limits and tolerances that a plan exceeds."""
+    from cnc_interp.core.differences import excesses
+
+    return excesses(summary['largest_use'], summary['tolerance_used'])
 
 
 def describe(summary: dict[str, Any]) -> str:

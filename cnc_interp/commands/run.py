@@ -81,7 +81,8 @@ def run_command(options: argparse.Namespace) -> int:
         print(json.dumps(found if options.then else found[0], indent=2))
     else:
         print('\n\n'.join(result.text() for result in results))
-    return FINE if all(result.ok for result in results) else FAILED
+    sound = all(result.ok and not result.excesses for result in results)
+    return FINE if sound else FAILED
 
 
 def panel_command(options: argparse.Namespace) -> int:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 
 #: Setpoints that must be known before the first one whose differences are taken.
 BEFORE = 3
+#: An excess of up to 0.1 % of a limit or a tolerance is rounding.
+ROUNDING = 1.001
 
 
 def largest_differences(limits: FloatArray, period: float) -> FloatArray:
@@ -53,3 +57,22 @@ def limit_shares(positions: FloatArray, largest: FloatArray) -> FloatArray:
     for row, order in enumerate((1, 2, 3)):
         shares[row] = np.diff(positions[BEFORE - order :], order, axis=0) / largest[row]
     return shares
+
+
+def excesses(
+    uses: Mapping[str, Mapping[str, float]], tolerances: Mapping[str, float]
+) -> list[str]:
+    """
+    Name limits and tolerances that are exceeded by more than rounding.
+
+    Parameters
+    ----------
+    uses : mapping
+        Largest share of velocity, acceleration and jerk limit of each axis [-].
+    tolerances : mapping
+        Largest share of contour and orientation tolerance [-].
+
+    """
+    shares = [(f'{kind} of {axis}', use) for kind, of in uses.items() for axis, use in of.items()]
+    shares += [(f'{kind} tolerance', use) for kind, use in tolerances.items()]
+    return [f'{name} {use:.2%}' for name, use in shares if not use <= ROUNDING]

@@ -14,7 +14,8 @@ from cnc_interp.program import ProgramStream, open_program
 from cnc_interp.program.source import Source
 from cnc_interp.program.spool import BlockSpool
 from cnc_interp.run.chain import at_fault, no_motion
-from cnc_interp.run.path_chain import PathChain, batches
+from cnc_interp.run.path_chain import PathChain, PathPart, batches
+from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 
@@ -122,17 +123,22 @@ def checked_length(
 
     Its blocks go into the spool on their way.
     """
-    chain = PathChain(transform, settings)
+    chain, tolerances = PathChain(transform, settings), ToleranceUse()
     length = 0.0
     with at_fault(stream.source):
         for part in stream:
             spool.append(part)
+            tolerances.blocks(part)
             for batch in batches(part):
-                path = chain.push(batch).path
-                length = length if path is None else float(path.s[-1])
+                length = checked(chain.push(batch), tolerances, length)
                 told(stream.share)
-        path = chain.finish().path
-    length = length if path is None else float(path.s[-1])
+        length = checked(chain.finish(), tolerances, length)
     if not length > 0.0:
         raise no_motion(stream.source)
     return length
+
+
+def checked(part: PathPart, tolerances: ToleranceUse, length: float) -> float:
+    """Check the tolerances of a further part of the path; return the length so far [m]."""
+    tolerances.require(part.segments)
+    return length if part.path is None else float(part.path.s[-1])

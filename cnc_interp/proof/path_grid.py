@@ -19,6 +19,8 @@ from cnc_interp.proof.verdict import Ledger
 ROUND_TRIP = 1e-8
 # Largest accepted relative difference of figures that are computed twice [-].
 SAME = 1e-6
+# Values of axes are rounded by less [m, rad].
+ROUNDED = 1e-14
 # Speeds that differ by less agree [-], and those that differ by less than this [m/s].
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
@@ -54,9 +56,11 @@ def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     torn = np.abs(left[0, 1:] - right[0, :-1]).max(axis=1, initial=0.0)
     ledger.check('axes across path cells', torn, ROUND_TRIP, rows=rows[1:-1])
     inner = ~np.asarray(path['stop'], dtype=bool)[1:-1]
+    width = np.maximum(np.diff(s), ROUNDED)
     for order, rounding in JUMPS.items():
         jump = np.abs(left[order, 1:] - right[order, :-1])
         room = SAME * np.abs(left[order]).max(axis=0) + rounding
+        room = room + ROUNDED / np.minimum(width[1:], width[:-1])[:, None] ** order
         share = np.where(inner, (jump / room).max(axis=1, initial=0.0), 0.0)
         ledger.require(
             bool((share <= 1.0).all()),

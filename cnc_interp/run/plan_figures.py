@@ -16,6 +16,7 @@ from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import values_of
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
@@ -41,23 +42,16 @@ class PlanFigures:
         self._largest = largest_differences(machine.limits, period)
         self._use = np.zeros_like(self._largest)
         self._last: FloatArray | None = None  # the last three positions
-        self._deviation, self._share = np.zeros(2), np.zeros(2)
+        self._deviation = np.zeros(2)
         self._curved = self._spans = 0  # blocks that became curves, and spans of these
         self._on_curve, self._last_row = False, 0  # where the last segment ended
-        # Where tolerances change, or native splines begin or end: the row, and what holds from it.
-        self._marks = np.zeros((0, 4))
+        self._tolerances = ToleranceUse()
         self._samples = self._segments = self._blocks = 0
         self._planned = self._spanned = self._path_length = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
-        """Count further rows of the program, and note where their tolerances change."""
-        rows = self._blocks + np.arange(len(blocks))
-        told = np.column_stack(
-            [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
-        )
-        known = self._marks[-1:, 1:] if len(self._marks) else np.full((1, 3), np.nan)
-        changed = np.diff(told[:, 1:], axis=0, prepend=known).astype(bool).any(axis=1)
-        self._marks = np.concatenate([self._marks, told[changed]])
+        """Count further rows of the program."""
+        self._tolerances.blocks(blocks)
         self._blocks += len(blocks)
 
     def segments(self, segments: PathSegments) -> None:
@@ -66,11 +60,7 @@ class PlanFigures:
             return
         self._segments += len(segments)
         self._deviation = np.maximum(self._deviation, segments.deviation.max(axis=0))
-        place = np.searchsorted(self._marks[:, 0], segments.block, 'right') - 1
-        tolerance = self._marks[place, 1:3].min(axis=1)
-        self._share = np.maximum(self._share, (segments.deviation / tolerance).max(axis=0))
-        self._count_curves(segments, native=self._marks[place[:, 1], 3] > 0.0)
-        self._marks = self._marks[place.min() :]
+        self._count_curves(segments, self._tolerances.segments(segments))
 
     def _count_curves(self, segments: PathSegments, native: BoolArray) -> None:
         """Count the spans of curves, and the blocks from the first to the last one of each."""
@@ -149,8 +139,8 @@ class PlanFigures:
             'largest_contour_error': float(self._deviation[0]),
             'largest_orientation_error': float(self._deviation[1]),
             'tolerance_used': {
-                'contour': float(self._share[0]),
-                'orientation': float(self._share[1]),
+                'contour': float(self._tolerances.largest[0]),
+                'orientation': float(self._tolerances.largest[1]),
             },
             'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),

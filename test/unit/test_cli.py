@@ -1,6 +1,8 @@
 """The command line as its users meet it: words, exit codes, files, and one line per mistake."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,15 @@ import pytest
 
 from cnc_interp.cli import main
 from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
-from cnc_interp.kinematics.machine import find_machine_file
+from cnc_interp.core.errors import BlockError
+from cnc_interp.kinematics.machine import Machine, find_machine_file
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import read_text
+from cnc_interp.run import chain
+from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.tolerance_use import ToleranceUse
+from cnc_interp.settings.choices import Settings
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 TCP = 'TRAORI\nG90 G94\nG1 X0 Y0 Z0 A10 C0 F1000\n'
@@ -30,6 +40,41 @@ def test_plan_check_and_report_of_the_pyramid(tmp_path, capsys):
         assert max(summary['largest_use'][name].values()) <= 1.0
     for name in ('velocity', 'acceleration'):
         assert setpoints[name].shape == setpoints['position'].shape
+
+
+def test_a_plan_over_a_limit_is_not_proven_and_fails(tmp_path, capsys, monkeypatch):
+    program = str(EXAMPLES / 'pyramid.apt')
+    assert main(['plan', program, '--out', str(tmp_path)]) == FINE
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith('proven  ') and str(tmp_path) in last
+    # The figures are taken with lower limits than the motion was planned with.
+    machine = Machine.load('xyzac')
+    lower = replace(machine, max_jerk=machine.max_jerk * [0.8, 1, 1, 1, 1])
+    monkeypatch.setattr(
+        chain, 'PlanWriter', lambda folder, _, settings: PlanWriter(folder, lower, settings)
+    )
+    assert main(['plan', program, '--out', str(tmp_path)]) == FAILED
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert re.fullmatch(r'NOT proven +jerk of X 12\d\.\d\d%', last)
+
+
+def test_segments_that_leave_their_tolerance_are_refused():
+    text = 'G0 X0\nG64 P0.02\nG1 X10 F3000\nG64 P0.01\nY10\nX0\nY0'
+    transform = Transform.of(Machine.load('xyzac'))
+    blocks = read_text(text, 'a.ngc', transform, Settings()).blocks
+    segments = segments_of(blocks, transform, Settings())
+    use = ToleranceUse()
+    use.blocks(blocks)
+    for first in range(len(segments)):  # also in parts, of which some are empty
+        use.require(segments[first:first])
+        use.require(segments[first : first + 1])
+    assert 0.9 < use.largest[0] < 1.0 + 1e-9
+    last = segments.deviation[:, 0] == segments.deviation[segments.block[:, 1] >= 3, 0].max()
+    spoilt = segments.deviation * np.where(last, 1.1, 1.0)[:, None]
+    use = ToleranceUse()
+    use.blocks(blocks)
+    with pytest.raises(BlockError, match=r'line \d: .* contour tolerance: 1[01].* um of 10 um'):
+        use.require(replace(segments, deviation=spoilt))
 
 
 def test_check_of_a_spoilt_plan_fails(tmp_path, capsys):

@@ -99,7 +99,7 @@ def _hull(
 def certify(
     points: FloatArray, knots: FloatArray, tip: FloatArray, axis: FloatArray, u: FloatArray,
     used: FloatArray, height: float, turning: bool, allowed: FloatArray,
-) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
     """
     Bound the deviation of the spans of a curve from the blocks.
 
@@ -117,19 +117,22 @@ def certify(
         Flank height [m].
     turning : bool
         Whether the tool turns.
-    allowed : ndarray, shape (2,)
-        Contour and orientation tolerance [m]; a wider hull is refined.
+    allowed : ndarray, shape (m - 1, 2)
+        Contour and orientation tolerance of each segment [m]; a wider hull is refined.
 
     Returns
     -------
     deviation : ndarray, shape (n, 2)
         Largest contour and orientation deviation of each span from the program [m].
+    excess : ndarray, shape (n, 2)
+        Largest share of both tolerances that each span uses [-].
     advances : ndarray of bool, shape (n,)
         Whether the tip certainly moves forward everywhere in the span.
 
     """
     n = len(points)
-    deviation, advances = np.zeros((n, 2)), np.ones(n, dtype=np.bool_)
+    deviation, excess = np.zeros((n, 2)), np.zeros((n, 2))
+    advances = np.ones(n, dtype=np.bool_)
     work = np.empty((6, points.shape[2]))
     first, last, tool = np.empty(6), np.empty(6), np.empty(3)
     k = 0
@@ -172,10 +175,13 @@ def certify(
                         turn * (y - x), height, turning, work,
                     )  # fmt: skip
                     worst, worst_top = max(worst, contour), max(worst_top, top)
-                if worst + used[j, 0] <= allowed[0] and worst_top + used[j, 1] <= allowed[1]:
+                worst, worst_top = worst + used[j, 0], worst_top + used[j, 1]
+                if worst <= allowed[j, 0] and worst_top <= allowed[j, 1]:
                     break
-            deviation[s, 0] = max(deviation[s, 0], worst + used[j, 0])
-            deviation[s, 1] = max(deviation[s, 1], worst_top + used[j, 1])
+            deviation[s, 0] = max(deviation[s, 0], worst)
+            deviation[s, 1] = max(deviation[s, 1], worst_top)
+            excess[s, 0] = max(excess[s, 0], worst / allowed[j, 0])
+            excess[s, 1] = max(excess[s, 1], worst_top / allowed[j, 1])
             j += 1
         square = 0.0
         for i in range(3):
@@ -188,4 +194,4 @@ def certify(
                 )
             if along <= ADVANCE * square:
                 advances[s] = False
-    return deviation, advances
+    return deviation, excess, advances

@@ -207,8 +207,11 @@ class Compressor:
         """
         skeleton = self._skeleton
         block = replace(skeleton.blocks[k : k + 1], exact_stop=skeleton.stop[k : k + 1].copy())
-        if off is None:
-            off = skeleton.used[k] if leg is None else leg.used
+        tolerance = skeleton.tolerance[k]
+        if leg is not None:
+            off, tolerance = leg.used, leg.tolerance
+        elif off is None:
+            off = skeleton.used[k]
         if leg is not None and not block.rapid[0]:
             block = replace(block, feedrate=np.array([leg.feed]))
         if leg is not None and leads:
@@ -218,8 +221,8 @@ class Compressor:
             )  # fmt: skip
         block = replace(
             block,
-            contour_tolerance=block.contour_tolerance - off[0],
-            orientation_tolerance=block.orientation_tolerance - off[1],
+            contour_tolerance=tolerance[:1] - off[0],
+            orientation_tolerance=tolerance[1:] - off[1],
         )
         row = int(skeleton.row[k])
         self._rows.append(Rows.line(block, row, off, smooth=self._after_curve, leads=leads))
@@ -269,17 +272,18 @@ class Compressor:
                 run.line = run.line.extended(
                     skeleton.blocks.tip[rows], skeleton.blocks.axis[rows],
                     np.arange(last + 1)[rows],
-                    skeleton.used[rows], skeleton.feed[rows], skeleton.row[rows],
+                    skeleton.used[rows], skeleton.narrow[rows], skeleton.feed[rows],
+                    skeleton.row[rows],
                     skeleton.blocks.line_number[rows], self._height,
                 )  # fmt: skip
                 self._next = last + 1
-            found = run.window(skeleton.tolerance[last], final=False)
+            found = run.window(final=False)
             if found is None:
                 if not ended:
                     return False
                 self._end(run, last)
         if run.ended:
-            found = run.window(skeleton.tolerance[self._last], final=True)
+            found = run.window(final=True)
         assert found is not None
         if found.spans is None:
             self._retreat(run, found.worst)

@@ -121,14 +121,12 @@ class Run:
         for line in lines:
             line.vertex = np.where(line.vertex >= 0, line.vertex - first, -1)
 
-    def window(self, tolerance: FloatArray, final: bool) -> Window | None:
+    def window(self, final: bool) -> Window | None:
         """
         Fit the next window; return None if more blocks are necessary.
 
         Parameters
         ----------
-        tolerance : ndarray, shape (2,)
-            Contour and orientation tolerance [m].
         final : bool
             Whether the end of the run is known.
 
@@ -140,15 +138,17 @@ class Run:
         """
         if not final:
             self.whole = self.line
-        least = float(tolerance.min())
         line, end = self.line, float(self.line.u[-1])
+        first = max(int(np.searchsorted(line.u, self.t, 'right')) - 1, 0)
+        near = int(np.searchsorted(line.u, self.t + AHEAD * self._longest))
+        least = float(line.tolerance[first : max(near, first + 1)].min())
         limit = end
         if not final:  # the spacing at a vertex depends on the vertices up to AHEAD after it
             known = int(np.searchsorted(line.u, end - AHEAD * self._longest, 'right')) - 1
             limit = float(line.u[max(known, 0)])
             if limit <= self.t:
                 return None
-        left = self._share * tolerance - line.used
+        left = self._share * line.tolerance - line.used
         wanted = knots.knot_spacings(
             line.tip, line.axis, line.u, left, self._height, self._longest, FINEST * least
         )
@@ -164,7 +164,7 @@ class Run:
                 continue
             last = final and whole
             found = self._to_the_end(found, end) if last else found[: WINDOW + 1]
-            fitted = self._fitted(found, left, tolerance, last, (fewest, most), aim)
+            fitted = self._fitted(found, left, least, last, (fewest, most), aim)
             if not isinstance(fitted, float):
                 return fitted
             worst = fitted
@@ -183,7 +183,7 @@ class Run:
         self,
         found: FloatArray,
         left: FloatArray,
-        tolerance: FloatArray,
+        least: float,
         last: bool,
         sweeps: tuple[int, int],
         aim: float,
@@ -194,7 +194,7 @@ class Run:
         full = clamped_knots(found)
         matrices = quintic_bezier_matrices(full, spans)
         samples = knots.sample_points(line.tip, line.axis, line.u, left, found, height)
-        stiffness = tube_fit.STIFFNESS * float(tolerance.min()) / tube_fit.TYPICAL
+        stiffness = tube_fit.STIFFNESS * least / tube_fit.TYPICAL
         coefficients, _ = tube_fit.fit(
             full, matrices, found, self._jet, self._end_jet if last else self._jet[:0], samples,
             self.turning, sweeps, aim, stiffness,
@@ -203,11 +203,11 @@ class Run:
         points = quintic_bezier_points(coefficients, matrices, count)
         if last:  # exact to the last bit
             points[-1, 5] = self._end_jet[0, : points.shape[2]]
-        deviation, advances = certificate.certify(
+        deviation, excess, advances = certificate.certify(
             points, found, line.tip, line.axis, line.u, line.used, height, self.turning,
-            self._share * tolerance,
+            self._share * line.tolerance,
         )  # fmt: skip
-        excess = np.where(advances, (deviation / (self._share * tolerance)).max(axis=1), np.inf)
+        excess = np.where(advances, excess.max(axis=1), np.inf)
         if not excess.max() <= 1.0:  # also true for NaN, if the solution broke down
             worst = int(np.argmax(excess))
             return float(0.5 * (found[worst] + found[worst + 1]))

@@ -41,7 +41,7 @@ class EndLine:
         Tip [m] and tool axis [-] where line and curve meet.
     goal : tuple of ndarray
         Tip [m] and tool axis [-] of ``vertex``.
-    used : ndarray, shape (2,)
+    used, tolerance : ndarray, shape (2,)
         Deviation of the line from the blocks [m].
     feed : float
         Smallest feed of the blocks that the line replaces [m/s].
@@ -58,6 +58,7 @@ class EndLine:
     pose: tuple[FloatArray, FloatArray]
     goal: tuple[FloatArray, FloatArray]
     used: FloatArray
+    tolerance: FloatArray
     feed: float
     cuts: FloatArray
     pieces: IntArray
@@ -119,7 +120,8 @@ def choose_end_line(
         share = min(LEAD_SHARE, LEAD * longest_spacing(skeleton, k) / length)
         pose = _pose_between(*here, tip[far], axis[far], share)
         feed, piece = float(skeleton.feed[k]), np.array([k])
-        return EndLine(k, vertex, pose, here, skeleton.used[k], feed, np.zeros(0), piece)
+        used, tolerance = skeleton.used[k], skeleton.narrow[k]
+        return EndLine(k, vertex, pose, here, used, tolerance, feed, np.zeros(0), piece)
     k = vertex + 1 if step > 0 else vertex
     longest, least = longest_spacing(skeleton, k), float(skeleton.tolerance[k].min())
     whole = abs(float(skeleton.u[other] - skeleton.u[vertex]))
@@ -129,8 +131,10 @@ def choose_end_line(
         far = min(max(int(beyond) - 1, vertex + 1), other)
     else:
         far = max(min(int(beyond), vertex - 1), other)
+    narrow = skeleton.narrow
+    room = narrow[min(vertex, far) + 1 : max(vertex, far) + 1].min(axis=0)
     end, off, off_top = thinning.longest_chord(
-        tip, skeleton.top, skeleton.tolerance[k], vertex, step, far, CHORD * least, OFF
+        tip, skeleton.top, room, vertex, step, far, CHORD * least, OFF
     )
     low, high = min(vertex, end), max(vertex, end)
     used = np.array([off, off_top]) + skeleton.used[low + 1 : high + 1].max(axis=0)
@@ -145,7 +149,8 @@ def choose_end_line(
         place = 1.0 - place
     cuts, pieces = _borders(place, covered, CUT * least / (length * (1.0 - share)))
     feed = float(skeleton.feed[low + 1 : high + 1].min())
-    return EndLine(k, end, pose, (tip[end], axis[end]), used, feed, cuts, pieces)
+    tolerance = narrow[low + 1 : high + 1].min(axis=0)
+    return EndLine(k, end, pose, (tip[end], axis[end]), used, tolerance, feed, cuts, pieces)
 
 
 def _borders(place: FloatArray, segments: IntArray, apart: float) -> tuple[FloatArray, IntArray]:
@@ -207,8 +212,8 @@ def with_end_line(
     before = line.tip[-1], line.axis[-1]
     inner = [_pose_between(*before, *pose, float(cut)) for cut in leg.cuts]
     straight = Polyline.at(*before, -1).extended(
-        pose[0][None], pose[1][None], np.array([-1]), leg.used[None], np.ones(1),
-        leg.pieces[:1], leg.pieces[:1], height,
+        pose[0][None], pose[1][None], np.array([-1]), leg.used[None], leg.tolerance[None],
+        np.ones(1), leg.pieces[:1], leg.pieces[:1], height,
     )  # fmt: skip
     at_end = vertex < 0
     jet = straight.line_jet(len(straight.feed) - 1 if at_end else 0, at_end, height)
@@ -217,6 +222,7 @@ def with_end_line(
         np.array([axis for _, axis in [*inner, pose]]),
         np.append(np.full(n - 1, -1), vertex),
         np.repeat(leg.used[None], n, axis=0),
+        np.repeat(leg.tolerance[None], n, axis=0),
         np.full(n, leg.feed),
         skeleton.row[leg.pieces],
         skeleton.blocks.line_number[leg.pieces],

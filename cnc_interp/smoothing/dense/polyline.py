@@ -28,8 +28,8 @@ class Polyline:
         Tip [m], tool axis [-] and curve parameter [m].
     vertex : ndarray of int, shape (n,)
         Index of the skeleton vertex, or -1 where a turning block was divided.
-    used : ndarray, shape (n - 1, 2)
-        Deviation of the segments from the program [m].
+    used, tolerance : ndarray, shape (n - 1, 2)
+        Deviation of the segments from the program, and their tolerances [m].
     feed : ndarray, shape (n - 1,)
         Programmed speed of the tip [m/s].
     row, line : ndarray of int, shape (n - 1,)
@@ -42,6 +42,7 @@ class Polyline:
     u: FloatArray
     vertex: IntArray
     used: FloatArray
+    tolerance: FloatArray
     feed: FloatArray
     row: IntArray
     line: IntArray
@@ -66,7 +67,8 @@ class Polyline:
         """
         return Polyline(
             tip[None].copy(), axis[None].copy(), np.zeros(1), np.array([vertex]),
-            np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64),
+            np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64),
+            np.zeros(0, np.int64),
         )  # fmt: skip
 
     def extended(
@@ -75,6 +77,7 @@ class Polyline:
         axis: FloatArray,
         vertex: IntArray,
         used: FloatArray,
+        tolerance: FloatArray,
         feed: FloatArray,
         row: IntArray,
         line: IntArray,
@@ -89,8 +92,8 @@ class Polyline:
             Tip [m] and unit tool axis [-] of the new vertices.
         vertex : ndarray of int, shape (k,)
             Indices of the skeleton vertices.
-        used : ndarray, shape (k, 2)
-            Deviation of the new segments from the program [m].
+        used, tolerance : ndarray, shape (k, 2)
+            Deviation of the new segments from the program, and their tolerances [m].
         feed : ndarray, shape (k,)
             Programmed speed of the tip [m/s].
         row, line : ndarray of int, shape (k,)
@@ -117,7 +120,8 @@ class Polyline:
             tip = np.where(final[:, None], tip[segment], cut_tip)
             axis = np.where(final[:, None], axis[segment], cut_axis)
             vertex = np.where(final, vertex[segment], -1)
-            used, feed, row, line = used[segment], feed[segment], row[segment], line[segment]
+            used, tolerance, feed = used[segment], tolerance[segment], feed[segment]
+            row, line = row[segment], line[segment]
         all_tip, all_axis = np.vstack([self.tip, tip]), np.vstack([self.axis, axis])
         m = len(self.tip) - 1
         step = np.diff(all_tip[m:], axis=0)
@@ -127,8 +131,8 @@ class Polyline:
         return Polyline(
             all_tip, all_axis, np.concatenate([self.u, u[1:]]),
             np.concatenate([self.vertex, vertex]), np.vstack([self.used, used]),
-            np.concatenate([self.feed, feed]), np.concatenate([self.row, row]),
-            np.concatenate([self.line, line]),
+            np.vstack([self.tolerance, tolerance]), np.concatenate([self.feed, feed]),
+            np.concatenate([self.row, row]), np.concatenate([self.line, line]),
         )  # fmt: skip
 
     def part(self, first: int, last: int) -> Polyline:

@@ -98,6 +98,19 @@ class Skeleton:
         """Return contour and orientation tolerance of each segment, shape (n, 2) [m]."""
         return np.stack([self.blocks.contour_tolerance, self.blocks.orientation_tolerance], axis=1)
 
+    @property
+    def narrow(self) -> FloatArray:
+        """
+        Return the smallest tolerances of each segment and of those beside it, shape (n, 2) [m].
+
+        At a vertex the smaller tolerance counts, and so it does near the vertex.
+        """
+        own = self.tolerance
+        narrow = own.copy()
+        narrow[1:] = np.minimum(narrow[1:], own[:-1])
+        narrow[:-1] = np.minimum(narrow[:-1], own[1:])
+        return narrow
+
 
 class SkeletonBuilder:
     """

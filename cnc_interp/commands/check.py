@@ -26,6 +26,10 @@ def add_check_command(commands: Any) -> None:
         'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
     )
     check.add_argument('--machine', metavar='M', help='another machine than the plan names')
+    check.add_argument(
+        '--program', type=Path, metavar='FILE',
+        help='read the program again by a second reader, and compare it with the plan',
+    )  # fmt: skip
     check.add_argument('--json', action='store_true', help='print the proof as JSON')
 
 
@@ -53,6 +57,8 @@ def check_command(options: Namespace) -> int:
     from cnc_interp.kinematics.machine import Machine
     from cnc_interp.proof.given import given_of
     from cnc_interp.proof.plan_files import read_plan
+    from cnc_interp.proof.program_again import compare_with_text
+    from cnc_interp.proof.verdict import with_program
     from cnc_interp.proof.verify import verify
 
     with plan_files(options.directory, options.machine) as (folder, named):
@@ -61,6 +67,8 @@ def check_command(options: Namespace) -> int:
         machine = Machine.load(name)
         given = given_of(plan, machine, name, options.directory)
         proof = replace(verify(plan, machine), given=given)
+        if options.program is not None:
+            proof = with_program(proof, compare_with_text(plan, machine, options.program))
     print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
     return FINE if proof.ok else FAILED
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.given import Given
 from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.program_again import Agreement
 
 # Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
@@ -78,6 +79,8 @@ class Proof:
         File of the machine; empty for a bundled one.
     given : tuple of Given
         What is taken as given.
+    program : str
+        What was compared with the text of the program, or ''.
 
     """
 
@@ -92,6 +95,7 @@ class Proof:
     remarks: dict[str, float] = field(default_factory=dict)
     machine_file: str = ''
     given: tuple[Given, ...] = ()
+    program: str = ''
 
     @property
     def ok(self) -> bool:
@@ -124,12 +128,20 @@ class Proof:
             if not finding.axis:
                 value, limit = _with_units(finding)
                 lines.append(f'{finding.what:<22}{value:>17} of {limit:<17}{_place(finding)}')
+        lines += [self.program] if self.program else []
         verdict = 'proven'
         if self.failures:
             verdict = f'NOT proven, faults: {len(self.failures)}'
         elif self.machine_file:
             verdict = f'proven for the machine file {self.machine_file}, which is not bundled'
         return '\n'.join([*lines, *self.failures, verdict])
+
+
+def with_program(proof: Proof, found: Agreement) -> Proof:
+    """Add to a proof what the comparison with the text of the program has found."""
+    said = 'agree with' if not found.faults else 'were compared with'
+    line = f'program text   {found.motions} motions, {found.arcs} arcs {said} the blocks'
+    return replace(proof, failures=(*proof.failures, *found.faults), program=line)
 
 
 class Ledger:

@@ -1,0 +1,276 @@
+"""
+A second reader of part programs, for plain words only; it shares no code with the first one.
+
+G-code: G0 to G3 (I J K or R), G17 to G19, G20, G21, G90, G91, G93, G94, F, axis words, and words
+that move nothing. CL data: GOTO, FEDRAT, RAPID, UNITS, TLAXIS, and words that move nothing. All
+else is refused, because a word that is not understood cannot be compared.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, MM
+
+# G codes that move nothing: plane and units are handled apart.
+IDLE_G = frozenset((
+    '4', '9', '40', '43', '43.4', '49', '54', '60', '61', '61.1', '64', '80', '90', '91', '91.1',
+    '93', '94', '97', '98', '99', '500', '641', '642', '643', '644',
+))  # fmt: skip
+TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
+# Words of G-code after which a number follows and that move nothing.
+IDLE_LETTERS = frozenset('NMSTDHPQLE')
+PLANES = {'17': (0, 1, 2), '18': (2, 0, 1), '19': (1, 2, 0)}
+IDLE_CL = frozenset((
+    'PARTNO', 'MULTAX', 'PPRINT', 'SPINDL', 'COOLNT', 'LOADTL', 'CUTTER', 'TOOLNO', 'MACHIN',
+    'INTOL', 'OUTTOL', 'TOLER', 'FINI', 'END', 'REWIND', 'PAINT', 'FROM',
+))  # fmt: skip
+_WORD = re.compile(r'([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*')
+_NAMED = re.compile(
+    r'(TRAORI|TRAFOOF|(?:CTOL|OTOL|ORICURVE|ORIVECT|ORIAXES)(?:\s*=\s*[\d.]+)?)\b\s*'
+)
+
+
+@dataclass(frozen=True)
+class Move:
+    """
+    One motion of a program.
+
+    Parameters
+    ----------
+    line : int
+        Line of the text.
+    rapid : bool
+        Whether it is a rapid.
+    end : ndarray, shape (3,)
+        X Y Z at its end [m].
+    rotary : ndarray, shape (2,) or (0,)
+        Rotary axes at its end [rad].
+    axis : ndarray, shape (3,), or None
+        Tool axis, where the program gives it.
+    extra : ndarray, shape (k,)
+        Extra axes at its end [m].
+    feed, duration : float
+        Feed [m/s] and duration [s]; NaN where it has none.
+    tcp : bool
+        Whether X Y Z are the tool tip. Otherwise they are axis positions.
+    plane : tuple of int
+        Both axes of the plane of an arc, and the one across.
+    centre : ndarray, shape (2,), or None
+        Centre of an arc in its plane [m].
+    sweep : int
+        1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
+
+    """
+
+    line: int
+    rapid: bool
+    end: FloatArray
+    rotary: FloatArray
+    axis: FloatArray | None
+    extra: FloatArray
+    feed: float
+    duration: float
+    tcp: bool
+    plane: tuple[int, int, int] = (0, 1, 2)
+    centre: FloatArray | None = None
+    sweep: int = 0
+
+
+def read_plainly(
+    text: str, name: str, axis_names: tuple[str, ...], feed: float | None, skip: bool
+) -> list[Move]:
+    """
+    Read a program.
+
+    Parameters
+    ----------
+    text, name : str
+        Its text, and the name of its file.
+    axis_names : tuple of str
+        Axes of the machine: X Y Z, rotary axes, extra axes.
+    feed : float or None
+        Feed where the program has no F [m/s].
+    skip : bool
+        Leave out lines that begin with a slash.
+
+    Returns
+    -------
+    list of Move
+        All motions in order. The first one is the way to the start pose.
+
+    Raises
+    ------
+    ProgramError
+        If a word is not plain; names the line.
+
+    """
+    state = _State(name, axis_names, feed)
+    cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
+    for number, line in enumerate(text.splitlines(), start=1):
+        state.line = number
+        if cl_data:
+            state.statement(line.strip().upper())
+        elif not (skip and line.lstrip().startswith('/')):
+            state.block(line.upper())
+        if state.ended:
+            break
+    return state.moves
+
+
+class _State:
+    """What holds while a program is read, and its motions."""
+
+    def __init__(self, name: str, axis_names: tuple[str, ...], feed: float | None):
+        self.name, self.names, self.line = name, axis_names, 0
+        self.moves: list[Move] = []
+        self.here = np.zeros(len(axis_names))  # in m and rad
+        self.tool: FloatArray | None = None
+        self.motion, self.plane, self.unit = '', PLANES['17'], MM
+        self.absolute, self.inverse, self.tcp = True, False, False
+        self.feed = float('nan') if feed is None else feed
+        self.ended = False
+        # Where the tool tip is in the words that hold after a switch, only the first reader knows.
+        self.unknown: set[str] = set()
+
+    def refuse(self, word: str) -> ProgramError:
+        """Make the error of a word that is not plain."""
+        return ProgramError(
+            f'{word}: the second reader knows plain words only; this program cannot be compared',
+            self.name, self.line,
+        )  # fmt: skip
+
+    def block(self, line: str) -> None:
+        """Read a block of G-code."""
+        line = re.sub(r'\([^()]*\)|;.*', ' ', line).strip()
+        if line in ('', '%') or re.fullmatch(r'O\d+', line):
+            return
+        words: dict[str, float] = {}
+        codes, rest = [], line.lstrip('/')
+        while rest:
+            named, word = _NAMED.match(rest), _WORD.match(rest)
+            if named:
+                codes.append(re.split(r'[\s=]', named[1])[0])
+            elif word:
+                letter, value = word[1], float(word[2])
+                if letter == 'G' or letter == 'M':
+                    codes.append(f'{letter}{value:g}')
+                elif letter in (*self.names, *'IJKRF'):
+                    if letter in words:
+                        raise self.refuse(f'{letter} twice')
+                    words[letter] = value
+                elif letter not in IDLE_LETTERS:
+                    raise self.refuse(f'{letter}{word[2]}')
+            else:
+                raise self.refuse(rest.split()[0])
+            rest = rest[(named or word).end() :]  # type: ignore[union-attr]
+        self.codes(codes)
+        if 'G4' in codes:
+            return
+        if 'F' in words:
+            self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
+        if words:
+            self.move(words)
+
+    def codes(self, codes: list[str]) -> None:
+        """Take the G and M codes of a block."""
+        for code in codes:
+            digits = code[1:]
+            if code in ('G0', 'G1', 'G2', 'G3'):
+                self.motion = digits
+            elif code[0] == 'G' and digits in PLANES:
+                self.plane = PLANES[digits]
+            elif code in ('G20', 'G21', 'G70', 'G71'):
+                self.unit = 25.4 * MM if code in ('G20', 'G70') else MM
+            elif code in ('M98', 'M99', 'M198') or (code[0] == 'G' and digits not in IDLE_G):
+                raise self.refuse(code)
+            if code in ('G90', 'G91'):
+                self.absolute = code == 'G90'
+            if code in ('G93', 'G94'):
+                self.inverse = code == 'G93'
+            if code in (*TCP_ON, *TCP_OFF):
+                switched = self.tcp is not (code in TCP_ON) and self.moves and self.here[3:].any()
+                self.unknown = set('XYZ') if switched else self.unknown
+                self.tcp = code in TCP_ON
+            self.ended = self.ended or code in ('M2', 'M30')
+
+    def move(self, words: dict[str, float]) -> None:
+        """Make the motion of a block with axis words."""
+        start, end = self.here, self.here.copy()
+        for letter, value in words.items():
+            if letter in self.names:
+                k = self.names.index(letter)
+                size = DEG if letter in 'ABC' else self.unit
+                end[k] = value * size + (0.0 if self.absolute else start[k])
+        if self.unknown and not (self.absolute and self.unknown <= set(words)):
+            raise self.refuse('X Y Z not named after a switch of the tool-tip control')
+        self.unknown = set()
+        if not self.motion:
+            raise self.refuse('axis words before G0 or G1')
+        self.here, sweep = end, {'2': -1, '3': 1}.get(self.motion, 0)
+        centre = self.centre(words, start, end, sweep) if sweep else None
+        self.add(sweep, centre)
+
+    def centre(
+        self, words: dict[str, float], start: FloatArray, end: FloatArray, sweep: int
+    ) -> FloatArray:
+        """Return the centre of an arc in its plane [m]."""
+        a, b, _ = self.plane
+        if 'R' not in words:
+            away = np.array([words.get('IJK'[k], 0.0) * self.unit for k in (a, b)])
+            return np.asarray(start[[a, b]] + away)
+        chord = end[[a, b]] - start[[a, b]]
+        radius, half = words['R'] * self.unit, 0.5 * float(np.linalg.norm(chord))
+        height = np.sqrt(max(radius**2 - half**2, 0.0)) / max(half, 1e-12)
+        side = sweep * (1.0 if radius > 0.0 else -1.0)
+        across = 0.5 * np.array([-chord[1], chord[0]])
+        return np.asarray(start[[a, b]] + 0.5 * chord + side * height * across)
+
+    def statement(self, text: str) -> None:
+        """Read a statement of CL data."""
+        text = text.split('$$')[0].strip()
+        word, _, rest = (part.strip() for part in text.partition('/'))
+        if not word or word.split()[0] in IDLE_CL:
+            self.ended = self.ended or word in ('FINI', 'END')
+            return
+        if text.endswith('$'):
+            raise self.refuse('$')
+        fields = re.split(r'[,\s]+', rest.strip(', '))
+        numbers = [float(field) for field in fields if re.fullmatch(r'[-+.\dE]+', field)]
+        if word == 'UNITS' and fields[:1] in (['MM'], ['INCHES'], ['IN']):
+            self.unit = MM if fields[0] == 'MM' else 25.4 * MM
+        elif word == 'FEDRAT' and len(numbers) == 1 and set(fields[1:]) <= {'MMPM', 'IPM'}:
+            self.feed, self.motion = numbers[0] * self.unit / 60.0, '1'
+        elif word == 'RAPID':
+            self.motion = '0'
+        elif word == 'TLAXIS' and len(numbers) == 3:
+            self.tool = np.array(numbers)
+        elif word == 'GOTO' and len(numbers) in (3, 6):
+            self.here = self.here.copy()
+            self.here[:3] = np.array(numbers[:3]) * self.unit
+            if len(numbers) == 6:
+                self.tool = np.array(numbers[3:])
+            if self.tool is None:
+                self.tool = np.array([0.0, 0.0, 1.0])
+            self.add(0, None)
+            self.motion = '1'
+        else:
+            raise self.refuse(text[:40])
+
+    def add(self, sweep: int, centre: FloatArray | None) -> None:
+        """Add a motion to the present position."""
+        rapid = self.motion == '0'
+        rotary = sum(letter in 'ABC' for letter in self.names)
+        tool = None if self.tool is None else self.tool / np.linalg.norm(self.tool)
+        timed = self.inverse and not rapid
+        self.moves.append(Move(
+            self.line, rapid, self.here[:3].copy(), self.here[3 : 3 + rotary].copy(), tool,
+            self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
+            60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,
+            self.plane, centre, sweep,
+        ))  # fmt: skip

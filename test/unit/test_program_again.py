@@ -1,0 +1,112 @@
+"""The program read again: the second reader agrees with the first, and finds what differs."""
+
+import numpy as np
+import pytest
+
+from cnc_interp.cli import main
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.proof.plain_reader import read_plainly
+from cnc_interp.proof.plan_files import read_plan
+
+PROGRAMS = {
+    'lines.ngc': 'G21 G90\nG0 X0 Y0 (start)\nG1 X10 F3000\nN5 Y10 F1200 ; feed\nG0 Z5\nM30\n',
+    'inch.ngc': 'G20\nG0 X0\nG1 X1 F20\nG91 Y0.5\nX-.25\nG90 X0\n',
+    'arcs.ngc': (
+        'G0 X0 Y0\nG2 X10 Y10 I10 J0 F2000\nG3 X20 Y20 R10\nG3 X20 Y20 I-5 J0 Z3\n'
+        'G18 G2 X30 Z-2 R12\nG17 G2 X10 Y0 R-20\n'
+    ),
+    'timed.ngc': 'G0 X0\nG93 G1 X10 F30\nY10 F60\nG94 X0 F500\n',
+    'tcp.ngc': 'TRAORI\nG0 X0 A10 C0\nG64 P0.02\nG1 X20 A15 C30 F3000\nC60\nY5\n',
+    'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
+    'path.apt': (
+        'PARTNO A\nUNITS/MM\nMULTAX\nFEDRAT/2000\nGOTO/0,0,0,0,0,1\nGOTO/10,0,0,0,0.28,0.96\n'
+        'RAPID\nGOTO/10,10,0\nFINI\n'
+    ),
+}
+#: Motions and arcs of each.
+MOTIONS = {
+    'lines.ngc': (4, 0), 'inch.ngc': (5, 0), 'arcs.ngc': (6, 5), 'timed.ngc': (4, 0),
+    'tcp.ngc': (4, 0), 'axes.ngc': (4, 0), 'path.apt': (3, 0),
+}  # fmt: skip
+#: One word of a program changed: what the comparison must say.
+CHANGED = [
+    ('lines.ngc', 'X10', 'X10.0001', 'line 3 of the program: ends 0.0001 mm'),
+    ('lines.ngc', 'F1200', 'F1200.1', 'line 4 of the program: has F 1200.1 mm/min'),
+    ('lines.ngc', 'G0 Z5', 'G1 Z5', 'line 5 of the program: is no rapid'),
+    ('lines.ngc', 'G0 Z5\n', '', 'row 3 of the plan (line 5) is no motion of the text'),
+    ('lines.ngc', 'M30', 'G0 Z6', 'line 6 of the program: has no row'),
+    ('inch.ngc', 'G20', 'G21', 'line 3 of the program: ends 24.4 mm'),
+    ('inch.ngc', 'G91', 'G90', 'line 5 of the program: ends'),
+    ('arcs.ngc', 'G2 X10 Y10 I10 J0', 'G3 X10 Y10 I10 J0', 'line 2 of the program: turns by 270'),
+    ('arcs.ngc', 'X20 Y20 R10', 'X20 Y20 R11', 'line 3 of the program: '),
+    ('arcs.ngc', 'R-20', 'R20', 'line 6 of the program: its rows are not on the arc'),
+    ('arcs.ngc', 'I-5 J0 Z3', 'I-6 J0 Z3', 'line 4 of the program: its rows are not on the arc'),
+    ('timed.ngc', 'F60', 'F59', 'line 3 of the program: lasts'),
+    ('tcp.ngc', 'A15', 'A15.001', 'line 4 of the program: its tool axis'),
+    ('tcp.ngc', 'C60', 'C420', 'line 5 of the program: its rotary words'),
+    ('tcp.ngc', 'TRAORI', 'TRAFOOF', 'line 2 of the program: ends'),
+    ('axes.ngc', 'X10 A10', 'X10 A11', 'line 2 of the program: ends'),
+    ('path.apt', '0.28,0.96', '0.29,0.957', 'line 6 of the program: its tool axis'),
+    ('path.apt', 'RAPID\n', '\n', 'line 8 of the program: is no rapid'),
+]
+
+
+def planned(name, text, folder):
+    """Plan a program and return its file and its plan."""
+    program = folder / name
+    program.write_text(text)
+    assert main(['plan', str(program), '--out', str(folder / 'plan')]) == 0
+    return program, folder / 'plan'
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+def test_both_readers_agree(name, tmp_path, capsys):
+    program, plan = planned(name, PROGRAMS[name], tmp_path)
+    capsys.readouterr()
+    assert main(['check', str(plan), '--program', str(program)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[-1] == 'proven'
+    motions, arcs = MOTIONS[name]
+    assert said[-2] == f'program text   {motions} motions, {arcs} arcs agree with the blocks'
+
+
+@pytest.mark.parametrize(('name', 'word', 'other', 'wanted'), CHANGED)
+def test_a_changed_word_is_found(name, word, other, wanted, tmp_path, capsys):
+    assert word in PROGRAMS[name]
+    program, plan = planned(name, PROGRAMS[name], tmp_path)
+    program.write_text(PROGRAMS[name].replace(word, other, 1))
+    capsys.readouterr()
+    assert main(['check', str(plan), '--program', str(program)]) == 1
+    assert wanted in capsys.readouterr().out
+
+
+def test_changed_rows_are_found(tmp_path, capsys):
+    program, plan = planned('lines.ngc', PROGRAMS['lines.ngc'], tmp_path)
+    columns = dict(read_plan(plan).blocks)
+    columns['feed'] = columns['feed'] * 1.001
+    columns['tip'] = columns['tip'] + [3e-8, 0, 0]
+    np.savez(plan / 'blocks.npz', **columns)
+    capsys.readouterr()
+    assert main(['check', str(plan), '--program', str(program)]) == 1
+    said = capsys.readouterr().out
+    assert 'line 3 of the program: has F 3000 mm/min' in said and 'ends 3e-05 mm' in said
+
+
+@pytest.mark.parametrize('text', ['#1=5', 'G81 Z-2 R1', 'X[1+2]', 'M98 P5', 'G41 D1', 'G10 L2 P1'])
+def test_what_is_not_plain_is_refused(text, tmp_path, capsys):
+    program, plan = planned('lines.ngc', PROGRAMS['lines.ngc'], tmp_path)
+    program.write_text(f'G0 X0\n{text}\nG1 X5 F100\n')
+    capsys.readouterr()
+    assert main(['check', str(plan), '--program', str(program)]) == 2
+    error = capsys.readouterr().err
+    assert 'lines.ngc:2: ' in error and error.count('\n') == 1
+
+
+def test_words_of_a_plain_program():
+    text = 'G0 X1\nG1 Y-2.5 A.5 F600\nG93 G1 X0 F2'
+    moves = read_plainly(text, 'a.ngc', ('X', 'Y', 'Z', 'A', 'C'), None, skip=False)
+    assert [move.rapid for move in moves] == [True, False, False]
+    np.testing.assert_allclose(moves[1].end, [1 * MM, -2.5 * MM, 0])
+    assert moves[1].rotary[0] == pytest.approx(0.5 * DEG)
+    assert moves[1].feed == pytest.approx(600 * MM_PER_MIN)
+    assert moves[2].duration == pytest.approx(30.0)

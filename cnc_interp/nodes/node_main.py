@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -67,8 +68,11 @@ def run_node(
         gc.freeze()  # objects that exist now live as long as the node; the collector ignores them
         run = multiprocessing.parent_process()
         # A node that was started by a run ends when the run ends.
-        while not stop and rclpy.ok() and (run is None or run.is_alive()):
+        looked, lives = time.monotonic(), True
+        while not stop and rclpy.ok() and lives:
             executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+            if run is not None and time.monotonic() - looked > SPIN_TIMEOUT:
+                looked, lives = time.monotonic(), run.is_alive()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except InterpError as problem:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings
 
 #: Exit codes: done, a failed run or an unproven plan, bad input.
@@ -29,12 +30,18 @@ def command(
     return added
 
 
+def machine_option(added: argparse.ArgumentParser) -> None:
+    """Add the option that names the machine."""
+    default = DEFAULT_MACHINE
+    added.add_argument(
+        '--machine', default=default, metavar='M', help=f'bundled machine or YAML file ({default})'
+    )
+
+
 def program_options(added: argparse.ArgumentParser) -> None:
     """Add the options that `run` and `plan` share."""
     added.add_argument('program', type=Path, metavar='PROGRAM', help='G-code or CL data file')
-    added.add_argument(
-        '--machine', default='xyzac', metavar='M', help='bundled machine or YAML file (xyzac)'
-    )
+    machine_option(added)
     add_settings(added)
     added.add_argument('--json', action='store_true', help='print the summary as JSON')
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import command, number, positive
+from cnc_interp.command_options import command, machine_option, number, positive
 
 
 def add_cam_commands(commands: Any) -> None:
@@ -135,9 +135,7 @@ def _cutting(added: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     number(added, '--spacing', 0.1, 'distance of the needles')
     number(added, '--margin', 2.0, 'distance from the border for the figures')
-    added.add_argument(
-        '--machine', default='xyzac', metavar='M', help='bundled machine or YAML file (xyzac)'
-    )
+    machine_option(added)
 
 
 def _iso_scallop(options: argparse.Namespace) -> int:

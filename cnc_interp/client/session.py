@@ -17,7 +17,7 @@ from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.kinematics.axes import error_text
 from cnc_interp.nodes.node_processes import Children
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.declaration import Stage, choices
 
@@ -52,7 +52,7 @@ class RunRequest:
 
     program: Path
     then: tuple[Path, ...] = ()
-    machine: str = 'xyzac'
+    machine: str = DEFAULT_MACHINE
     settings: Settings = field(default_factory=Settings)
     out: Path | None = None
     record: Path | None = None

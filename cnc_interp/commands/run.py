@@ -11,6 +11,7 @@ from cnc_interp.command_options import (
     FAILED,
     FINE,
     command,
+    machine_option,
     page_options,
     program_options,
 )
@@ -50,9 +51,7 @@ def add_panel_command(commands: Any) -> None:
     panel.add_argument(
         'program', type=Path, nargs='?', metavar='PROGRAM', help='program to lay on the desk'
     )
-    panel.add_argument(
-        '--machine', default='xyzac', metavar='M', help='machine to simulate (xyzac)'
-    )
+    machine_option(panel)
     panel.add_argument(
         '--attach', action='store_true', help='join nodes that run already; start none'
     )

@@ -66,7 +66,7 @@ class FeedrateNode(LifecycleNode):
     def _configure(self) -> None:
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
-        warm_all(self._transform, period)
+        warm_all(values['machine'], period)
         self._diagnostics = Diagnostics(self)
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],

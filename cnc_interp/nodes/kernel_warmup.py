@@ -1,8 +1,14 @@
-"""A tiny built-in path: it loads every compiled kernel before anything moves."""
+"""
+A tiny built-in path: it loads every compiled kernel before anything moves.
+
+Each function works once in a process, and not again in a process that is forked from one where it
+has worked.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -25,7 +31,7 @@ from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_id import RunId
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 #: The tiny path has several windows, because some kernels are used after the first one only.
@@ -70,28 +76,31 @@ def dense_program(transform: Transform) -> Blocks:
     )
 
 
-def warm_lookahead(transform: Transform, settings: Settings) -> PathSegments:
-    """Load the kernels of the look-ahead, those of curves where they are made."""
-    programs = [dense_program, tiny_program] if settings.compress else [tiny_program]
-    made = [segments_of(program(transform), transform, settings) for program in programs]
-    return made[-1]
+@cache
+def warm_lookahead(machine: str) -> PathSegments:
+    """Load the kernels of the look-ahead, with curves and without; return the tiny path."""
+    transform = Transform.of(Machine.load(machine))
+    segments_of(dense_program(transform), transform, Settings())
+    return segments_of(tiny_program(transform), transform, Settings())
 
 
-def warm_kinematics(transform: Transform, settings: Settings) -> AxisPath:
-    """Load the kernels from look-ahead to machine axes."""
-    machine = transform.machine
-    endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
-    free = Transform.of(replace(machine, travel=endless))
-    path = AxisPathBuilder(free, settings.flank_height, settings.interpolation_period).push(
-        warm_lookahead(transform, settings)
-    )
+@cache
+def warm_kinematics(machine: str, period: float) -> AxisPath:
+    """Load the kernels from look-ahead to machine axes; return the tiny path in axes."""
+    loaded = Machine.load(machine)
+    endless = np.tile([-np.inf, np.inf], (len(loaded.axis_names), 1))
+    free = Transform.of(replace(loaded, travel=endless))
+    builder = AxisPathBuilder(free, Settings().flank_height, period)
+    path = builder.push(warm_lookahead(machine))
     assert path is not None
     return path
 
 
-def warm_all(transform: Transform, period: float) -> None:
+@cache
+def warm_all(machine: str, period: float) -> None:
     """Load the kernels from corners to setpoints; curves need no others after the look-ahead."""
-    path = warm_kinematics(transform, Settings(compress=False, interpolation_period=period))
+    path = warm_kinematics(machine, period)
+    transform = Transform.of(Machine.load(machine))
     for options in (PlanOptions(), SHORT_WINDOWS):
         planner = FeedPlanner(transform.machine, options)
         planner.push(path)
@@ -129,10 +138,9 @@ def warm_machine(machine: Machine, period: float, chunk: Chunk) -> None:
 
 def warm_nodes() -> None:
     """Load all kernels of the four nodes: once in set-up, and in the process they fork from."""
-    transform, settings = Transform.of(Machine.load('xyzac')), Settings()
-    read_text(TINY_TEXT, 'warm-up', transform, settings)
-    warm_lookahead(transform, settings)
-    warm_all(transform, settings.interpolation_period)
+    settings = Settings()
+    read_text(TINY_TEXT, 'warm-up', Transform.of(Machine.load(DEFAULT_MACHINE)), settings)
+    warm_all(DEFAULT_MACHINE, settings.interpolation_period)
 
 
 if __name__ == '__main__':

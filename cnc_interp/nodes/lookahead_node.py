@@ -19,7 +19,6 @@ from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.path_chain import smoother_of
-from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.settings_messages import settings_of_block
 from cnc_interp.wire.smoothing_run import BATCH, SmoothingRun
@@ -37,7 +36,7 @@ class LookaheadNode(Node):
         self._values = values = parameters.declare(self, parameters.LOOKAHEAD)
         self._transform = Transform.of(Machine.load(values['machine']))
         self._settings = parameters.settings_of(values)
-        warm_lookahead(self._transform, Settings())  # a run may have other settings
+        warm_lookahead(values['machine'])
         self._run: SmoothingRun | None = None
         self._diagnostics = Diagnostics(self)
         self._watch = SenderWatch(

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import (
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.qos import DEPTH
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.declaration import Choice, Stage, choices
 
 
@@ -50,7 +50,9 @@ def declared(choice: Choice) -> Declared:
     return Declared(choice.name, default, f'{told}{none} [{choice.unit.si}]', low, choice.high)
 
 
-MACHINE = Declared('machine', 'xyzac', 'Machine: name of a bundled one, or path of a YAML file')
+MACHINE = Declared(
+    'machine', DEFAULT_MACHINE, 'Machine: name of a bundled one, or path of a YAML file'
+)
 AUTOSTART = Declared('autostart', True, 'Configure and activate without waiting for a command')
 RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s]', 0.02, 10.0)
 PEER_TIMEOUT = Declared(

@@ -27,7 +27,6 @@ from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
-from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.run_messages import add_executed, run_feedback
 
 Result = RunProgram.Result
@@ -47,7 +46,7 @@ class ProgramNode(Node):
         self._values = parameters.declare(self, parameters.PROGRAM)
         self._settings = parameters.settings_of(self._values)
         self._transform = Transform.of(Machine.load(self._values['machine']))
-        warm_kinematics(self._transform, Settings())  # a goal may have other settings
+        warm_kinematics(self._values['machine'], self._settings.interpolation_period)
         self._run: ProgramRun | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)

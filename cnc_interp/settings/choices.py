@@ -23,6 +23,8 @@ from cnc_interp.settings.declaration import (
 )
 
 READING, SMOOTHING, MOTION = Stage.READING, Stage.SMOOTHING, Stage.MOTION
+#: The machine where none is named.
+DEFAULT_MACHINE = 'xyzac'
 #: Range of every tolerance and block length [m].
 LENGTHS = (1e-6 * MM, 1e4 * MM)
 

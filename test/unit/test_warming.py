@@ -14,8 +14,7 @@ sys.path.insert(0, {here!r})
 from numba.core.dispatcher import Dispatcher
 from cnc_interp.settings.choices import Settings
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
-from cnc_interp.nodes.kernel_warmup import warm_all, warm_lookahead
+from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.run.chain import Chain
 from programs import dome, zigzag
 
@@ -28,8 +27,7 @@ def compiled():
     }}
 
 machine, settings = Machine.load('xyzac'), Settings(compress={curves})
-warm_all(Transform.of(machine), 0.001)
-warm_lookahead(Transform.of(machine), settings)
+warm_all('xyzac', 0.001)
 before = compiled()
 chain = Chain(machine, settings)
 stops = [i % 40 == 39 for i in range(300)]

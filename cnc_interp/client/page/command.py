@@ -18,6 +18,7 @@ from cnc_interp.client.session import RunResult, check_place, chosen_domain, nod
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.node_processes import Children
+from cnc_interp.settings.choices import DEFAULT_MACHINE
 
 if TYPE_CHECKING:
     from cnc_interp.client.page.server import Served
@@ -50,7 +51,7 @@ class PanelRequest:
     """
 
     program: Path | None = None
-    machine: str = 'xyzac'
+    machine: str = DEFAULT_MACHINE
     attach: bool = False
     namespace: str = '/'
     domain: int | None = None

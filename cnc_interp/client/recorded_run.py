@@ -88,7 +88,7 @@ class RecordedRun:
         Raises
         ------
         InterpError
-            If a setpoint is missing.
+            If a setpoint is missing, or the period changes.
 
         """
         parts, following = [], None
@@ -97,6 +97,11 @@ class RecordedRun:
                 missing = f'{following} to {chunk.first_sample - 1}'
                 raise InterpError(f'executed setpoints {missing} were not recorded')
             following = chunk.first_sample + len(chunk.sequences)
+            if chunk.period != self.period:
+                raise InterpError(
+                    f'setpoints from {chunk.first_sample} on have the period {chunk.period:g} s, '
+                    f'those before {self.period:g} s; record the run again'
+                )
             parts.append(setpoints_from(chunk))
         executed = Setpoints.concatenate(parts)
         program = part_of(executed, int(np.searchsorted(executed.block, 1)), len(executed))

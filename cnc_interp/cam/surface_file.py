@@ -7,7 +7,6 @@ Surface files: STEP, or JSON with lengths in mm and angles in degrees (docs/how_
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from cnc_interp.cam.spline_surfaces import BSplineSurface
 from cnc_interp.cam.step_file import read_step_face
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.small_files import UnreadableError, read_json
 from cnc_interp.core.units import DEG, MM
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
@@ -100,14 +100,14 @@ def read_surface(
     if face is not None:
         raise SurfaceError(f'{path}: --face is for STEP files ({", ".join(STEP_SUFFIXES)})')
     try:
-        contents = json.loads(path.read_text(encoding='utf-8'))
+        contents = read_json(path)
     except OSError as error:
         raise SurfaceError(f'{path}: cannot be opened: {error.strerror}') from error
-    except ValueError as error:
-        raise SurfaceError(f'{path}: is not JSON: {error}') from error
+    except UnreadableError as error:
+        raise SurfaceError(f'{path}: cannot be read: {error}') from None
     file = _File(path, contents)
     kind = contents.get('kind') if isinstance(contents, dict) else None
-    if kind not in KEYS:
+    if not isinstance(kind, str) or kind not in KEYS:
         raise file.fault(f'kind is {kind!r}; it must be one of {", ".join(KEYS)}')
     known = {'kind', 'placement', 'comment', *KEYS[kind]}
     for key in contents:

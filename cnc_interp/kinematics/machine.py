@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.ros_share import share_directory
+from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
 from cnc_interp.kinematics.axes import Axis
 
@@ -148,8 +148,8 @@ class Machine:
         """
         path = find_machine_file(path_or_name)
         try:
-            content = yaml.safe_load(path.read_text(encoding='utf-8'))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as problem:
+            content = read_yaml(path)
+        except (OSError, UnreadableError) as problem:
             raise MachineError(f'{path}: cannot be read as YAML: {one_line(problem)}') from None
         if not isinstance(content, dict):
             raise MachineError(f'{path}: not a machine file; see config/machines/xyzac.yaml')
@@ -189,6 +189,8 @@ def find_machine_file(path_or_name: str | Path) -> Path:
 def from_mapping(content: dict[str, Any]) -> Machine:
     """Build a machine from the mapping of its file."""
     rotary = content.get('rotary') or {}
+    if not isinstance(rotary, dict):
+        raise MachineError('must hold primary and secondary', 'rotary')
     names = ['X', 'Y', 'Z'] + [
         str(entry(rotary, key, 'rotary', 'name')) for key in ('primary', 'secondary') if rotary
     ]

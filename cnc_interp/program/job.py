@@ -8,9 +8,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, MM
 
 LETTERS = 'XYZABC'
@@ -62,12 +61,11 @@ class JobSetup:
 
         """
         try:
-            content = yaml.safe_load(path.read_text(encoding='utf-8'))
+            content = read_yaml(path)
         except OSError as problem:
             raise ProgramError(f'cannot be opened: {problem.strerror}', str(path)) from None
-        except (UnicodeDecodeError, yaml.YAMLError) as problem:
-            text = ' '.join(str(problem).split())
-            raise ProgramError(f'cannot be read as YAML: {text}', str(path)) from None
+        except UnreadableError as problem:
+            raise ProgramError(f'cannot be read as YAML: {problem}', str(path)) from None
         keys = ('work_offsets', 'tools', 'reference_points')
         whole = _mapping(content, 'the file', str(path))
         for key in whole:

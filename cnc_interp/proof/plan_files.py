@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import math
+import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import UnreadableError, read_json
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -45,6 +48,14 @@ WHOLE = frozenset(('block', 'line', 'interpolation'))
 LOGICAL = frozenset(('rapid', 'exact_stop', 'stop'))
 # Largest feed override that the nodes accept, and the periods that can be chosen [s].
 LARGEST_OVERRIDE, PERIODS = 1.5, (1e-5, 0.1)
+# Largest number of columns of a file. A larger file than this [bytes] may unpack to so many times
+# its length.
+MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
+# What the readers of archives and arrays raise for files that are not sound.
+READING_FAULTS = (
+    OSError, ValueError, EOFError, BadZipFile, zlib.error, struct.error, RuntimeError, TypeError,
+    KeyError, IndexError, SyntaxError, MemoryError, OverflowError,
+)  # fmt: skip
 # Rows of less length have no feed [m]; a unit vector is so long to rounding.
 NO_LENGTH, UNIT = 1e-9, 1e-6
 
@@ -207,8 +218,8 @@ def _complete_blocks(columns: Columns) -> Columns:
 def _read_summary(file: Path) -> Mapping[str, Any]:
     """Read ``summary.json`` and check the values that the proof needs."""
     try:
-        summary = json.loads(file.read_text(encoding='utf-8'))
-    except (OSError, ValueError) as fault:
+        summary = read_json(file)
+    except (OSError, UnreadableError) as fault:
         raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
     for key in ('interpolation_period', 'flank_height'):
         value = summary.get(key) if isinstance(summary, dict) else None
@@ -229,13 +240,14 @@ def _read_columns(
 ) -> dict[str, NDArray[Any]]:
     """Load the columns of one file and check each against its shape."""
     try:
+        _check_lengths(file)
         with np.load(file, allow_pickle=False) as archive:
             wanted = {*needed, *(optional or {}), *(PATH_CELLS if 'q' in needed else ())}
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
                 raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
             columns = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, BadZipFile) as fault:
+    except READING_FAULTS as fault:
         raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
     missing = [name for name in needed if name not in columns]
     if missing:
@@ -266,6 +278,41 @@ def _read_columns(
         kind = np.int64 if name in WHOLE else np.bool_ if name in LOGICAL else np.float64
         columns[name] = column.astype(kind, copy=False)
     return columns
+
+
+def _check_lengths(file: Path) -> None:
+    """
+    Refuse an archive that says it holds more than it does, before anything of it is unpacked.
+
+    Raises
+    ------
+    ValueError, OSError, BadZipFile
+        If it is no archive, or its lengths are not true.
+
+    """
+    file.stat()
+    if not file.is_file():
+        raise ValueError('it is not a file')
+    with ZipFile(file) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if len(members) > MOST_COLUMNS or size > max(SMALL, UNPACKED * file.stat().st_size):
+            raise ValueError(f'it would unpack to {len(members)} columns and {size} bytes')
+        for member in members:
+            with archive.open(member) as column:
+                version = np.lib.format.read_magic(column)  # type: ignore[no-untyped-call]
+                read = {
+                    (1, 0): np.lib.format.read_array_header_1_0,
+                    (2, 0): np.lib.format.read_array_header_2_0,
+                }.get(version)
+                if read is None:
+                    raise ValueError(f'{member.filename} has an unknown format')
+                shape, _, kind = read(column)  # type: ignore[no-untyped-call]
+                told = math.prod(shape) * kind.itemsize
+                if kind.hasobject or min(shape, default=1) < 0:
+                    raise ValueError(f'{member.filename} does not hold numbers')
+                if column.tell() + told != member.file_size:
+                    raise ValueError(f'{member.filename} does not have the length that it tells')
 
 
 def _reason(fault: Exception) -> str:

@@ -37,6 +37,7 @@ PROOF_ROOM = 'proof'
 PROOF_MAY_IMPORT = (
     'cnc_interp.core.arrays',
     'cnc_interp.core.errors',
+    'cnc_interp.core.small_files',
     'cnc_interp.core.units',
     'cnc_interp.program.blocks',
     'cnc_interp.kinematics.machine',

@@ -1,0 +1,108 @@
+"""Small files of a user (machine, setup, surface, summary), read within bounds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+#: Longest YAML and JSON file [bytes], and how deep its values may be nested.
+LONGEST_YAML, LONGEST_JSON, DEEPEST = 1 << 17, 1 << 24, 20
+#: Largest whole number.
+LARGEST = 1 << 63
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+
+
+class UnreadableError(ValueError):
+    """A file cannot be read; the message says why in a few words."""
+
+
+def small_text(path: Path, longest: int) -> str:
+    """
+    Return the text of a small file; never more of it is read.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    UnreadableError
+        If it is no file, too long, or no text.
+
+    """
+    path.stat()
+    if not path.is_file():
+        raise UnreadableError('it is not a file')
+    with path.open('rb') as file:
+        content = file.read(longest + 1)
+    if len(content) > longest:
+        raise UnreadableError(f'it is longer than {longest >> 10} kB')
+    try:
+        return content.decode('utf-8')
+    except UnicodeDecodeError as problem:
+        raise UnreadableError(f'it is not UTF-8 text: {problem.reason}') from None
+
+
+def _checked(content: Any) -> Any:
+    """Return the content of a file unless it has a number that no float can hold."""
+    waiting = [content]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, int) and abs(value) > LARGEST:
+            raise UnreadableError('a whole number is too large')
+        if isinstance(value, dict):
+            waiting += [*value.keys(), *value.values()]
+        elif isinstance(value, list):
+            waiting += value
+    return content
+
+
+def read_yaml(path: Path) -> Any:
+    """
+    Return the content of a small YAML file.
+
+    References to other values (``*name``) are refused, because they can stand for any length.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    UnreadableError
+        If it is too long, too deep, or not YAML.
+
+    """
+    text = small_text(path, LONGEST_YAML)
+    depth = 0
+    try:
+        for event in yaml.parse(text, Loader=_LOADER):
+            if isinstance(event, yaml.AliasEvent):
+                raise UnreadableError(f'*{event.anchor}: write the value out')
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise UnreadableError(f'values are nested more than {DEEPEST} deep')
+        return _checked(yaml.load(text, Loader=_LOADER))
+    except (yaml.YAMLError, ValueError) as problem:
+        raise UnreadableError(' '.join(str(problem).split())[:200]) from None
+
+
+def read_json(path: Path) -> Any:
+    """
+    Return the content of a small JSON file; raises as ``read_yaml``.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    UnreadableError
+        If it is too long, too deep, or not JSON.
+
+    """
+    text = small_text(path, LONGEST_JSON)
+    try:
+        return _checked(json.loads(text))
+    except RecursionError:
+        raise UnreadableError('values are nested too deep') from None
+    except ValueError as problem:
+        raise UnreadableError(f'it is not JSON: {problem}'[:200]) from None

@@ -3,9 +3,9 @@ Build the AxisPath of a stream of segments: branch, whole turns, travel, singula
 
 The rotary branch is chosen at the first pose and kept; rotary axes follow continuously and are
 never wrapped. Where the tool axis rests, the rotary axes rest too, so a 3-axis path on the pole is
-no singularity. Rotary axes that are coordinates of the path are taken as they are. A great circle
-through the pole tilts linearly while the outer axis rests; if that has to turn first, a rotation
-about the resting tip is inserted between two stops.
+no singularity. Rotary axes that are coordinates of the path are taken as they are. Where the path
+is nearer to the pole than its tolerance, the outer axis is given (``pole_passage.py``). If a path
+leaves the pole after a stop, the outer axis turns before, about the resting tip.
 """
 
 from __future__ import annotations
@@ -19,11 +19,14 @@ from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.branch import branch_at, start_positions
+from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import (
     ALL_AXES,
     FINE,
     FOLLOWING,
+    GUIDE_FROM,
     LINEAR,
+    NO_GUIDE,
     RESTING,
     SINGULAR,
     STANDSTILL,
@@ -33,7 +36,7 @@ from cnc_interp.kinematics.sampling import (
 )
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
-from cnc_interp.smoothing.orientation import norm, turned_by
+from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,
@@ -52,8 +55,6 @@ SAME_TOOL = 1e-12
 OFF_WORDS = 15.0 * DEG
 #: A kink that asks for more than this share of a jerk limit within one period makes a stop [-].
 KINK_JERK = 0.02
-#: A great circle whose normal is this perpendicular to the pole runs through it [-].
-IN_PLANE = 1e-10
 
 
 @dataclass
@@ -117,6 +118,9 @@ class AxisPathBuilder:
         self._s = 0.0
         self._stopped = True
         self._end: tuple[FloatArray, FloatArray] | None = None
+        self.passages = PolePassages(transform, flank_height)
+        #: The segments of the path that ``push`` returned last; their deviation is the whole one.
+        self.done: PathSegments | None = None
 
     def start(self, axis: FloatArray, rotary: FloatArray, line_number: int = 0) -> FloatArray:
         """
@@ -146,6 +150,7 @@ class AxisPathBuilder:
             self.transform, axis, rotary, self._start_near, line_number
         )
         self._may_turn_at_once = not np.isfinite(rotary).all()
+        self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
         return self._rotary
 
     def push(self, segments: PathSegments) -> AxisPath | None:
@@ -165,20 +170,27 @@ class AxisPathBuilder:
                 f'{self.machine.name} has {len(self.machine.extra_names)}; choose another machine',
                 int(segments.line_number[0]),
             )
-        motion = self._motions(segments)
+        motion, n = self._motions(segments), len(segments)
+        guides, turn_first = np.tile(NO_GUIDE, (n, 1)), np.full(n, np.nan)
+        if self.machine.has_rotary and n:
+            if self._rotary is None:
+                self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
+            released = self.passages.take(segments, motion)
+            segments, motion = released.segments, released.motion
+            guides, turn_first = released.guides, released.turn_first
+        self.done = segments
         parts: list[Cells] = []
         first, n = 0, len(segments)
         while first < n:
             if self._rotary is None:
-                self.start(
-                    segments.axis[first],
-                    segments.rotary[first, 0],
-                    int(segments.line_number[first]),
-                )
+                self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
+            if np.isfinite(turn_first[first]):
+                parts.extend(self._turn_outer(segments[first : first + 1], turn_first[first]))
             # Together: what follows the tool axis, and what has the rotary axes as coordinates.
             own = segments.interpolation[first] != POSES
             changes = (segments.interpolation[first:] != POSES) != own
             changes |= (motion[first:] == LINEAR) & ~own
+            changes[1:] |= np.isfinite(turn_first[first + 1 :])
             ends = np.flatnonzero(changes)
             last = first + (int(ends[0]) if len(ends) else n - first)
             assert self._rotary is not None
@@ -189,7 +201,7 @@ class AxisPathBuilder:
                 run = segments[first:last]
                 if own:
                     parts.extend(self._stand_at(run))
-                parts.append(self._cells(run, motion[first:last]))
+                parts.append(self._cells(run, motion[first:last], guides[first:last]))
                 if own:
                     self._branch = branch_at(self.transform, self._rotary)
                 else:
@@ -202,9 +214,9 @@ class AxisPathBuilder:
         """
         Say how the rotary axes move on each segment, shape (n,).
 
-        LINEAR are rotations that the program gives as rotary positions, great circles through the
-        pole, and segments with rotary axes as coordinates, where ALL_AXES says that X Y Z are such
-        coordinates, too. The others rest, or follow the tool axis on the branch.
+        LINEAR are rotations that the program gives as rotary positions, and segments with rotary
+        axes as coordinates, where ALL_AXES says that X Y Z are such coordinates, too. The others
+        rest, or follow the tool axis on the branch.
         """
         n, kind = len(segments), segments.kind
         motion = np.full(n, RESTING)
@@ -219,25 +231,15 @@ class AxisPathBuilder:
         angle = norm(segments.rotation)
         turning = (angle > 0.0) & ((kind == LINE) | (kind == ROTATION))
         motion[turning] = FOLLOWING
-        motion[turning & (np.abs(segments.rotation @ self.transform.pole) <= IN_PLANE * angle)] = (
-            LINEAR
-        )
         named = np.isfinite(segments.rotary[:, :2]).all(axis=(1, 2))
         motion[(kind == ROTATION) & named] = LINEAR
         own = segments.interpolation
         return np.where(own == POSES, motion, np.where(own == AXES_LINEAR, ALL_AXES, LINEAR))
 
     def _linear(self, one: PathSegments) -> list[Cells]:
-        """Cut a segment with linear rotary axes; the outer axis turns before it if it must."""
+        """Cut a rotation with linear rotary axes; they turn to its start first if they must."""
         assert self._rotary is not None
-        words = one.rotary[0, :2]
-        if one.kind[0] == ROTATION and np.isfinite(words).all():
-            start, end = words
-        else:
-            found = self._through_the_pole(one.axis[0], one.rotation[0])
-            if found is None:
-                return [self._cells(one, np.array([FOLLOWING]))]
-            start, end = found
+        start, end = one.rotary[0, :2]
         parts = []
         if np.abs(start - self._rotary).max() > SAME_ANGLE:
             if not self._may_turn_at_once:
@@ -247,33 +249,17 @@ class AxisPathBuilder:
         self._branch = branch_at(self.transform, self._rotary)
         return parts
 
-    def _through_the_pole(
-        self, axis: FloatArray, rotation: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
-        """
-        Solve a great circle through the pole; None where the tilt is not linear along it.
-
-        Returns first and last rotary positions, shape (2,) each [rad].
-        """
+    def _turn_outer(self, one: PathSegments, turn: float) -> list[Cells]:
+        """Turn the outer axis at rest under a tool on the pole, before a segment leaves it."""
         assert self._rotary is not None
-        outer, inner = self.transform.outer, 1 - self.transform.outer
-        angle = float(np.sqrt(rotation @ rotation))
-        shares = np.array([0.0, 0.5, 1.0])
-        tools = np.array([turned_by(axis, rotation, share) for share in shares])
-        far = int(np.argmin(np.abs(tools @ self.transform.pole)))
-        best: tuple[float, FloatArray, FloatArray] | None = None
-        for pair in self.transform.rotary_solutions(tools[far]):
-            turns = np.round((self._rotary[outer] - pair[outer]) / (2.0 * np.pi))
-            for rate in (angle, -angle):
-                path = np.empty((3, 2))
-                path[:, outer] = pair[outer] + 2.0 * np.pi * turns
-                path[:, inner] = pair[inner] + rate * (shares - shares[far])
-                if np.abs(self.transform.tool_axis(path) - tools).max() > SAME_ANGLE:
-                    continue
-                gap = float(np.abs(path[0] - self._rotary).sum())
-                if best is None or gap < best[0]:
-                    best = gap, path[0], path[2]
-        return None if best is None else best[1:]
+        outer, target = self.transform.outer, self._rotary.copy()
+        gap = turn - target[outer]
+        target[outer] += gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
+        parts = []
+        if np.abs(target - self._rotary).max() > SAME_ANGLE and not self._may_turn_at_once:
+            parts.append(self._turn_first(one, target))
+        self._rotary = target
+        return parts
 
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
         """Turn the rotary axes about the resting tip before a segment."""
@@ -345,8 +331,11 @@ class AxisPathBuilder:
             line,
         )
 
-    def _cells(self, segments: PathSegments, motion: IntArray) -> Cells:
+    def _cells(
+        self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
+    ) -> Cells:
         """Cut segments into cells and check what came out."""
+        guides = np.tile(NO_GUIDE, (len(segments), 1)) if guides is None else guides
         rotary = np.array([0.0, 0.0, self._branch, self.flank_height])
         if self._rotary is not None:
             rotary[:2] = self._rotary
@@ -360,9 +349,10 @@ class AxisPathBuilder:
             segments.parametrization,
             segments.length,
             motion,
+            guides,
             rotary,
         )
-        self._rotary = rotary[:2].copy()
+        self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
         self._check_travel(left[:, 0], segments.line_number[segment])
@@ -374,6 +364,11 @@ class AxisPathBuilder:
             tools = self.transform.tool_axis(q[:, 3:5])
         elif segments.interpolation[0] != POSES:
             tips, tools = self.transform.forward(np.concatenate([left[:, 0], right[-1:, 0]]))
+        elif (guided := guides[:, GUIDE_FROM] < 1.0).any():
+            q = np.concatenate([left[:, 0], right[-1:, 0]])
+            there = np.append(guided[segment], guided[-1])
+            there[1:] |= guided[segment]
+            tools[there] = self.transform.tool_axis(q[there, 3:5])
         half = (np.arange(len(steps)) - (ends - counts)[segment] >= early[segment]).astype(int)
         stop = np.zeros(len(steps), dtype=bool)
         stop[ends[counts > 0] - 1] = segments.stop[counts > 0]

@@ -18,7 +18,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
-from cnc_interp.kinematics.transform import OUTER, SIZE, linear_jets, rotary_jets
+from cnc_interp.kinematics.transform import OUTER, SIZE, guided_jets, linear_jets, rotary_jets
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,
@@ -52,6 +52,12 @@ FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3
 #: How the rotary axes move on a segment: at rest, following the tool axis, or as coordinates of
 #: the path on the basis of the tip. With ALL_AXES, X Y Z are coordinates, too, not the tip.
 RESTING, FOLLOWING, LINEAR, ALL_AXES = 0, 1, 2, 3
+#: Layout of a row of ``guides`` (``pole_passage.py``): parameters between which the outer axis
+#: is a septic of the path length, the branch after it, path length from the start of the septic to
+#: that of the segment, length of the septic [m], and its coefficients from the lowest on.
+GUIDE_FROM, GUIDE_TO, BRANCH_AFTER, GUIDE_BEGUN, GUIDE_LENGTH = range(5)
+GUIDE = slice(5, 13)
+NO_GUIDE = np.array([2.0, 2.0] + [0.0] * 11)
 #: Layout of ``rotary``: positions [rad], branch (+1 or -1) and flank height [m].
 FIRST, SECOND, BRANCH, HEIGHT = range(4)
 #: Rows of a segment's ``shape``.
@@ -82,7 +88,7 @@ def shapes_of(segments: PathSegments) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def sample(packed, kind, motion, shape, beside, f, length, rotary, u, inside):  # type: ignore[no-untyped-def]
+def sample(packed, kind, motion, shape, beside, f, length, rotary, guide, way, u, inside):  # type: ignore[no-untyped-def]
     """
     Return the axes at one point of a segment.
 
@@ -100,6 +106,10 @@ def sample(packed, kind, motion, shape, beside, f, length, rotary, u, inside):  
     rotary : ndarray, shape (4,)
         Rotary positions [rad], branch and flank height [m]. Rotary axes that follow the tool axis
         keep the branch and the whole turns nearest to these positions.
+    guide : ndarray, shape (13,)
+        Where the outer axis is given, and its septic (``GUIDE_FROM`` and following).
+    way : float
+        Path length from the start of the segment to u [m].
     u : float
         Parameter in [0, 1].
     inside : float
@@ -119,30 +129,24 @@ def sample(packed, kind, motion, shape, beside, f, length, rotary, u, inside):  
         p = bottom_jets(shape[BOTTOM], u, inside)
         o = p
         speed = speed_beside(p, beside, rotary[HEIGHT], u, inside)
-    elif kind == CORNER:
-        p, o = corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
-        speed = speed_of(p)
-    elif kind == SPLINE:
-        p, o = spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)
-        speed = speed_of(p)
-    elif kind == LINE:
-        p, o = line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)
-        speed = jet.constant(length)
     else:
-        p = (jet.constant(shape[0, 0]), jet.constant(shape[0, 1]), jet.constant(shape[0, 2]))
-        o = great_circle_jets(shape[AXIS], shape[ROTATION], u)
-        speed = jet.constant(length)
-    sine_squared = 1.0
-    if motion == RESTING:
+        p, o = pose_jets(kind, shape, f, u, inside)
+        curved = kind == CORNER or kind == SPLINE
+        speed = speed_of(p) if curved else jet.constant(length)
+    sine_squared, outer = 1.0, int(packed[OUTER])
+    if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
+        s = (way, speed[0], 0.5 * speed[1], speed[2] / 3.0)
+        turn = jet.compose(guide_jet(guide, way), s)
+        tilt, turn = guided_jets(packed, o, turn, rotary[1 - outer], rotary[outer])
+        first, second = (tilt, turn) if outer == 1 else (turn, tilt)
+    elif motion == RESTING:
         first, second = jet.constant(rotary[FIRST]), jet.constant(rotary[SECOND])
     elif motion != FOLLOWING:
         first = beside_jet(kind, beside, 0, u, inside)
         second = beside_jet(kind, beside, 1, u, inside)
     else:
-        outer = int(packed[OUTER])
-        tilt, turn, sine_squared = rotary_jets(
-            packed, o, rotary[BRANCH], rotary[1 - outer], rotary[outer]
-        )
+        branch = rotary[BRANCH] if inside < guide[GUIDE_TO] else guide[BRANCH_AFTER]
+        tilt, turn, sine_squared = rotary_jets(packed, o, branch, rotary[1 - outer], rotary[outer])
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     v = p if motion == ALL_AXES else linear_jets(packed, p, first, second)
     count = beside.shape[1] - 2
@@ -162,6 +166,27 @@ def sample(packed, kind, motion, shape, beside, f, length, rotary, u, inside):  
     tip = np.array([p[0][0], p[1][0], p[2][0]])
     tool = np.array([o[0][0], o[1][0], o[2][0]])
     return q, tip, tool, sine_squared
+
+
+@njit(cache=True, nogil=True)
+def pose_jets(kind, shape, f, u, inside):  # type: ignore[no-untyped-def]
+    """Return the jets in u of tool tip and tool axis on a segment of poses."""
+    if kind == CORNER:
+        return corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
+    if kind == SPLINE:
+        return spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)
+    if kind == LINE:
+        return line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)
+    p = (jet.constant(shape[0, 0]), jet.constant(shape[0, 1]), jet.constant(shape[0, 2]))
+    return p, great_circle_jets(shape[AXIS], shape[ROTATION], u)
+
+
+@njit(cache=True, nogil=True)
+def guide_jet(guide, way):  # type: ignore[no-untyped-def]
+    """Return the jet by path length of the outer axis where it is given; see ``GUIDE_FROM``."""
+    value, length = np.empty(4), guide[GUIDE_LENGTH]
+    septic_value(guide[GUIDE], (guide[GUIDE_BEGUN] + way) / length, length, value)
+    return (value[0], value[1], 0.5 * value[2], value[3] / 6.0)
 
 
 @njit(cache=True, nogil=True)
@@ -259,6 +284,15 @@ def septic_fits(left, right, h, x, exact, axes, rounding):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
+def guided_grid(grid, guide):  # type: ignore[no-untyped-def]
+    """Return the first parameters with the ends of a guide among them."""
+    for k in range(GUIDE_FROM, GUIDE_TO + 1):
+        if 0.0 < guide[k] < 1.0 and not (grid == guide[k]).any():
+            grid = np.sort(np.append(grid, guide[k]))
+    return grid
+
+
+@njit(cache=True, nogil=True)
 def first_grid(kind, f):  # type: ignore[no-untyped-def]
     """Return the first parameters to use, from 0 to 1, all breaks of the segment among them."""
     if kind != CORNER:
@@ -298,7 +332,9 @@ def roomier(array, cells):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, motion, rotary):  # type: ignore[no-untyped-def]
+def sample_segments(  # type: ignore[no-untyped-def]
+    packed, cone_sine, axes, kinds, shapes, extra, f, lengths, motion, guides, rotary
+):
     """
     Cut consecutive segments into cells.
 
@@ -310,8 +346,8 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
         Sine of the singular cone [-].
     axes : ndarray of int, shape (n_axes,)
         The machine's own among X Y Z, first and second rotary axis, extra axes.
-    kinds, shapes, extra, f, lengths, motion : ndarray
-        Shapes (n,), (n, m, 3), (n, 6, 2 + k), (n, spans, 8), (n,) and (n,).
+    kinds, shapes, extra, f, lengths, motion, guides : ndarray
+        Shapes (n,), (n, m, 3), (n, 6, 2 + k), (n, spans, 8), (n,), (n,) and (n, 13).
         As in ``sample``, segment by segment.
     rotary : ndarray, shape (4,)
         As in ``sample``; on return it holds the positions at the end of the last segment.
@@ -341,16 +377,19 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
     status, count, row, height = FINE, 0, 0, rotary[HEIGHT]
     for row in range(n):
         kind, shape, spans, length = kinds[row], shapes[row], f[row], lengths[row]
-        beside = extra[row]
+        beside, guide, way = extra[row], guides[row], 0.0
+        guided = guide[GUIDE_FROM] < 1.0
         if count + MOST_CELLS > capacity:
             capacity = 2 * capacity + MOST_CELLS
             steps, left = roomier(steps, capacity), roomier(left, capacity)
             right = roomier(right, capacity)
             tips, tools = roomier(tips, capacity + 1), roomier(tools, capacity + 1)
         how = motion[row]
-        free = how == FOLLOWING
-        least = cone_sine * cone_sine if free else 0.0
+        free = how == FOLLOWING or guided
+        least = cone_sine * cone_sine if free and not guided else 0.0
         grid = CORNER_GRID if kind == CORNER and how >= LINEAR else first_grid(kind, spans)
+        if guided:
+            grid = guided_grid(grid, guide)
         waiting = len(grid) - 1
         ends[:waiting] = grid[:0:-1]
         begin, a, fresh = count, 0.0, False
@@ -359,7 +398,7 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
             status = STANDSTILL
             break
         q_a, tip, tool, sine = sample(
-            packed, kind, how, shape, beside, spans, length, rotary, 0.0, 0.0
+            packed, kind, how, shape, beside, spans, length, rotary, guide, 0.0, 0.0, 0.0
         )
         if count == 0:
             tips[0], tools[0] = tip, tool
@@ -367,22 +406,25 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
             b = ends[waiting - 1]
             middle = 0.5 * (a + b)
             if fresh:  # on a break the left end is another one than the last right end
-                q_a = sample(packed, kind, how, shape, beside, spans, length, rotary, a, middle)[0]
+                q_a = sample(
+                    packed, kind, how, shape, beside, spans, length, rotary, guide, way, a, middle
+                )[0]
                 fresh = False
             if free:  # whole turns follow the left end of the cell
                 rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
+            h = arc_length(kind, how, shape, beside, height, length, a, b)
+            half = arc_length(kind, how, shape, beside, height, length, a, middle)
             q_m, _, _, sine = sample(
-                packed, kind, how, shape, beside, spans, length, rotary, middle, middle
-            )
+                packed, kind, how, shape, beside, spans, length, rotary, guide, way + half, middle,
+                middle,
+            )  # fmt: skip
             if sine < least:
                 break
             if free:
                 rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
             q_b, tip, tool, sine = sample(
-                packed, kind, how, shape, beside, spans, length, rotary, b, middle
+                packed, kind, how, shape, beside, spans, length, rotary, guide, way + h, b, middle
             )
-            h = arc_length(kind, how, shape, beside, height, length, a, b)
-            half = arc_length(kind, how, shape, beside, height, length, a, middle)
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
             fits = not room or septic_fits(q_a, q_b, h, half, q_m, axes, rounding)
             if sine >= least and not fits:
@@ -397,12 +439,14 @@ def sample_segments(packed, cone_sine, axes, kinds, shapes, extra, f, lengths, m
             if b <= 0.5:
                 early[row] = count - begin
             tips[count], tools[count] = tip, tool
-            a, q_a, fresh = b, q_b, kind == CORNER and b in grid
+            a, q_a, fresh, way = b, q_b, (kind == CORNER or guided) and b in grid, way + h
         counts[row] = count - begin
         if sine < least:
             status = UNREACHABLE if sine < 0.0 else SINGULAR
             break
         rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
+        if guided and guide[GUIDE_TO] <= 1.0:
+            rotary[BRANCH] = guide[BRANCH_AFTER]
     return (
         status, counts[: row + 1], early[: row + 1], steps[:count], left[:count], right[:count],
         tips[: count + 1], tools[: count + 1],

@@ -348,6 +348,43 @@ def rotary_jets(packed, o, branch, tilt_near, turn_near):  # type: ignore[no-unt
     return tilt, turn, sine_squared
 
 
+@njit(cache=True, nogil=True)
+def guided_jets(packed, o, turn, tilt_near, turn_near):  # type: ignore[no-untyped-def]
+    """
+    Return the jets of tilt and turn for a tool axis, where the turn is given.
+
+    With the outer axis at a, the tool can reach the small circle of ``Rot(w, b) e_z`` about w.
+    The nearest point to o' = Rot(u, -a) o on it has the azimuth of o' about w. So the tool axis
+    deviates by the difference of the angles that o' and e_z have with w, and no pole exists.
+    """
+    outer = int(packed[OUTER])
+    u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
+    w = vector_at(packed, PRIMARY if outer == 1 else SECONDARY)
+    s, c = jet.sine_cosine(jet.scale(turn, -packed[OUTER_SIGN]))
+    o = jet.rotated(u, s, c, o)
+    y = jet.subtract(jet.scale(o[0], w[1]), jet.scale(o[1], w[0]))  # (w x e_z) . o'
+    along = jet.add(jet.add(jet.scale(o[0], w[0]), jet.scale(o[1], w[1])), jet.scale(o[2], w[2]))
+    x = jet.subtract(o[2], jet.scale(along, w[2]))
+    tilt = jet.scale(jet.arctangent(y, x), packed[INNER_SIGN])
+    tilt = (near(tilt[0], tilt_near), tilt[1], tilt[2], tilt[3])
+    return tilt, (near(turn[0], turn_near), turn[1], turn[2], turn[3])
+
+
+@njit(cache=True, nogil=True)
+def guided_gap(packed, o, turn):  # type: ignore[no-untyped-def]
+    """Return by what angle a tool axis deviates where the turn is given, as above [rad]."""
+    outer = int(packed[OUTER])
+    u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
+    w = vector_at(packed, PRIMARY if outer == 1 else SECONDARY)
+    s, c = jet.sine_cosine(jet.constant(-packed[OUTER_SIGN] * turn))
+    o = jet.rotated(u, s, c, o)
+    along = w[0] * o[0][0] + w[1] * o[1][0] + w[2] * o[2][0]
+    x, y = o[2][0] - along * w[2], w[1] * o[0][0] - w[0] * o[1][0]
+    radius = sqrt(w[0] * w[0] + w[1] * w[1])  # of the small circle
+    across = sqrt(x * x + y * y) / radius  # (x, y) is perpendicular to w, stretched by radius
+    return atan2(along, across) - atan2(w[2], radius)
+
+
 @njit(cache=True, nogil=True, inline='always')
 def moved(v, packed, place):  # type: ignore[no-untyped-def]
     """Add a constant vector to a vector jet."""

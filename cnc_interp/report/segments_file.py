@@ -18,7 +18,7 @@ from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
 FILE = 'segments.npz'
 #: Columns that a plan may leave out.
-OPTIONAL = {'extra', 'interpolation'}
+OPTIONAL = {'extra', 'interpolation', 'room'}
 
 
 def read_segments(directory: Path) -> PathSegments | None:
@@ -55,7 +55,7 @@ def read_segments(directory: Path) -> PathSegments | None:
     tails = {
         'bottom': (POINTS, 3), 'top': (POINTS, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
         'deviation': (2,), 'length': (), 'line_number': (), 'rotary': (POINTS, 2),
-        'interpolation': (),
+        'interpolation': (), 'room': (),
     }  # fmt: skip
     for name, tail in tails.items():
         if getattr(segments, name).shape != (count, *tail):

@@ -117,7 +117,9 @@ class PathChain:
 
     def _in_axes(self, segments: PathSegments) -> PathPart:
         """Turn final segments into the path of the axes."""
-        return PathPart(segments, self._watch.timed('kinematics', self._builder.push, segments))
+        path = self._watch.timed('kinematics', self._builder.push, segments)
+        done = self._builder.done
+        return PathPart(segments if done is None else done, path)
 
 
 def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:

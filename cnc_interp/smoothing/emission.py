@@ -109,6 +109,7 @@ class Emission:
             line_number=spans.line_number,
             stop=final & (self.vertex[row + 1] == STOP),
             deviation=spans.deviation,
+            room=spans.room,
             extra=np.repeat(self.rows.blocks.extra[row, None], POINTS, axis=1),
         )
 
@@ -171,6 +172,7 @@ class Emission:
             deviation=rows.used[kept + 1],
             extra=extra[kept],
             interpolation=blocks.interpolation[kept + 1],
+            room=self._least_tolerance(kept),
         )
 
     def _put_axis_lines(
@@ -252,6 +254,17 @@ class Emission:
         )
         return found
 
+    def _orientation_tolerance(self, rows: IntArray) -> FloatArray:
+        """Return the orientation tolerances at vertices, the smaller one of both blocks [m]."""
+        column = self.rows.blocks.orientation_tolerance
+        after = np.minimum(rows + 1, len(column) - 1)
+        return np.asarray(np.minimum(column[np.maximum(rows, 1)], column[after]))
+
+    def _least_tolerance(self, rows: IntArray) -> FloatArray:
+        """Return the smaller one at both ends of the blocks after these vertices [m]."""
+        ends = self._orientation_tolerance(rows), self._orientation_tolerance(rows + 1)
+        return np.asarray(np.minimum(*ends))
+
     def _extra_on_corners(self, rows: IntArray, inner: FloatArray) -> FloatArray:
         """Return control values of the extra axes on corners: linear on both legs."""
         blocks, legs, outer = self.rows.blocks, self.legs, self.outer[rows]
@@ -281,8 +294,8 @@ class Emission:
 
     def _corners(self, rows: IntArray) -> PathSegments:
         """Return the corners at these vertices."""
-        n, lines = len(rows), self.rows
-        blocks, corners = lines.blocks, corners_at(lines.blocks, self.legs, rows)
+        n, lines, blocks = len(rows), self.rows, self.rows.blocks
+        corners = corners_at(blocks, self.legs, rows, self.machine, self.style.height)
         inner, _, curves, deviation = corner.fit(
             corners, self.inner[rows], self.outer[rows], self.style
         )
@@ -312,6 +325,7 @@ class Emission:
             stop=np.zeros(n, dtype=bool),
             deviation=deviation + np.maximum(lines.used[rows], lines.used[rows + 1]),
             extra=self._extra_on_corners(rows, inner),
+            room=np.maximum(self._orientation_tolerance(rows) - deviation[:, 1], 0.0),
         )
 
 

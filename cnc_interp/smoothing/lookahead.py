@@ -133,7 +133,9 @@ class LookAhead:
         rows = np.flatnonzero(vertex == ROUND)
         rows = self._size_in_axes(lines, legs, rows, inner, outer)
         if len(rows):
-            corners = corners_at(lines.blocks, legs, rows)
+            corners = corners_at(
+                lines.blocks, legs, rows, self._machine, self._settings.flank_height
+            )
             half = self._available(lines, legs, rows)
             ratios = self._ratios(corners)
             start = corner.initial_lengths(corners, half, ratios)

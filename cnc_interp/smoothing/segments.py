@@ -79,6 +79,8 @@ class PathSegments:
         path. A rotation uses the first two, like a line. The default is k = 0.
     interpolation : ndarray of int, shape (n,)
         What runs linearly in the blocks, as in ``Blocks``. The default is POSES.
+    room : ndarray, shape (n,)
+        What ``deviation`` leaves of the orientation tolerance [m]. The default is 0.
 
     """
 
@@ -98,12 +100,15 @@ class PathSegments:
     deviation: FloatArray
     extra: FloatArray = field(default_factory=lambda: np.zeros((0, POINTS, 0)))
     interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    room: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if len(self.extra) != len(self.kind):
             object.__setattr__(self, 'extra', np.zeros((len(self.kind), POINTS, 0)))
         if len(self.interpolation) != len(self.kind):
             object.__setattr__(self, 'interpolation', np.full(len(self.kind), POSES))
+        if len(self.room) != len(self.kind):
+            object.__setattr__(self, 'room', np.zeros(len(self.kind)))
         for column in fields(self):
             getattr(self, column.name).flags.writeable = False
 

@@ -132,7 +132,7 @@ def check_segment(message: PathSegment, extra_count: int = 0) -> None:
         if not np.isfinite(rotary[:used]).all():
             raise StreamError(f'{name}: control values of the rotary axes are not finite')
     values = [*message.rotation, message.contour_deviation, message.orientation_deviation]
-    values += message.connection
+    values += [message.orientation_room, *message.connection]
     if not np.isfinite(values).all():
         raise StreamError(f'{name}: a value is not finite; send numbers')
     if not 0.0 < message.flank_height < np.inf:

@@ -135,6 +135,7 @@ def _segment_message(
         feedrate=segments.feed[i],
         contour_deviation=float(segments.deviation[i, 0]),
         orientation_deviation=float(segments.deviation[i, 1]),
+        orientation_room=float(segments.room[i]),
         first_block=int(segments.block[i, 0]),
         last_block=int(segments.block[i, 1]),
         line_number=int(segments.line_number[i]),
@@ -216,5 +217,6 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
         line_number=np.array([m.line_number for m in messages], dtype=np.int64),
         stop=np.array([m.stop for m in messages], dtype=np.bool_),
         deviation=np.array([(m.contour_deviation, m.orientation_deviation) for m in messages]),
+        room=np.array([m.orientation_room for m in messages], dtype=float),
         extra=extra,
     )

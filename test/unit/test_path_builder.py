@@ -172,17 +172,34 @@ def test_great_circle_through_the_pole_changes_the_sign_of_a_and_keeps_c():
     assert np.abs(AC.forward(path.q)[1] - path.axis).max() < 1e-12
 
 
-def test_leaving_the_pole_sideways_turns_c_first_about_the_resting_tip():
+def test_c_turns_under_the_moving_tip_before_the_tool_leaves_the_pole_sideways():
     """Tool upright, C at 0; then the tool leans toward +X, which needs C at +-90 deg."""
     tips = [[0, 0, 0], [20 * MM, 0, 0], [40 * MM, 0, 0]]
-    path = path_of(blocks_of(tips, [[0, 0, 1], [0, 0, 1], [0.3, 0, 1]]))
-    c = path.q[:, 4]
+    rotary = np.full((3, 2), np.nan)
+    rotary[0] = 0.0
+    path = path_of(blocks_of(tips, [[0, 0, 1], [0, 0, 1], [0.3, 0, 1]], rotary=rotary))
+    c, upright = path.q[:, 4], path.tip[:, 0] < 19 * MM
     assert c[0] == 0.0 and abs(c[-1]) == pytest.approx(np.pi / 2)
-    turning = np.abs(path.tip[:, 0] - 20 * MM) < 1e-12
-    assert np.ptp(c[turning]) == pytest.approx(np.pi / 2)
-    assert path.stop[np.flatnonzero(turning)[[0, -1]]].all()
+    assert np.ptp(c[upright]) > 60 * DEG and not path.stop[1:-1].any()
     tip, axis = AC.forward(path.q)
     assert np.abs(tip - path.tip).max() < 1e-12 and np.abs(axis - path.axis).max() < 1e-12
+
+
+def test_c_turns_at_rest_if_the_tool_leaves_the_pole_after_a_stop():
+    tips = [[0, 0, 0], [20 * MM, 0, 0], [40 * MM, 0, 0]]
+    stop = [False, True, False]
+    rotary = np.full((3, 2), np.nan)
+    rotary[0] = 0.0
+    axes = [[0, 0, 1], [0, 0, 1], [0.3, 0, 1]]
+    path = path_of(blocks_of(tips, axes, rotary=rotary, exact_stop=stop))
+    turning = np.abs(path.tip[:, 0] - 20 * MM) < 1e-12
+    assert np.ptp(path.q[turning, 4]) == pytest.approx(np.pi / 2)
+    assert path.stop[np.flatnonzero(turning)[[0, -1]]].all()
+
+
+def test_first_pose_that_names_no_rotary_positions_has_c_where_the_tool_will_leave_the_pole():
+    path = path_of(blocks_of([[0, 0, 0], [40 * MM, 0, 0]], [[0, 0, 1], [0.3, 0, 1]]))
+    assert np.ptp(path.q[:, 4]) < 1e-9 and abs(path.q[0, 4]) == pytest.approx(np.pi / 2)
 
 
 def test_programmed_turn_about_the_tool_axis_is_kept():
@@ -198,8 +215,9 @@ def test_turning_tool_too_close_to_the_pole_is_refused():
     """A great circle that passes the pole at 0.01 deg."""
     near = 0.01 * DEG
     axes = [[near, 0.2, 1], [near, -0.2, 1]]
+    narrow = 0.9 * near * 30 * MM  # the pole is out of its reach
     with pytest.raises(SingularityError, match=r'line 2: .* 0\.02 deg .* axis C'):
-        path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0]], axes))
+        path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0]], axes, tolerance=narrow))
     axes = [[10 * near, 0.2, 1], [10 * near, -0.2, 1]]
     path = path_of(blocks_of([[0, 0, 0], [30 * MM, 0, 0]], axes))
     assert np.ptp(path.q[:, 4]) > 175 * DEG

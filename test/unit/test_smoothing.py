@@ -339,12 +339,14 @@ def test_short_left_over_goes_to_the_corners():
     assert np.allclose(segments.bottom[1][4], segments.bottom[2][0], atol=1e-15)
 
 
-def test_turning_tool_stops_at_the_pole():
+def test_vertex_on_the_pole_is_rounded_and_leaves_room_to_reach_it():
+    """The curve passes the pole at most as far as it may still be moved."""
     tips = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0]]) * MM
     axes = [[0, 0.2, 1], [0, 0, 1], [0.2, 0, 1]]
-    assert not smooth(blocks_of(tips, axes)).stop[:-1].any()
     segments = smooth(blocks_of(tips, axes), pole=(0.0, 0.0, 1.0))
-    assert (segments.kind == LINE).all() and segments.stop.all()
+    assert list(segments.kind) == [LINE, CORNER, LINE] and not segments.stop[:-1].any()
+    assert (segments.deviation[:, 1] + segments.room <= 0.02 * MM * (1.0 + 1e-9)).all()
+    assert segments.deviation[1, 1] < 0.9 * segments.room[1]
 
 
 def test_antiparallel_axes_are_refused_with_the_line():

@@ -14,7 +14,8 @@ from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import STANDSTILL
 from cnc_interp.smoothing.machine_traits import MachineTraits
-from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
+from cnc_interp.smoothing.orientation import dot, norm, rotations_between
+from cnc_interp.smoothing.pole_room import shares_near_pole
 
 #: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9
@@ -135,7 +136,7 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
     flank_height : float
         Flank height [m].
     machine : MachineTraits
-        Largest turn that is rounded, and the cone around the pole.
+        Largest turn that is rounded.
 
     Returns
     -------
@@ -156,14 +157,7 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
     drift = np.abs(np.diff(legs.extra_rate, axis=0)).max(axis=1, initial=0.0)
     straight = (bend < STRAIGHT) & (twist < STRAIGHT) & (drift < STRAIGHT)
     kind[1:-1] = np.where(straight, PASS, ROUND)
-    at_pole = np.zeros(len(kind) - 2, dtype=bool)
-    if machine.pole is not None:
-        o = blocks.axis[1:-1]
-        pole = np.broadcast_to(np.asarray(machine.pole), o.shape)
-        angle = angles_between(o, pole)
-        close = np.minimum(angle, np.pi - angle) < machine.pole_cone
-        at_pole = close & turning
-    stop = resting | sharp | at_pole | blocks.exact_stop[1:-1]
+    stop = resting | sharp | blocks.exact_stop[1:-1]
     kind[1:-1][stop] = STOP
     beside = curve[1:-1] | curve[2:]
     kind[1:-1][beside] = np.where(rows.smooth[2:], PASS, STOP)[beside]
@@ -214,7 +208,9 @@ def axis_corners(
     return AxisCorners.at(at, rows.blocks, legs.axes, still, machine.geometry, flank_height)
 
 
-def corners_at(blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
+def corners_at(
+    blocks: Blocks, legs: Legs, rows: IntArray, machine: MachineTraits, flank_height: float
+) -> Corners:
     """
     Collect the programmed data of the corners at some vertices.
 
@@ -226,6 +222,10 @@ def corners_at(blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
         Geometry between them.
     rows : ndarray of int, shape (n,)
         Indices of the corner vertices.
+    machine : MachineTraits
+        Its pole: corners beside it leave a part of the orientation tolerance.
+    flank_height : float
+        Flank height [m].
 
     Returns
     -------
@@ -237,6 +237,13 @@ def corners_at(blocks: Blocks, legs: Legs, rows: IntArray) -> Corners:
         np.minimum(column[rows], column[rows + 1])
         for column in (blocks.contour_tolerance, blocks.orientation_tolerance)
     ]
+    if machine.pole is not None:
+        pole, angle = np.array(machine.pole), tolerances[1] / flank_height
+        shares = [
+            shares_near_pole(pole, blocks.axis[rows], 0.5 * turn, angle, corner=True)
+            for turn in (-legs.rotation[rows - 1], legs.rotation[rows])
+        ]
+        tolerances[1] = tolerances[1] * np.minimum(*shares)
     return Corners(
         tip=blocks.tip[rows],
         axis=blocks.axis[rows],

@@ -67,7 +67,7 @@ class Compressor:
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
         self._pole, self._pole_cone = machine.pole, machine.pole_cone
-        self._builder = SkeletonBuilder(settings, machine, row, joined)
+        self._builder = SkeletonBuilder(settings, row, joined)
         self._corners = CornerSearch(settings.corner_angle)
         self._first = row
         self._at = 0  # all blocks before this vertex have been sent
@@ -247,7 +247,8 @@ class Compressor:
             line, jet = with_end_line(line, leg, leg.goal, leg.vertex, skeleton, height)
             following = leg.vertex + 1
         longest = longest_spacing(skeleton, start + 1)
-        self._run = Run(line, jet, turning, height, longest, self._share)
+        pole = None if self._pole is None else np.array(self._pole)
+        self._run = Run(line, jet, turning, height, longest, self._share, pole)
         self._start, self._next = start, following
 
     def _fixed(self, axis: FloatArray) -> bool:

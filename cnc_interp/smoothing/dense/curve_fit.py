@@ -16,6 +16,8 @@ from cnc_interp.core.bspline import (
 from cnc_interp.smoothing.dense import certificate, knots, polyline, tube_fit
 from cnc_interp.smoothing.dense.path_rows import Spans
 from cnc_interp.smoothing.dense.polyline import Polyline
+from cnc_interp.smoothing.orientation import rotations_between
+from cnc_interp.smoothing.pole_room import shares_near_pole
 
 #: Longest and shortest spacing of knots, in tolerances.
 LONGEST, FINEST = 100.0, 2.0
@@ -69,6 +71,8 @@ class Run:
         Flank height and longest spacing of knots [m].
     share : float
         Share of the tolerances that the curve may use [-].
+    pole : ndarray, shape (3,), optional
+        Direction beside which the curve leaves a part of the orientation tolerance.
 
     """
 
@@ -80,6 +84,7 @@ class Run:
         height: float,
         longest: float,
         share: float,
+        pole: FloatArray | None = None,
     ):
         self.line = self.whole = line
         self.turning = turning
@@ -87,6 +92,7 @@ class Run:
         self.begun = self.ended = False
         self._jet, self._end_jet = jet, jet[:0]
         self._height, self._longest, self._share = height, longest, share
+        self._pole = pole
 
     @property
     def passed(self) -> int:
@@ -149,6 +155,10 @@ class Run:
             if limit <= self.t:
                 return None
         left = self._share * line.tolerance - line.used
+        if self.turning and self._pole is not None:
+            turn = rotations_between(line.axis[:-1], line.axis[1:])
+            angle = line.tolerance[:, 1] / self._height
+            left[:, 1] *= shares_near_pole(self._pole, line.axis[:-1], turn, angle)
         wanted = knots.knot_spacings(
             line.tip, line.axis, line.u, left, self._height, self._longest, FINEST * least
         )
@@ -211,6 +221,10 @@ class Run:
         if not excess.max() <= 1.0:  # also true for NaN, if the solution broke down
             worst = int(np.argmax(excess))
             return float(0.5 * (found[worst] + found[worst + 1]))
+        first = np.searchsorted(line.u, found[:count], 'right') - 1
+        after = np.maximum(np.searchsorted(line.u, found[1 : count + 1]), first + 1)
+        tolerance = [line.tolerance[a:b, 1].min() for a, b in zip(first, after, strict=True)]
+        room = np.array(tolerance) - deviation[:, 1]
         source, cut, speed, segment = polyline.pieces(points, found, line.u, line.feed, line.row)
         # The motion starts in the first block and ends in the last one, however short they are.
         if not self.begun:
@@ -234,6 +248,7 @@ class Run:
             Spans(
                 bottom, top, np.repeat(speed[:, None], 2, axis=1), line.row[segment],
                 line.line[segment[:, 1]], deviation[source],
+                room[source],
             ),
             axis, last, self.t,
         )  # fmt: skip

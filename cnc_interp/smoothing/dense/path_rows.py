@@ -27,6 +27,8 @@ class Spans:
         Program line in the middle of the second half.
     deviation : ndarray, shape (n, 2)
         Bounds of contour and orientation deviation from the program [m].
+    room : ndarray, shape (n,)
+        What the deviation leaves of the orientation tolerance [m].
 
     """
 
@@ -36,6 +38,7 @@ class Spans:
     block: IntArray
     line_number: IntArray
     deviation: FloatArray
+    room: FloatArray
 
     def __len__(self) -> int:
         """Return the number of spans."""
@@ -56,7 +59,7 @@ class Spans:
         """Return an empty batch of spans."""
         whole, real = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))
         points = np.zeros((0, 6, 3))
-        return Spans(points, points, real, whole, whole[:, 0], real)
+        return Spans(points, points, real, whole, whole[:, 0], real, real[:, 0])
 
 
 @dataclass(frozen=True)

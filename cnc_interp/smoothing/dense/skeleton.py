@@ -10,8 +10,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense import thinning
-from cnc_interp.smoothing.machine_traits import MachineTraits
-from cnc_interp.smoothing.orientation import angles_between, dot, norm, rotations_between
+from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 
 #: A tip that moves less than this does not move [m].
 STANDSTILL = 1e-9
@@ -120,8 +119,6 @@ class SkeletonBuilder:
     ----------
     settings : Settings
         Choices of the user.
-    machine : MachineTraits
-        Properties of the machine that the smoothing needs.
     row : int
         Program row of the first block.
     joined : bool
@@ -129,9 +126,8 @@ class SkeletonBuilder:
 
     """
 
-    def __init__(self, settings: Settings, machine: MachineTraits, row: int, joined: bool):
+    def __init__(self, settings: Settings, row: int, joined: bool):
         self._longest_block, self._height = settings.longest_block, settings.flank_height
-        self._pole, self._pole_cone = machine.pole, machine.pole_cone
         self._raw: Blocks | None = None  # blocks from the last vertex of the skeleton on
         self._row = row  # program row of the first of them
         self._joined = joined
@@ -200,20 +196,10 @@ class SkeletonBuilder:
         resting = length < STANDSTILL
         resting &= (height * turn > thinning.DROP * tolerance) | (spins & (turn < 1e-12)) | beside
         resting &= ~linear
-        n = len(raw)
-        near, at_pole = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-        if self._pole is not None:
-            angle = angles_between(
-                raw.axis, np.broadcast_to(np.asarray(self._pole), raw.axis.shape)
-            )
-            angle = np.minimum(angle, np.pi - angle)
-            near = angle < self._pole_cone + 1.5 * raw.orientation_tolerance / height
-            at_pole = angle < self._pole_cone
-        kind = np.full(n, SHORT)
+        kind = np.full(len(raw), SHORT)
         narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]
         kind[1:][length > np.minimum(self._longest_block, LONGEST * narrow)] = LONG
         fixed = resting | beside | linear | raw.rapid[1:] | reversed_axis
-        fixed |= (near[1:] | near[:-1]) & (turn > 0.0)
         kind[1:][fixed] = FIXED
         if self._joined and self.skeleton is not None and len(self.skeleton) == 1:
             kind[1:2] = FIXED
@@ -222,8 +208,6 @@ class SkeletonBuilder:
         stop = raw.exact_stop.copy()
         stop[1:][resting] = True
         stop[:-1][resting] = True
-        stop[1:] |= at_pole[1:] & (turn > 0.0)
-        stop[:-1] |= at_pole[:-1] & (turn > 0.0)
         closed = kind == FIXED
         closed[:-1] |= kind[1:] == FIXED
         for name in ('contour_tolerance', 'orientation_tolerance'):

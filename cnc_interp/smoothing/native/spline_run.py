@@ -373,6 +373,7 @@ class SplineRun:
         bottom = np.concatenate([piece.bottom for piece, _ in pieces])
         top = np.concatenate([piece.top for piece, _ in pieces])
         tool = top[:, 0] - bottom[:, 0]
+        deviation = np.stack([piece.deviation for piece, _ in pieces])
         block = np.repeat(self._first_row + number[:, None], 2, axis=1)
         if end:
             block[-1, 1] = self._first_row + self._offset + len(rows) - 1
@@ -390,6 +391,7 @@ class SplineRun:
             block=block,
             line_number=rows.line_number[own],
             stop=np.array([stop for _, stop in pieces]),
-            deviation=np.stack([piece.deviation for piece, _ in pieces]),
+            deviation=deviation,
             extra=np.repeat(rows.extra[own, None], POINTS, axis=1),
+            room=rows.orientation_tolerance[own] - deviation[:, 1],
         )

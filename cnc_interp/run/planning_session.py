@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
@@ -154,7 +154,8 @@ class PlanningSession:
         self._segments: deque[Any] = deque()
         self._machine: MachineReport | None = None  # since the run began
         self._executing = False  # the machine has begun the run and has not completed it
-        self._received, self._kept = Received(), cast(Kept | None, None)
+        self._received = Received()
+        self._kept: Kept | None = None  # until the machine has answered
         self._revised_at, self._lead = -math.inf, LEAD
         self._joins_at = self._plans = 0
 
@@ -374,9 +375,7 @@ class PlanningSession:
             executed = report.path_position if report is not None and mine else -math.inf
             return Task(lambda: planner.work(sample, executed), self._planned)
         if self.activity is Activity.JOINING:
-            return (
-                None  # the plan before needs the path that comes, too: once it is known to go on
-            )
+            return None  # more path goes to the plan that stays, once it is known which one
         if wants and self._segments:
             count = min(SEGMENTS_PER_TASK, len(self._segments))
             segments, pauses = self._port.read([self._segments.popleft() for _ in range(count)])

@@ -300,7 +300,8 @@ def uses(
         a, j = a0 + j0 * t + slope * t / 2, j0 + slope
         at = grid.s[:-1] + np.clip(s, 0.0 if share == 0 else 1e-12 * h, h)
         at = grid.s[1:] if share == 1.0 else at
-        _, q1, q2, q3 = evaluate_cells(grid.s, grid.cell_left, grid.cell_right, at, cell)
+        along = at - grid.s[cell]
+        _, q1, q2, q3 = evaluate_cells(grid.s, grid.cell_left, grid.cell_right, along, cell)
         v, a, j = v[:, None], a[:, None], j[:, None]
         use = np.stack(
             [

@@ -79,9 +79,9 @@ def limits_at(machine: Machine, period: float) -> AxisLimits:
     """
     Return limits for planning, so that differences of setpoints keep the limits of the machine.
 
-    Neighbouring cells of an AxisPath may differ by up to ``UNSEEN`` on a rotary axis. A step of
-    this size has a third difference of 2 UNSEEN / T^3. From the period ``ROOMY`` on, the slack of
-    the jerk stage covers it. At shorter periods, the jerk limits of rotary axes are reduced.
+    Neighbouring cells of an AxisPath may differ by up to ``UNSEEN`` on any axis. A step of this
+    size has a third difference of 2 UNSEEN / T^3. From the period ``ROOMY`` on, the slack of the
+    jerk stage covers it. At shorter periods, the jerk limits are reduced.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def limits_at(machine: Machine, period: float) -> AxisLimits:
     if period >= ROOMY:
         return machine
     step = 2.0 * UNSEEN * (1.0 / period**3 - 1.0 / ROOMY**3)
-    jerk = np.where(machine.is_linear, 0.0, np.minimum(step, 0.5 * machine.max_jerk))
+    jerk = np.minimum(step, 0.5 * machine.max_jerk)
     return PlanningLimits(machine.max_velocity, machine.max_acceleration, machine.max_jerk - jerk)
 
 

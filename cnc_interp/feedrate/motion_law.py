@@ -95,8 +95,23 @@ class MotionLaw:
         k = self.piece_at(t) if piece is None else piece
         dt = np.clip(t - self.time[k], 0.0, self.duration[k])
         v, a, j = self.s_dot[k], self.s_ddot[k], self.jerk[k]
-        s = self.s[k] + dt * (v + dt * (a / 2 + dt * (j / 6)))
-        return s, v + dt * (a + dt * (j / 2)), a + dt * j, j
+        return self.s[k] + self.moved(t, k), v + dt * (a + dt * (j / 2)), a + dt * j, j
+
+    def moved(self, time: FloatArray, piece: IntArray) -> FloatArray:
+        """
+        Return the path length since the start of the piece [m].
+
+        Parameters
+        ----------
+        time : ndarray, shape (M,)
+            Times on the clock of the law [s].
+        piece : ndarray of int, shape (M,)
+            Piece indices from ``piece_at``.
+
+        """
+        dt = np.clip(time - self.time[piece], 0.0, self.duration[piece])
+        v, a, j = self.s_dot[piece], self.s_ddot[piece], self.jerk[piece]
+        return np.asarray(dt * (v + dt * (a / 2 + dt * (j / 6))))
 
     @staticmethod
     def join(parts: list[MotionLaw]) -> MotionLaw:

@@ -131,23 +131,23 @@ def evaluate_cells(
     s_grid: FloatArray,
     cell_left: FloatArray,
     cell_right: FloatArray,
-    s: FloatArray,
+    along: FloatArray,
     cell: IntArray,
 ) -> FloatArray:
-    """Evaluate q and three derivatives at s in the given cells, shape (4, M, n_axes)."""
+    """Evaluate q and its derivatives in cells, ``along`` from their starts, (4, M, n_axes)."""
     n_axes = cell_left.shape[2]
-    out = np.empty((4, len(s), n_axes))
+    out = np.empty((4, len(along), n_axes))
     coefficients = np.empty((n_axes, 8))
     jet = np.empty(4)
     known = -1
-    for m in range(len(s)):
+    for m in range(len(along)):
         i = cell[m]
         h = s_grid[i + 1] - s_grid[i]
         if i != known:
             for k in range(n_axes):
                 septic_coefficients(cell_left[:, i, k], cell_right[:, i, k], h, coefficients[k])
             known = i
-        u = (s[m] - s_grid[i]) / h
+        u = along[m] / h
         for k in range(n_axes):
             if u >= 1.0:
                 out[:, m, k] = cell_right[:, i, k]
@@ -184,7 +184,34 @@ def evaluate(
     if cell is None:
         found = np.searchsorted(path.s, s, side='right') - 1
         cell = np.clip(found, 0, len(path.s) - 2).astype(np.int64)
-    jets = evaluate_cells(path.s, path.cell_left, path.cell_right, s, cell)
+    return evaluate_along(path, s - path.s[cell], cell)
+
+
+def evaluate_along(
+    path: AxisPath, along: FloatArray, cell: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """
+    Evaluate the axes and their derivatives at distances from the starts of cells.
+
+    A path position counts from the start of the program and is rounded accordingly. Where an axis
+    moves thousands of times as far as s does, differences of setpoints would show that.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path.
+    along : ndarray, shape (M,)
+        Distances [m]; held at the ends of the cell.
+    cell : ndarray of int, shape (M,)
+        The cells.
+
+    Returns
+    -------
+    q, q_s, q_ss, q_sss : ndarray, shape (M, n_axes)
+        As from ``evaluate``.
+
+    """
+    jets = evaluate_cells(path.s, path.cell_left, path.cell_right, along, cell)
     return jets[0], jets[1], jets[2], jets[3]
 
 
@@ -213,8 +240,9 @@ def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     parent = np.clip(np.searchsorted(path.s, s, side='right') - 1, 0, len(path.s) - 2)
     parent = parent.astype(np.int64)
     of_cell = parent[:-1]
-    left = evaluate_cells(path.s, path.cell_left, path.cell_right, s[:-1], of_cell)
-    right = evaluate_cells(path.s, path.cell_left, path.cell_right, s[1:], of_cell)
+    begin, end = s[:-1] - path.s[of_cell], s[1:] - path.s[of_cell]
+    left = evaluate_cells(path.s, path.cell_left, path.cell_right, begin, of_cell)
+    right = evaluate_cells(path.s, path.cell_left, path.cell_right, end, of_cell)
     old = np.searchsorted(s, path.s)
     stop = np.zeros(len(s), dtype=np.bool_)
     stop[old] = path.stop

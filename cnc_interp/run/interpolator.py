@@ -8,7 +8,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.kinematics.axis_path import evaluate
+from cnc_interp.kinematics.axis_path import evaluate_along
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,9 @@ class Interpolator:
         self.next_number = max(self.next_number, last)
         k = law.piece_at(time)
         s, s_dot, s_ddot, s_dddot = law.evaluate(time, k)
-        q, q_s, q_ss, q_sss = evaluate(path, s, law.cell[k])
+        cell = law.cell[k]
+        along = law.s[k] - path.s[cell] + law.moved(time, k)
+        q, q_s, q_ss, q_sss = evaluate_along(path, along, cell)
         v, a, j = s_dot[:, None], s_ddot[:, None], s_dddot[:, None]
         self._rest = self._at_rest(piece)
         return Setpoints(
@@ -100,7 +102,7 @@ class Interpolator:
             velocity=q_s * v,  # Eq. 6
             acceleration=q_ss * (v * v) + q_s * a,  # Eq. 7
             jerk=q_sss * v**3 + 3.0 * q_ss * v * a + q_s * j,  # Eq. 8
-            block=path.cell_block[law.cell[k]],
+            block=path.cell_block[cell],
             s=s,
         )
 

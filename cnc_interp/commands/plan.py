@@ -17,7 +17,7 @@ from cnc_interp.command_options import (
     program_options,
     tell,
 )
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
 
 #: Text is not drawn wider than this [characters].
@@ -59,6 +59,8 @@ def plan_command(options: argparse.Namespace) -> int:
     finally:
         progress.end(complete=False)
         tell(stream.notices)
+    if summary['cycle_time'] > HOUR:
+        tell([f'the motion lasts {summary["cycle_time"] / HOUR:.4g} h; is the feed right?'])
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
         if options.look or sys.stdout.isatty():

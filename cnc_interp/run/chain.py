@@ -72,8 +72,9 @@ class Chain:
         self._interpolator = Interpolator(settings.interpolation_period)
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []
-        self.setpoints: list[Setpoints] = []
         self.moved = False
+        self._unsampled: list[PlannedPiece] = []
+        self._finished = False
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -87,9 +88,8 @@ class Chain:
     def finish(self) -> None:
         """Bring the motion to its end."""
         self._plan(self._path.finish())
-        self._sample(self._watch.timed('feedrate', self._planner.finish))
-        if self.moved:
-            self.setpoints.append(self._interpolator.finish())
+        self._keep(self._watch.timed('feedrate', self._planner.finish))
+        self._finished = True
 
     def drain(self, writer: PlanWriter) -> None:
         """Write what has come out so far, and forget it."""
@@ -97,23 +97,31 @@ class Chain:
             writer.segments(segments)
         for piece in self.pieces:
             writer.piece(piece)
-        for samples in self.setpoints:
+        for samples in self.setpoints():
             writer.setpoints(samples)
-        self.segments, self.pieces, self.setpoints = [], [], []
+        self.segments, self.pieces = [], []
+
+    def setpoints(self) -> Iterator[Setpoints]:
+        """Interpolate what has been planned and not interpolated yet, part by part."""
+        pieces, self._unsampled = self._unsampled, []
+        for piece in pieces:
+            parts = self._interpolator.parts(piece)
+            while (part := self._watch.timed('interpolation', next, parts, None)) is not None:
+                yield part
+        if self._finished and self.moved:
+            yield self._interpolator.finish()
 
     def _plan(self, part: PathPart) -> None:
         """Plan the motion along a further part of the path."""
         self.segments.append(part.segments)
         if part.path is not None:
-            self._sample(self._watch.timed('feedrate', self._planner.push, part.path))
+            self._keep(self._watch.timed('feedrate', self._planner.push, part.path))
 
-    def _sample(self, pieces: list[PlannedPiece]) -> None:
-        """Interpolate what the planner committed."""
-        for piece in pieces:
-            self.moved = True
-            self.pieces.append(piece)
-            samples = self._watch.timed('interpolation', self._interpolator.push, piece)
-            self.setpoints.append(samples)
+    def _keep(self, pieces: list[PlannedPiece]) -> None:
+        """Keep what the planner committed."""
+        self.moved = self.moved or bool(pieces)
+        self.pieces += pieces
+        self._unsampled += pieces
 
 
 def plan_program(
@@ -152,13 +160,14 @@ def plan_program(
         chain.finish()
     if not chain.moved:
         raise no_motion(program.source)
+    setpoints = Setpoints.concatenate(list(chain.setpoints()))
     return Plan(
         program=program,
         machine=machine,
         settings=settings,
         segments=PathSegments.concatenate(chain.segments),
         pieces=chain.pieces,
-        setpoints=Setpoints.concatenate(chain.setpoints),
+        setpoints=setpoints,
         planning_time=chain.seconds,
     )
 

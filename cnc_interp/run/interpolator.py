@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -70,9 +71,20 @@ class Interpolator:
         self.next_number = first
         self._rest: Setpoints | None = None
 
-    def push(self, piece: PlannedPiece) -> Setpoints:
+    def parts(self, piece: PlannedPiece, most: int = 1 << 16) -> Iterator[Setpoints]:
         """
-        Sample one piece.
+        Sample one piece in parts of at most so many samples; see ``push``.
+
+        A slow motion has many samples: 10 mm at F0.1 are six million.
+        """
+        while True:
+            yield self.push(piece, most)
+            if self.next_number >= self._end_of(piece):
+                return
+
+    def push(self, piece: PlannedPiece, most: int | None = None) -> Setpoints:
+        """
+        Sample one piece, or its next part of at most ``most`` samples.
 
         Parameters
         ----------
@@ -86,7 +98,8 @@ class Interpolator:
 
         """
         law, path = piece.law, piece.path
-        last = int(np.ceil(law.end_time / self.period - 1e-9))
+        last = self._end_of(piece)
+        last = last if most is None else min(last, self.next_number + most)
         time = np.arange(self.next_number, last) * self.period
         self.next_number = max(self.next_number, last)
         k = law.piece_at(time)
@@ -105,6 +118,10 @@ class Interpolator:
             block=path.cell_block[cell],
             s=s,
         )
+
+    def _end_of(self, piece: PlannedPiece) -> int:
+        """Return the number of the first sample after a piece."""
+        return int(np.ceil(piece.law.end_time / self.period - 1e-9))
 
     def finish(self) -> Setpoints:
         """Return the last sample, at rest at the end of the path."""

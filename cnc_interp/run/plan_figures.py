@@ -87,6 +87,11 @@ class PlanFigures:
         self._measure(samples.position)
 
     @property
+    def samples(self) -> int:
+        """Number of setpoints so far."""
+        return self._samples
+
+    @property
     def cycle_time(self) -> float:
         """Time of the motion [s]; an executed one with holds or overrides is not the planned."""
         as_planned = abs(self._spanned - self._planned) <= self._period

@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import HOUR
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
@@ -56,6 +58,7 @@ class PlanWriter:
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
         self._directory, self._height = directory, settings.flank_height
+        self._period = settings.interpolation_period
         self._machine, self._transform = machine, Transform.of(machine)
         self.figures = PlanFigures(machine, settings)
         self._created = not directory.exists()
@@ -93,7 +96,25 @@ class PlanWriter:
             self._archives['segments'].append(columns)
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Write the path of a further piece; its law has one row for every cell."""
+        """
+        Write the path of a further piece; its law has one row for every cell.
+
+        Raises
+        ------
+        InterpError
+            If the setpoints up to its end do not fit on the disk.
+
+        """
+        # Time, row, path position, and position, velocity, acceleration of every axis.
+        row = 8.0 * (3 + 3 * len(self._machine.axis_names))
+        needed = 2.0 * row * piece.law.end_time / self._period  # columns, then the archive
+        room = shutil.disk_usage(self._directory).free + row * self.figures.samples
+        if needed > room:
+            raise InterpError(
+                f'the motion lasts {piece.law.end_time / HOUR:.4g} h and more; its setpoints need '
+                f'{needed / 1e9:.3g} GB in {self._directory}, where {room / 1e9:.3g} GB are free; '
+                'use a higher feed, or a longer --period'
+            )
         self.figures.piece(piece)
         self.path(piece.path, piece.law.s_dot)
 

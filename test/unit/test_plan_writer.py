@@ -1,8 +1,9 @@
 """Plan files written while a program is read: the same as from a plan kept whole; flat memory."""
 
 import json
+import shutil
 import tracemalloc
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from cnc_interp.program import open_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
+from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
@@ -127,6 +129,27 @@ def test_cycle_time_of_an_executed_motion_that_was_slower_than_its_plan(program,
     proof = verify_plan(tmp_path / 'out', MACHINE)
     # The path has the feeds of the plan. All else is proven.
     assert len(proof.failures) == 1 and 'feed of path against the setpoints' in proof.failures[0]
+
+
+def test_a_slow_motion_is_sampled_in_parts(program):
+    plan = plan_program(opened(program).read(), MACHINE)
+    whole, parts = Interpolator(MS), Interpolator(MS)
+    for piece in plan.pieces:
+        wanted, found = whole.push(piece), list(parts.parts(piece, 100))
+        assert max(map(len, found)) <= 100 and len(found) >= len(wanted) // 100
+        joined = Setpoints.concatenate(found)
+        for column in fields(Setpoints):
+            np.testing.assert_array_equal(
+                getattr(joined, column.name), getattr(wanted, column.name)
+            )
+
+
+def test_a_motion_that_does_not_fit_on_the_disk_is_refused(program, tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, 'disk_usage', lambda _: usage._replace(free=10_000))
+    with pytest.raises(InterpError, match=r'its setpoints need .* GB in .*; use a higher feed'):
+        plan_to_files(opened(program), MACHINE, tmp_path / 'new')
+    assert not (tmp_path / 'new').exists()
 
 
 def test_a_refusal_leaves_what_was_there(program, tmp_path):

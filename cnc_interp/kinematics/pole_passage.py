@@ -194,6 +194,20 @@ class PolePassages:
         """Begin at rotary positions [rad]; where ``free`` the outer axis may begin anywhere."""
         self._turn, self._branch, self._free = float(rotary[self._outer]), branch, free
 
+    @property
+    def notice(self) -> tuple[int, str] | None:
+        """Where travel keeps the tilt from changing its sign: the first line, and a text."""
+        if not self.forbidden:
+            return None
+        machine = self._transform.machine
+        tilt, turn = machine.axes[4 - self._outer], machine.axes[3 + self._outer]
+        low, high = (tilt.position_text(end) for end in tilt.travel)
+        return min(self.forbidden), (
+            f'the tool passes the pole, where {tilt.name} would change its sign; its travel of '
+            f'{low} to {high} deg reaches less far there, so {turn.name} makes half a turn '
+            f'instead and the motion slows down (passes: {len(self.forbidden)})'
+        )
+
     def take(self, segments: PathSegments, motion: IntArray) -> Released:
         """
         Take further segments and return those that are decided.

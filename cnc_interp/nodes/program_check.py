@@ -133,6 +133,7 @@ def checked_length(
                 length = checked(chain.push(batch), tolerances, length)
                 told(stream.share)
         length = checked(chain.finish(), tolerances, length)
+        stream.note(chain.notice)
     if not length > 0.0:
         raise no_motion(stream.source)
     return length

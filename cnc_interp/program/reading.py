@@ -111,6 +111,11 @@ class ProgramStream:
         """Return the notices so far: words that were passed on or simplified."""
         return self._notices.texts()
 
+    def note(self, notice: tuple[int, str] | None) -> None:
+        """Add what was noticed of the path: source line and text."""
+        if notice is not None:
+            self._notices.once('path', *notice)
+
     @property
     def share(self) -> float:
         """Return the part of the text that has been read, 0 to 1."""

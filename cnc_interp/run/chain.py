@@ -81,6 +81,11 @@ class Chain:
         """Time of each stage so far [s]."""
         return {stage: self._watch.seconds.get(stage, 0.0) for stage in STAGES}
 
+    @property
+    def notice(self) -> tuple[int, str] | None:
+        """What the operator should know of the path: source line and text."""
+        return self._path.notice
+
     def push(self, blocks: Blocks) -> None:
         """Send further blocks through all stages."""
         self._plan(self._path.push(blocks))
@@ -219,6 +224,7 @@ def plan_to_files(
                     progress(stream.share)
             chain.finish()
             chain.drain(writer)
+            stream.note(chain.notice)
         if not chain.moved:
             raise no_motion(stream.source)
         return writer.finish(stream.source, chain.seconds)

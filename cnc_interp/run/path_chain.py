@@ -99,6 +99,11 @@ class PathChain:
         )
         self._watch = watch or Stopwatch()
 
+    @property
+    def notice(self) -> tuple[int, str] | None:
+        """What the operator should know of the path: source line and text."""
+        return self._builder.passages.notice
+
     def push(self, blocks: Blocks) -> PathPart:
         """
         Take further blocks.

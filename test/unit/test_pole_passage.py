@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from programs import blocks_of
 
+from cnc_interp.cli import main
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.axis_rates import traits_of
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.machine import Machine, find_machine_file
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.settings.choices import Settings
@@ -171,3 +172,16 @@ def test_travel_that_forbids_the_sign_of_the_tilt_turns_c_instead_without_a_stop
         assert path.q[:, 3].min() > -1 * DEG and np.ptp(path.q[:, 4]) > 150 * DEG
         assert not path.stop[1:-1].any() and builder.passages.forbidden == [2]
         assert segments.deviation[:, 1].max() <= TOLERANCE * (1 + 1e-9)
+
+
+def test_plan_says_why_the_motion_slows_down_at_the_pole(tmp_path, capsys):
+    text = find_machine_file('xyzac').read_text()
+    (tmp_path / 'narrow.yaml').write_text(text.replace('[-120.0, 120.0]', '[-5.0, 120.0]'))
+    tools = tools_past(MACHINES[0], 0.0, [-20 * DEG, 20 * DEG])
+    lines = [f'GOTO/{x},0,0,{i:.9f},{j:.9f},{k:.9f}' for x, (i, j, k) in zip((0, 56), tools)]
+    (tmp_path / 'pass.apt').write_text('\n'.join([lines[0], 'FEDRAT/3000', lines[1]]))
+    arguments = [str(tmp_path / 'pass.apt'), '--machine', str(tmp_path / 'narrow.yaml')]
+    assert main(['plan', *arguments, '--out', str(tmp_path / 'plan')]) == 0
+    told = capsys.readouterr().err
+    assert 'line 3: the tool passes the pole, where A would change its sign' in told
+    assert 'C makes half a turn instead' in told

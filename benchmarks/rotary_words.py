@@ -6,13 +6,20 @@ Random programs with rotary words: refusals, words, and the distance of the axes
 Without ``--tcp`` the words are axis positions (tool-tip control off), on every bundled machine
 with rotary axes. With ``--tcp`` the words belong to tool tips, with small tilts, so that many
 blocks pass near the pole. Every plan is checked with the proof. The words are read here once more,
-by a reader of a few lines, and compared with the executed axes.
+by a reader of a few lines, and compared with the executed axes. Where ``RS274`` names LinuxCNC's
+interpreter (``RS274=$(tools/get_rs274 FOLDER)``), its axis ends of every block are compared with
+ours, too (TCP off, machines without extra axes).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import re
+import subprocess
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
@@ -108,6 +115,42 @@ def words_missed(text: str, plan: Plan, tcp: bool) -> float:
     return worst
 
 
+def beside_linuxcnc(text: str, plan: Plan) -> float | None:
+    """Return the largest distance of our block ends from LinuxCNC's [mm, deg]; None without it."""
+    program = os.environ.get('RS274')
+    machine, blocks = plan.machine, plan.program.blocks
+    if not program or machine.extra_names:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        part, values, tools = (Path(folder) / name for name in ('part.ngc', 'p.var', 'tool.tbl'))
+        part.write_text(text)
+        values.touch()
+        tools.write_text('T1 P1 Z0\n')
+        done = subprocess.run(
+            [program, '-t', str(tools), '-v', str(values), '-g', str(part)],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    ends = [
+        [float(x) for x in found.split(',')]
+        for found in re.findall(r'STRAIGHT_(?:TRAVERSE|FEED)\(([^)]*)\)', done.stdout)
+    ]
+    transform = Transform.of(machine)
+    zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
+    stands = transform.linear(blocks.tip[1:], blocks.rotary[1:]) - zero
+    lines, worst = blocks.line_number[1:], 0.0
+    last = np.flatnonzero(np.append(lines[1:] != lines[:-1], True))
+    if len(last) > len(ends):
+        return np.inf
+    ends = ends[len(ends) - len(last) :]
+    for k, end in zip(last, ends, strict=True):
+        worst = max(worst, float(np.abs(stands[k] / MM - end[:3]).max()))
+        for j, name in enumerate(machine.axis_names[3:5]):
+            worst = max(worst, abs(blocks.rotary[1 + k, j] / DEG - end[3 + 'ABC'.index(name)]))
+    return worst
+
+
 def main() -> None:
     """Run the comparison and print one line for each machine."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -118,7 +161,7 @@ def main() -> None:
     options = parser.parse_args()
     for name in options.machines:
         machine, refused, travel, unproven, missed, beside = Machine.load(name), 0, 0, 0, 0.0, 0.0
-        stops = 0
+        stops, compared, apart = 0, 0, 0.0
         for i in range(options.count):
             text = random_program(np.random.default_rng([options.seed, i]), machine, options.tcp)
             try:
@@ -139,12 +182,18 @@ def main() -> None:
                 print(f'{name} {i} not proven: {proof.failures[0]}\n{text}')
             missed = max(missed, words_missed(text, plan, options.tcp))
             stops += int(plan.segments.stop.sum()) - 1
+            gap = None if options.tcp else beside_linuxcnc(text, plan)
+            if gap is not None:
+                compared, apart = compared + 1, max(apart, gap)
+                if gap > 2e-4:
+                    print(f'{name} {i} LinuxCNC ends {gap:.4f} away\n{text}')
             found = [f for f in proof.findings if f.what == 'axes beside their line']
             beside = max([beside, *(f.value for f in found)])
         print(json.dumps({
             'machine': name, 'programs': options.count, 'refused': refused, 'travel': travel,
             'not proven': unproven, 'words missed [mm, deg]': missed, 'stops': stops,
-            'axes beside their lines [mm]': beside / MM,
+            'axes beside their lines [mm]': beside / MM, 'compared with LinuxCNC': compared,
+            'ends beside LinuxCNC [mm, deg]': apart,
         }))  # fmt: skip
 
 

@@ -227,7 +227,7 @@ class _Run:
         return distance
 
     def left_reach(self, curve: GuidingCurve, before: Pass, tilt: float) -> FloatArray:
-        """Return the reach of the next pass towards each scallop point, shape (n,) [m]."""
+        """Return how far the next pass cuts towards each scallop point, shape (n,) [m]."""
         s = nearest_places(curve, before.right)
         n = len(s)
         postures = resting(

@@ -39,7 +39,7 @@ NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'off
 ON_BORDER = 10e-6
 #: Points along an edge that are compared with the rectangle.
 EDGE_POINTS = 65
-#: Extents of shapes, replaced by those of the face.
+#: Sizes of shapes before those of the face are known.
 ANY = 1.0
 
 

@@ -84,7 +84,7 @@ def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
         from OCP.TopLoc import TopLoc_Location
     except ModuleNotFoundError as error:
         raise SurfaceError(f'{path}: {INSTALL}') from error
-    except ImportError as error:  # installed, but a library of the system is missing
+    except ImportError as error:  # installed, but a system library is missing
         raise SurfaceError(f'{path}: {SYSTEM_LIBRARY} ({error})') from error
     messenger = Message.DefaultMessenger_s()
     for printer in list(messenger.Printers()):  # they write to standard output

@@ -42,11 +42,11 @@ class Recorder:
     Parameters
     ----------
     node : Node
-        Listens; in the namespace of the run.
+        Node that subscribes, in the namespace of the run.
     path : Path
         Folder of the bag, to be created.
     topics : iterable of str
-        What is recorded, of ``TOPICS``.
+        Topics to record, names out of ``TOPICS``.
 
     """
 

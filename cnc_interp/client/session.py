@@ -122,7 +122,7 @@ class RunResult:
     position : dict
         Where the axes stand at the end [m, rad].
     notices : tuple of str
-        What the reader of the program passed on or simplified.
+        What of the program had no effect or was simplified.
 
     """
 

@@ -122,7 +122,7 @@ class Refusal(IntEnum):
     REPEAT = 18  # it was received before
     FOREIGN_RUN = 19  # the message belongs to another run
     LATE = 20  # it comes after the end of its run
-    PLAN_OVER = 21  # its plan has ended by a stop; no error: it was on its way
+    PLAN_OVER = 21  # no fault: the message was under way when a stop ended its plan
     TOO_LATE = 22  # its plan was to join where the machine has passed; the plan before goes on
 
 

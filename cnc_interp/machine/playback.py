@@ -332,7 +332,7 @@ class Playback:
         self.state = self.state.after(Event.RESUME)
 
     def refuse(self, reason: str) -> None:
-        """No further setpoints come: stop on the path after those at hand, then FAULT."""
+        """No further setpoints come: play those in the buffer, stop on the path, go to FAULT."""
         self.read()
         self._handle(Event.REFUSE, detail=reason)
 
@@ -409,7 +409,7 @@ class Playback:
 
     @property
     def _played(self) -> Rows:
-        """The rows that are being played."""
+        """Setpoint rows of the current chunk, or of its stop tail."""
         assert self._current is not None
         return self._current.tail if self._on_tail else self._current.rows
 

@@ -117,7 +117,7 @@ def come_first() -> None:
 
 
 def stay_on_this_host() -> None:
-    """Let discovery find this node on this computer only, unless the environment differs."""
+    """Let only this computer find the node, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 

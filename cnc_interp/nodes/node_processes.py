@@ -49,7 +49,7 @@ _sockets: TemporaryFolder | None = None
 
 
 def _keep_sockets() -> None:
-    """Give multiprocessing a folder that is found and removed when this process is killed."""
+    """Give multiprocessing a folder that the end of the next run removes if this one is killed."""
     global _sockets
     _sockets = TemporaryFolder()
     multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]

@@ -33,7 +33,7 @@ class Prepared:
     blocks : BlockSpool
         Start pose, then the program.
     notices : tuple of str
-        What was passed on or simplified.
+        What had no effect or was simplified.
     text : str
         The program's text; empty when it is very long.
     settings : Settings

@@ -11,7 +11,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.run.run_phase import Code, Outcome
 
-#: Programs that may wait; each holds what was read of it.
+#: Most programs that may wait; each keeps in memory what was read of it.
 MOST = 16
 #: Time between feedbacks to a goal that waits [s].
 FEEDBACK = 0.5

@@ -24,7 +24,7 @@ HEARTBEAT = 0.1
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
     """
-    Return the run of a message, the number of its first item, how many it has, and if it begins.
+    Return run, first number and count of a message, and whether it is the first of its plan.
 
     Every plan of a run is a stream of its own and is acknowledged alone. It is numbered from 0, or
     goes on with the numbers of the plan that it joins.

@@ -256,7 +256,7 @@ class ClReader:
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
             self._msys = minor
         elif major in cl_words.HARMLESS or major in cl_words.OFF_ONLY:
-            self._notice(major, 'passed on, it does not move the tool')
+            self._notice(major, 'no effect, it does not move the tool')
         elif major not in cl_words.SILENT:
             raise self._fault(cl_words.UNKNOWN, major)
 

@@ -53,7 +53,7 @@ HARMLESS_G: dict[str, str] = {
     'G50': _OFF,
     'G53.1': 'the frame is not tilted',
     'G69': _OFF,
-    'G97': 'passed on',
+    'G97': 'no effect',
     'G601': 'every exact stop is exact',
     'G602': 'every exact stop is exact',
     'G603': 'every exact stop is exact',

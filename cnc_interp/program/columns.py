@@ -168,7 +168,7 @@ class TargetColumns:
 
     @property
     def stands(self) -> bool:
-        """Whether no motion is known yet: at most the start pose."""
+        """True while no motion is known, at most the start pose."""
         return self._before is None and self._curve is None and len(self._rows) <= WIDTH
 
     @property
@@ -549,7 +549,7 @@ class Moves:
         return tip, axis
 
     def curved(self) -> BoolArray:
-        """Return which motions are not one line in what they interpolate, shape (n,)."""
+        """Return which motions must be divided: what they interpolate is no line, shape (n,)."""
         turns = (np.abs(self.sweep).max(axis=1) > _SAME) & (self.rows[:, GREAT_CIRCLE] == 0.0)
         # A rotation with the tip at rest stays whole, because only the rotary axes move.
         turns &= (self.interpolation == POSES) & self._travels()

@@ -234,7 +234,7 @@ class GcodeReader:
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
         elif code not in (codes.END_M | codes.STOP_M.keys() | {'M98', 'M99'}):
-            self.notice(code, 'passed on, it does not move the tool')
+            self.notice(code, 'no effect, it does not move the tool')
 
     def _program_stop(self, code: str) -> None:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
@@ -275,7 +275,7 @@ class GcodeReader:
         elif key == 'BSPLINE':
             pass  # the curve is opened after the settings of the block
         elif key in codes.HARMLESS_KEYS:
-            self.notice(key, 'passed on, it does not move the tool')
+            self.notice(key, 'no effect, it does not move the tool')
         else:
             unknown = 'unknown word; remove it, or write a letter and a number as X10'
             cycle = 'swivelling frames are not supported; post with TRAORI'
@@ -345,7 +345,7 @@ class GcodeReader:
             mover.move(words, feed_given, machine)
         for letter in list(values):
             if letter in 'STDH':
-                self.notice(letter, 'passed on, it does not move the tool')
+                self.notice(letter, 'no effect, it does not move the tool')
             elif letter in 'ABCUVW':
                 raise self.fault(self._why_not(letter), words.texts[letter])
             elif letter == 'L' and len(values) == 1:

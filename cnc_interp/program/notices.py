@@ -1,4 +1,4 @@
-"""Notices: words of a program that were passed on or simplified."""
+"""Notices: words of a program that had no effect or were simplified."""
 
 from __future__ import annotations
 

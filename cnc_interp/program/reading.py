@@ -40,7 +40,7 @@ class Program:
     blocks : Blocks
         Row 0 is the start pose. Each other row is one linear piece of motion.
     notices : tuple of str
-        Words that were passed on or simplified, each with its first line.
+        Words that had no effect or were simplified, each with its first line.
     source : str
         File name, or ``<text>``.
     dialect : {'gcode', 'cl'}
@@ -108,7 +108,7 @@ class ProgramStream:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Return the notices so far: words that were passed on or simplified."""
+        """Return the notices so far: words that had no effect or were simplified."""
         return self._notices.texts()
 
     def note(self, notice: tuple[int, str] | None) -> None:

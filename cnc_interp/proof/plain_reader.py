@@ -263,7 +263,7 @@ class _State:
             raise self.refuse(text[:40])
 
     def add(self, sweep: int, centre: FloatArray | None) -> None:
-        """Add a motion to the present position."""
+        """Append the motion that ends at the present position."""
         rapid = self.motion == '0'
         rotary = sum(letter in 'ABC' for letter in self.names)
         tool = None if self.tool is None else self.tool / np.linalg.norm(self.tool)

@@ -103,7 +103,7 @@ class PlanFiles:
 
     @property
     def flank_height(self) -> float:
-        """Return the flank height: the height above the tip of the orientation tolerance [m]."""
+        """Return the height over the tool tip where the orientation tolerance is measured [m]."""
         return float(self.summary['flank_height'])
 
 

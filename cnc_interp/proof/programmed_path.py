@@ -17,7 +17,7 @@ from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
-# Number of rows searched on either side of the row that a sample executes.
+# Rows searched on either side of the row to which a setpoint belongs.
 WINDOW = 2
 # Largest number of rows searched on either side where blocks are shorter than the tolerance.
 WIDE_WINDOW = 500

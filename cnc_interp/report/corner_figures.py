@@ -32,7 +32,7 @@ TOP_COLOUR = '#2e7d4f'
 TOOLS = 13
 #: Distance between the drawn curves, as a multiple of the corner size.
 GAP = 1.1
-#: Curves with fewer points than this get marks.
+#: Curves with fewer points than this are drawn with a marker at each point.
 FEW = 60
 
 #: One scene serves all corners, because browsers limit the number of scenes of a page.

@@ -50,7 +50,7 @@ class Chunk:
         return self.wait is not Wait.NOTHING or self.ends_approach
 
     def head(self, count: int) -> Chunk:
-        """Return the first setpoints; their stop goes on through the others and the tail."""
+        """Return a chunk of the first setpoints; its stop tail is the others and the old tail."""
         rest = part_of(self.samples, count, len(self.samples))
         tail = Setpoints.concatenate([rest, self.tail])
         return Chunk(part_of(self.samples, 0, count), tail, Wait.NOTHING)

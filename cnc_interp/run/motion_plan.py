@@ -97,7 +97,7 @@ class MotionPlan:
     leg : Leg, optional
         The leg that it begins with, in motion; from rest by default.
     way_down : PlannedPiece, optional
-        A stop from its first state. The feed may lie a little above it.
+        A stop from its first state. A feed that is lowered lies at most 2 % above it.
     before : MotionPlan, optional
         The plan that it follows. Its setpoints below ``number`` stay.
     rests : Setpoints, optional
@@ -194,7 +194,7 @@ class MotionPlan:
         return cut(part, 0, pause)
 
     def _pause(self, part: AxisPath) -> tuple[int, Wait] | None:
-        """Find the first grid point of a part at which cycle_start is waited for, and why."""
+        """Return the first grid point where the machine must wait for cycle_start, and why."""
         before = np.concatenate([[self._block_before], part.cell_block[:-1]])
         changes = np.flatnonzero((before != part.cell_block) & (before >= 0))
         undivided = -math.inf  # no leg is cut before this place: the motion cannot stop earlier

@@ -60,7 +60,7 @@ class MotionStream:
         self._plan.extend(self._course.push(path))
 
     def pause_after(self, blocks: dict[int, Wait]) -> None:
-        """Wait for cycle_start after these blocks, and why (M0, M1)."""
+        """Take the blocks after which the machine waits for cycle_start, with the reason."""
         self._context.pause_blocks.update(blocks)
 
     def end_leg(self, wait: Wait) -> None:

@@ -55,7 +55,7 @@ class PlanFigures:
         self._blocks += len(blocks)
 
     def segments(self, segments: PathSegments) -> None:
-        """Count further segments; their blocks have been told."""
+        """Count further segments; call ``blocks`` for their blocks first."""
         if not len(segments):
             return
         self._segments += len(segments)

@@ -310,7 +310,7 @@ class PlanningSession:
         )
 
     def _is_last(self, number: int) -> bool:
-        """Tell whether no setpoint is queued after one."""
+        """Tell whether this setpoint is the last one that is queued."""
         return number == self._port.sender.next_number - 1
 
     def _join_after(self) -> int:

@@ -40,7 +40,7 @@ class ToleranceUse:
 
     def segments(self, segments: PathSegments) -> BoolArray:
         """
-        Take further segments, whose blocks have been taken.
+        Judge further segments. Their blocks must be known: call ``blocks`` first.
 
         Returns
         -------

@@ -60,7 +60,7 @@ class Settings:
     )
     interpolation: str = one_of(
         ('auto', 'vector', 'axes'), READING,
-        'orientation between blocks: great circle, rotary axes linear, or as the program says',
+        'between blocks: vector (great circle), axes (rotary axes linear), auto (as the program says)',
     )  # fmt: skip
     rotary_sense: str = one_of(
         ('programmed', 'shortest'), READING,

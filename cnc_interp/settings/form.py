@@ -10,7 +10,7 @@ from cnc_interp.settings.declaration import Choice, Stage, choices
 
 
 def offered() -> tuple[Choice, ...]:
-    """Return the choices that an operator has: those of motion stay with the nodes."""
+    """Return the choices on the page: of reading and smoothing, not the period."""
     found = choices(Settings, Stage.READING, Stage.SMOOTHING)
     return tuple(choice for choice in found if not choice.for_comparison)
 

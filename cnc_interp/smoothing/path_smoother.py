@@ -119,7 +119,7 @@ class PathSmoother:
         return found
 
     def _released(self, flows: bool) -> PathSegments | None:
-        """Return the lines held back; without the stop at their end if the path continues."""
+        """Return the lines that wait; the last one has no stop any more if the path goes on."""
         lines, self._waiting = self._waiting, None
         if lines is None or not len(lines) or not flows:
             return lines

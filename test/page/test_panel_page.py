@@ -380,11 +380,11 @@ def test_what_is_wrong_with_a_program_is_said(panel, tmp_path):
     tab.wait(lambda: tab.text('program') == 'wrong.ngc' and tab.text('status') != 'planning')
     assert 'wrong.ngc:3' in tab.text('status')
 
-    # What the reader passed on is told, too.
+    # What has no effect is told, too.
     passed = tmp_path / 'passed.ngc'
     passed.write_text(zigzag('PASSED', SHORT, after_first='M8\n'))
     panel.load(tab, passed)
-    tab.wait(lambda: 'M8: passed on' in tab.run('document.querySelector(".alarms").textContent'))
+    tab.wait(lambda: 'M8: no effect' in tab.run('document.querySelector(".alarms").textContent'))
 
 
 @pytest.mark.thorough

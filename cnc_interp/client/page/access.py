@@ -9,9 +9,9 @@ from collections import Counter
 
 class Access:
     """
-    The token and the page that holds the keys.
+    The token, and which page is in charge.
 
-    Pages are told apart by their browser tab, so a refreshed page keeps the keys; when the tab is
+    Pages are told apart by their browser tab, so a refreshed page stays in charge; when the tab is
     closed they are free. Any page with the token may take them over, and may always stop the
     machine.
 
@@ -32,7 +32,7 @@ class Access:
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def enter(self, tab: str, token: str) -> None:
-        """Let a page in; with the token it gets the keys if nobody has them."""
+        """Let a page in; with the token it takes charge if no other page is."""
         self._pages[tab] += 1
         if not self._holder:
             self.take_over(tab, token)
@@ -46,14 +46,14 @@ class Access:
                 self._holder = ''
 
     def take_over(self, tab: str, token: str) -> bool:
-        """Hand the keys to a page."""
+        """Put a page in charge."""
         if not self.knows(token):
             return False
         self._holder = tab
         return True
 
     def may_command(self, tab: str, token: str) -> bool:
-        """Tell whether a page holds the keys."""
+        """Tell whether a page is in charge."""
         return self.knows(token) and tab == self._holder
 
     def may_stop(self, token: str) -> bool:

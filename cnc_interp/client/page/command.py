@@ -23,7 +23,7 @@ from cnc_interp.settings.choices import DEFAULT_MACHINE
 if TYPE_CHECKING:
     from cnc_interp.client.page.server import Served
 
-#: Set for a page beside a run: the process whose end is also its own.
+#: Environment variable with the process of the run; the page ends when that process ends.
 PARENT = 'CNC_INTERP_PARENT'
 LOOPBACK = ('127.0.0.1', 'localhost', '::1')
 #: How long the page may take to end [s].

@@ -47,7 +47,7 @@ class Preview:
     cycle_time : float
         Of the whole program [s].
     notices : tuple of str
-        What the reader passed on or simplified.
+        What had no effect or was simplified.
 
     """
 

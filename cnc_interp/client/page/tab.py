@@ -279,7 +279,7 @@ class Page:
         """
         Set the override where the user has moved the slider.
 
-        What was asked for here counts as shown: the slider is only moved for others.
+        The slider already shows what was asked for here. Only changes by others move it.
         """
         if event.value == round(100 * self._shown.get('override set', -1.0)):
             return  # moved by this program, to show what others have set

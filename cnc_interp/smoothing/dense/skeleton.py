@@ -32,7 +32,7 @@ class Skeleton:
     Parameters
     ----------
     blocks : Blocks
-        Programmed data at the vertices. Feeds are those of all dropped rows together.
+        Programmed data at the vertices; a feed is that of all rows that a line replaces.
     top : ndarray, shape (n, 3)
         Top points: points on the tool axis at flank height [m].
     row : ndarray of int, shape (n,)

@@ -60,7 +60,7 @@ class Settings:
     )
     interpolation: str = one_of(
         ('auto', 'vector', 'axes'), READING,
-        'between blocks: vector (great circle), axes (rotary axes linear), auto (as the program says)',
+        'between blocks: vector (great circle), axes (linear in them), auto (as programmed)',
     )  # fmt: skip
     rotary_sense: str = one_of(
         ('programmed', 'shortest'), READING,

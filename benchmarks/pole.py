@@ -45,9 +45,15 @@ def program(tools: FloatArray) -> str:
     return '\n'.join(lines)
 
 
+def pole_of(transform: Transform) -> FloatArray:
+    """Return the direction of the pole beside the tool axis at rest, shape (3,)."""
+    upright = transform.tool_axis(np.zeros((1, 2)))[0]
+    return np.asarray(transform.pole * (1.0 if upright @ transform.pole > 0.0 else -1.0))
+
+
 def tools_of(distance: float, transform: Transform, count: int) -> FloatArray:
     """Return tool axes on a great circle at a distance from the pole [deg], shape (count, 3)."""
-    pole = transform.pole
+    pole = pole_of(transform)
     inner = transform.machine.rotary_direction[1 - transform.outer]
     side = np.cross(inner, pole)
     side /= np.linalg.norm(side)

@@ -15,6 +15,7 @@ import argparse
 import json
 
 import numpy as np
+from pole import pole_of
 from rotary_words import files_of, rotary_machines
 
 from cnc_interp.core.arrays import FloatArray
@@ -52,7 +53,7 @@ def random_program(rng: np.random.Generator, transform: Transform) -> str:
     steps = rng.uniform(-1.0, 1.0, (count, 3)) * [0.2, 1.0, 0.4] + [1.0, 0.0, 0.0]
     tip = np.cumsum(steps * rng.choice([0.5, 3.0, 15.0], (count, 1)), axis=0)
     tip -= 0.5 * (tip[0] + tip[-1])
-    tool = random_tools(rng, count, transform.pole)
+    tool = random_tools(rng, count, pole_of(transform))
     if rng.random() < 1.0 / 3.0:
         pieces = int(rng.integers(5, 40))
         share = np.tile(np.arange(1, pieces + 1) / pieces, count - 1)

@@ -552,16 +552,19 @@ class PolePassages:
             self._following(i, u, s, branch, near) for branch in (self._branch, -self._branch)
         ]
         less = min(found, key=lambda end: abs(float(end.jet[0]) - near))
-        if less.branch != self._branch and not self._reachable(less.tilt):
+        if less.branch != self._branch and not self._reachable(i, less.tilt):
             less = replace(found[0], forbidden=True)
         return replace(less, jet=np.array([less.jet[0], 0.0, 0.0, 0.0])) if stands else less
 
-    def _reachable(self, tilt: float) -> bool:
+    def _reachable(self, i: int, tilt: float) -> bool:
         """Tell whether the tilt may change its sign: its travel there is not the shorter one."""
         machine = self._transform.machine
         inner = 1 - self._outer
         low, high = machine.travel[3 + inner]
-        level = self._transform.rotary_solutions(self._transform.pole)
+        assert self._segments is not None
+        pole = self._transform.pole
+        pole = pole if self._segments.axis[i] @ pole > 0.0 else -pole
+        level = self._transform.rotary_solutions(pole)
         upright = float(level[0][inner]) if level else 0.0
         tilt = upright + (tilt - upright + np.pi) % (2.0 * np.pi) - np.pi
         down, up = upright - low, high - upright

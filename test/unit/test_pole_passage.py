@@ -29,13 +29,16 @@ def slanted_head():
     return replace(heads, rotary_direction=direction, travel=travel)
 
 
-MACHINES = [*map(Machine.load, ('xyzac', 'xyzbc', 'head_table', 'head_head')), slanted_head()]
+MACHINES = [
+    *map(Machine.load, ('xyzac', 'bc_trunnion', 'head_table', 'head_head')),
+    slanted_head(),
+]
 
 
 def tools_past(machine, distance, angles):
     """Tool axes on a great circle that passes the pole at a distance [rad]."""
     transform = Transform.of(machine)
-    pole = transform.pole
+    pole = transform.pole * np.sign(transform.tool_axis(np.zeros((1, 2)))[0] @ transform.pole)
     side = np.cross(pole, [0.3, 1.0, 0.0])
     side /= np.linalg.norm(side)
     nearest = np.cos(distance) * pole + np.sin(distance) * np.cross(pole, side)

@@ -420,9 +420,12 @@ class PolePassages:
         rotary = np.array([0.0, 0.0, branch, self._height])
         rotary[self._outer] = near
         inside = u + (1e-9 if u < 0.5 else -1e-9)
+        spans = known.spans[
+            i
+        ].copy()  # never read-only: a kernel is compiled for each kind of array
         q = sample(
             self._transform.packed, segments.kind[i], FOLLOWING, known.shapes[i], known.beside[i],
-            known.spans[i], segments.length[i], rotary, NO_GUIDE, 0.0, u, inside,
+            spans, segments.length[i], rotary, NO_GUIDE, 0.0, u, inside,
         )[0]  # fmt: skip
         return _End(i, u, s, q[:, 3 + self._outer].copy(), branch, q[0, 4 - self._outer])
 

@@ -76,6 +76,14 @@ def dense_program(transform: Transform) -> Blocks:
     )
 
 
+def pole_program(transform: Transform) -> Blocks:
+    """Return a block in which the tool axis passes through the pole of the machine."""
+    pole = np.array(transform.pole)
+    side = np.linalg.svd(pole[None, :])[2][1]  # any direction at right angles
+    ends = tiny_program(transform)[:2]
+    return replace(ends, axis=np.cos(0.2) * pole + np.outer([np.sin(0.2), -np.sin(0.2)], side))
+
+
 @cache
 def warm_lookahead(machine: str) -> PathSegments:
     """Load the kernels of the look-ahead, with curves and without; return the tiny path."""
@@ -90,10 +98,14 @@ def warm_kinematics(machine: str, period: float) -> AxisPath:
     loaded = Machine.load(machine)
     endless = np.tile([-np.inf, np.inf], (len(loaded.axis_names), 1))
     free = Transform.of(replace(loaded, travel=endless))
-    builder = AxisPathBuilder(free, Settings().flank_height, period)
-    path = builder.push(warm_lookahead(machine))
-    assert path is not None
-    return path
+    made = [warm_lookahead(machine)]
+    if loaded.has_rotary and free.pole is not None:
+        made.append(segments_of(pole_program(free), free, Settings()))
+    paths = [
+        AxisPathBuilder(free, Settings().flank_height, period).push(segments) for segments in made
+    ]
+    assert paths[0] is not None
+    return paths[0]
 
 
 @cache

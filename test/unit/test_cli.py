@@ -77,6 +77,17 @@ def test_segments_that_leave_their_tolerance_are_refused():
         use.require(replace(segments, deviation=spoilt))
 
 
+def test_a_tool_axis_beside_the_pole_is_refused_where_the_tolerance_does_not_reach_it(
+    tmp_path, capsys
+):
+    file = tmp_path / 'pole.apt'
+    file.write_text('FEDRAT/3000,MMPM\nGOTO/0,0,0,.0001,.2,.9798\nGOTO/30,0,0,.0001,-.2,.9798\n')
+    words = ['plan', str(file), '--out', str(tmp_path), '--orientation-tolerance', '0.001']
+    assert main(words) == BAD_INPUT
+    assert ':3: the turning tool axis comes closer than 0.02 deg' in capsys.readouterr().err
+    assert main(words[:4]) == FINE, 'with more of it the path is moved through the pole'
+
+
 def test_check_of_a_spoilt_plan_fails(tmp_path, capsys):
     assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(tmp_path)]) == FINE
     setpoints = dict(np.load(tmp_path / 'setpoints.npz'))
@@ -116,11 +127,6 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
         ('tcp.ngc', 'F1000\nM428\nG0 G53 Z0\n', ':3: machine coordinates while tool-tip'),
         ('axis.apt', 'GOTO/0,0,0,0,0,1\nGOTO/9,0,0,0,0,0\n', ':2: GOTO: the tool axis is not'),
         ('travel.ngc', TCP + 'G1 X900\n', ':4: axis X would have to go to 940.000 mm'),
-        (
-            'pole.apt',
-            'FEDRAT/3000,MMPM\nGOTO/0,0,0,.0001,.2,.9798\nGOTO/30,0,0,.0001,-.2,.9798\n',
-            ':3: the turning tool axis comes closer than 0.02 deg',
-        ),
         ('feed.ngc', 'F-100\nG1 X0\nG1 X10\n', ':1: F-100: the feedrate must be greater'),
         ('tolerance.ngc', 'F1000\nG64 P0\nG1 X0\nG1 X1\n', ':2: P0: the tolerance must be'),
         ('empty.ngc', '', ': no motion found'),

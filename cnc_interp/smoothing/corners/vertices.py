@@ -239,11 +239,13 @@ def corners_at(
     ]
     if machine.pole is not None:
         pole, angle = np.array(machine.pole), tolerances[1] / flank_height
+        turns = -legs.rotation[rows - 1], legs.rotation[rows]
         shares = [
             shares_near_pole(pole, blocks.axis[rows], 0.5 * turn, angle, corner=True)
-            for turn in (-legs.rotation[rows - 1], legs.rotation[rows])
+            for turn in turns
         ]
-        tolerances[1] = tolerances[1] * np.minimum(*shares)
+        turning = (turns[0] != 0.0).any(axis=1) | (turns[1] != 0.0).any(axis=1)
+        tolerances[1] = np.where(turning, tolerances[1] * np.minimum(*shares), tolerances[1])
     return Corners(
         tip=blocks.tip[rows],
         axis=blocks.axis[rows],

@@ -56,6 +56,9 @@ class AtOnce:
     def __iter__(self):
         yield self.blocks
 
+    def note(self, notice):
+        assert notice is None
+
 
 def test_streamed_files_are_those_of_the_whole_plan(program, tmp_path):
     options = Settings(interpolation_period=4.0 * MS)

@@ -23,7 +23,11 @@ def result(folder):
     """What the outer kernel says in a fresh process."""
     code = 'from pack.outer import outer; print(outer())'
     here = str(Path(kernel_cache.__file__).parents[1])
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(folder), here])}
+    environment = {
+        **os.environ,
+        'PYTHONPATH': os.pathsep.join([str(folder), here]),
+        'PYTHONDONTWRITEBYTECODE': '1',  # Python itself misses a change within the same second
+    }
     done = subprocess.run(
         [sys.executable, '-c', code], env=environment, capture_output=True, text=True, check=True
     )

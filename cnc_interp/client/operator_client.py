@@ -29,7 +29,7 @@ from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, OVERRIDE, STATE
 
-__all__ = ['STATE_NAMES', 'STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
+__all__ = ['STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 
 #: Commands without a value; each is a service of that name.
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
@@ -43,16 +43,6 @@ AGAIN = 0.5
 ECHO = 10.0
 #: Longest wait for an event; commands of other threads are seen after it [s].
 SPIN = 0.01
-STATE_NAMES = {
-    MachineState.INACTIVE: 'inactive',
-    MachineState.IDLE: 'idle',
-    MachineState.RUNNING: 'running',
-    MachineState.HOLDING: 'holding',
-    MachineState.HELD: 'held',
-    MachineState.STARVED: 'starved',
-    MachineState.STOPPING: 'stopping',
-    MachineState.FAULT: 'fault',
-}
 
 
 @dataclass(frozen=True)

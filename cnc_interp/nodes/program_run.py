@@ -13,9 +13,10 @@ from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.preparation import Preparation
 from cnc_interp.run.loss_recovery import LossRecovery
-from cnc_interp.run.machine_report import MachineReport, Motion
+from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, Step, refused
+from cnc_interp.run.run_state import State
 from cnc_interp.wire.run_messages import run_result
 from cnc_interp.wire.settings_messages import loaded_program
 
@@ -94,7 +95,7 @@ class ProgramRun:
             return Outcome(Code.CANCELED, 'cancelled before anything moved')
         missing, machine = peers.missing(now, timeout), peers.machine
         if not missing and machine is not None:
-            if machine.motion in (Motion.FAULT, Motion.STOPPING):
+            if machine.state in (State.FAULT, State.STOPPING):
                 text = f'the machine is stopped: {machine.message}; call reset'
                 return Outcome(Code.STOPPED, text)
             if machine.is_free:
@@ -104,7 +105,7 @@ class ProgramRun:
             return None
         if missing:
             return Outcome(Code.STREAM_LOST, f'{missing} does not answer; start it and try again')
-        if machine is not None and machine.motion is Motion.INACTIVE:
+        if machine is not None and machine.state is State.INACTIVE:
             return Outcome(Code.REFUSED, 'the drives are off; activate machine_node')
         text = 'the machine is in another run; wait for its end, or reset it'
         return Outcome(Code.BUSY, text)
@@ -133,7 +134,7 @@ class ProgramRun:
 
     def _ended(self, machine: MachineReport | None, kind: Refusal, reason: str) -> Outcome | None:
         """Return the outcome where the machine has ended the run, or a node has refused it."""
-        if machine is not None and machine.motion is Motion.FAULT:
+        if machine is not None and machine.state is State.FAULT:
             return Outcome(Code.STOPPED, machine.message)
         incomplete = kind in (Refusal.BAD_MESSAGE, Refusal.BAD_PATH)
         if machine is not None and machine.completed and not incomplete:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from cnc_interp.run.machine_report import MachineReport, Motion
+from cnc_interp.run.machine_report import MachineReport
+from cnc_interp.run.run_state import State
 
 SETTLED = 0.1
 """A machine that rests for so long after cycle_start has nothing to execute [s]."""
@@ -27,10 +28,10 @@ class LossRecovery:
     def see(self, report: MachineReport) -> None:
         """Take a report of the machine on this run."""
         before, self._report = self._report, report
-        held = before is not None and before.motion is Motion.HELD
-        if self.node and held and report.motion is Motion.MOVING:
+        held = before is not None and before.state is State.HELD
+        if self.node and held and report.moves and report.state is not State.HELD:
             self._restarted = True
-        wants = report.start_wanted or (self._restarted and report.motion is Motion.STARVED)
+        wants = report.start_wanted or (self._restarted and report.state is State.STARVED)
         wants = wants and report.rests_on_path
         self._wants_since = min(self._wants_since, report.time) if wants else math.inf
         self._waits = report.time - self._wants_since

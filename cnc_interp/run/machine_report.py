@@ -3,22 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.run.run_id import RunId
-
-
-class Motion(Enum):
-    """Whether the machine moves, and where it rests."""
-
-    MOVING = 'moves'
-    STOPPING = 'stops because of a fault or an emergency stop'
-    INACTIVE = 'rests, the drives are off'
-    IDLE = 'rests without a program'
-    HELD = 'rests on the path until cycle_start'
-    STARVED = 'rests on the path for want of setpoints'
-    FAULT = 'rests until reset'
+from cnc_interp.run.run_state import State
 
 
 @dataclass(frozen=True)
@@ -30,8 +18,8 @@ class MachineReport:
     ----------
     run_id : RunId
         The run that it executes or has executed last.
-    motion : Motion
-        Whether it moves.
+    state : State
+        What it is doing.
     plan_over : bool
         It left the plan by a stop tail and rests; another plan must follow.
     start_wanted : bool
@@ -50,7 +38,7 @@ class MachineReport:
     """
 
     run_id: RunId
-    motion: Motion
+    state: State
     plan_over: bool
     start_wanted: bool
     completed: bool
@@ -60,28 +48,35 @@ class MachineReport:
     message: str
 
     @property
-    def moves(self) -> bool:
-        """Tell whether the axes move, or are about to."""
-        starts = self.motion is Motion.HELD and self.start_wanted and not self.plan_over
-        return starts or self.motion in (Motion.MOVING, Motion.STOPPING)
-
-    @property
     def rests_on_path(self) -> bool:
-        """Tell whether the machine rests on the path and can go on from there."""
-        return self.motion in (Motion.HELD, Motion.STARVED)
+        """Tell whether the machine rests on the path until somebody does something."""
+        return self.state is State.HELD or self._lacks_plan
 
     @property
     def is_free(self) -> bool:
         """Tell whether a new program may begin."""
-        return self.motion in (Motion.IDLE, Motion.STARVED)
+        return self.state is State.IDLE or self._lacks_plan
+
+    @property
+    def _lacks_plan(self) -> bool:
+        """Tell whether the machine has come to rest because setpoints were late."""
+        return self.state is State.STARVED and self.plan_over
+
+    @property
+    def moves(self) -> bool:
+        """Tell whether the axes move, or are about to."""
+        if self.state is State.HELD:
+            return self.start_wanted and not self.plan_over
+        rests = self.is_free or self.state in (State.INACTIVE, State.FAULT)
+        return not rests
 
     def takes(self, run_id: RunId) -> bool:
         """Tell whether the machine would take the first plan of a run."""
-        if self.motion is Motion.HELD:
+        if self.state is State.HELD:
             # With cycle_start pressed and enough of the old plan it would have left the hold.
             return run_id.attempt > 0 and (self.plan_over or self.start_wanted)
         # A machine whose drives are off refuses the plan itself.
-        return self.is_free or self.motion is Motion.INACTIVE
+        return self.is_free or self.state is State.INACTIVE
 
     def left(self, run_id: RunId) -> bool:
         """Tell whether the machine has left a plan by its stop tail and rests on the path."""

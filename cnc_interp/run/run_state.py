@@ -20,6 +20,7 @@ class State(Enum):
     IDLE = 'idle'  # drives on, at rest, no program
     RUNNING = 'running'  # follows setpoints
     PAUSED = 'paused'  # at rest on the path while the feed override is 0
+    FILLING = 'filling'  # at rest at the start of the path until the buffer is full
     HOLDING = 'holding'  # slows down to a feed hold
     HELD = 'held'  # at rest on the path until cycle_start
     STARVING = 'starving'  # setpoints are late: follows the stop tail
@@ -96,11 +97,11 @@ TEXTS = {
 }
 
 _ACTIVE = tuple(state for state in State if state is not State.INACTIVE)
-_ON_PATH_AT_REST = (State.PAUSED, State.HELD, State.STARVED)
+_ON_PATH_AT_REST = (State.PAUSED, State.FILLING, State.HELD, State.STARVED)
 #: States in which the axes stand still.
 AT_REST = frozenset({State.INACTIVE, State.IDLE, *_ON_PATH_AT_REST, State.FAULT})
 #: States from which the machine starts by itself when enough setpoints are buffered.
-SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.STARVED})
+SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.FILLING, State.STARVED})
 #: States in which cycle_start is accepted.
 RESUMABLE = frozenset({State.HOLDING, State.HELD, State.STARVING, State.STARVED})
 
@@ -116,12 +117,14 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.RUNNING, Event.FINISH): State.IDLE,
     (State.RUNNING, Event.PAUSE): State.PAUSED,
     (State.RUNNING, Event.WAIT): State.HELD,
-    (State.RUNNING, Event.FILL): State.STARVED,
+    (State.RUNNING, Event.FILL): State.FILLING,
     (State.RUNNING, Event.STARVE): State.STARVING,
     (State.RUNNING, Event.HOLD): State.HOLDING,
     (State.RUNNING, Event.RESUME): State.RUNNING,
     (State.PAUSED, Event.HOLD): State.HELD,
     (State.PAUSED, Event.RESUME): State.PAUSED,
+    (State.FILLING, Event.HOLD): State.HELD,
+    (State.FILLING, Event.RESUME): State.FILLING,
     (State.HOLDING, Event.HOLD): State.HOLDING,
     (State.HOLDING, Event.RESUME): State.HOLDING,
     (State.HOLDING, Event.REST): State.HELD,
@@ -209,6 +212,8 @@ class RunState:
             return WaitsFor.RESET
         if self.state is State.PAUSED:
             return WaitsFor.OVERRIDE
+        if self.state is State.FILLING:
+            return WaitsFor.SETPOINTS
         if self.state is State.HELD and not self.start_wanted:
             return WaitsFor.CYCLE_START
         if self.state in (State.HELD, State.STARVED):
@@ -218,6 +223,8 @@ class RunState:
     @property
     def text(self) -> str:
         """Return the reason in words for the operator; empty when there is none."""
+        if self.state is State.FILLING:
+            return 'setpoints are being planned; the program begins by itself'
         return TEXTS[self.reason].format(self.detail)
 
     def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:

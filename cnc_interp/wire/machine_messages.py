@@ -13,22 +13,8 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.axis_motion import Recording
 from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.run.interpolator import Setpoints
-from cnc_interp.run.run_state import State
+from cnc_interp.wire.machine_report import NUMBERS
 from cnc_interp.wire.path_messages import packed
-
-#: The states as others see them; whether the machine rests is a field of its own.
-STATES = {
-    State.INACTIVE: MachineState.INACTIVE,
-    State.IDLE: MachineState.IDLE,
-    State.RUNNING: MachineState.RUNNING,
-    State.PAUSED: MachineState.RUNNING,
-    State.HOLDING: MachineState.HOLDING,
-    State.HELD: MachineState.HELD,
-    State.STARVING: MachineState.STARVED,
-    State.STARVED: MachineState.STARVED,
-    State.STOPPING: MachineState.STOPPING,
-    State.FAULT: MachineState.FAULT,
-}
 
 
 def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:
@@ -80,7 +66,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
     least = playback.least_buffered
     recent = axes.take_recent_use()
     message = MachineState(
-        state=STATES[run.state],
+        state=NUMBERS[run.state],
         waits_for=run.waits_for,
         reason=run.reason,
         resting=run.resting,

@@ -7,12 +7,13 @@ import pytest
 
 from cnc_interp.core.errors import PlanningError, Refusal
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.machine_report import MachineReport, Motion
+from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import LEAD, MARGIN, PlanningSession, Received
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
+from cnc_interp.run.run_state import State
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')
@@ -94,10 +95,10 @@ class Port:
         self.refused.append((kind, reason))
 
 
-def report(run_id=NO_RUN, motion=Motion.IDLE, **changes):
+def report(run_id=NO_RUN, state=State.IDLE, **changes):
     said = {'plan_over': False, 'start_wanted': False, 'completed': False, 'path_position': 0.0}
     stands = {'stands': np.zeros(5), 'time': 0.0, 'message': ''}
-    return MachineReport(run_id, motion, **{**said, **changes}, **stands)
+    return MachineReport(run_id, state, **{**said, **changes}, **stands)
 
 
 class Bench:
@@ -152,7 +153,7 @@ def test_a_run_waits_until_the_machine_rests_and_ends_when_it_was_executed(bench
     bench.begin()
     session = bench.session
     assert bench.step() is None and session.activity is Activity.WAITING
-    session.see_machine(report(RunId('other'), Motion.MOVING))
+    session.see_machine(report(RunId('other'), State.RUNNING))
     assert bench.step() is None and session.activity is Activity.WAITING
     session.see_machine(report())
     for _ in range(200):
@@ -249,29 +250,29 @@ def test_when_the_last_setpoint_is_sent_nothing_is_revised(bench):
     assert bench.step() is None and bench.session.activity is Activity.PLANNING
 
 
-@pytest.mark.parametrize('motion', [Motion.HELD, Motion.STARVED])
-def test_a_machine_that_left_the_plan_gets_another_one_from_where_it_rests(bench, motion):
+@pytest.mark.parametrize('state', [State.HELD, State.STARVED])
+def test_a_machine_that_left_the_plan_gets_another_one_from_where_it_rests(bench, state):
     planner = bench.planning(window=60)
     session, left = bench.session, {'plan_over': True, 'path_position': 0.012}
-    session.see_machine(report(RUN, Motion.MOVING, **left))
+    session.see_machine(report(RUN, State.RUNNING, **left))
     assert session.activity is not Activity.RESUMING
     bench.finish(bench.step())
     session.settings = SLOW
-    session.see_machine(report(RUN, motion, **left))
+    session.see_machine(report(RUN, state, **left))
     task = bench.step()
     assert session.activity is Activity.RESUMING and session.run_id == RunId('run', plan=1)
     assert bench.port.sender.run_id == session.run_id and session.sent_before == 60
     bench.finish(task)
     assert (planner.resumed, planner.stream.settings) == (0.012, SLOW)
     # The machine still reports the plan that is over.
-    session.see_machine(report(RUN, motion, **left))
+    session.see_machine(report(RUN, state, **left))
     bench.finish(bench.step())
     assert session.activity is Activity.PLANNING and session.run_id.plan == 1
 
 
 def test_a_machine_that_was_reset_has_given_the_run_up(bench):
     bench.planning(window=60)
-    bench.session.see_machine(report(RUN, Motion.MOVING))
+    bench.session.see_machine(report(RUN, State.RUNNING))
     bench.session.see_machine(report())
     bench.step()
     assert bench.session.activity is Activity.ENDED
@@ -297,7 +298,7 @@ def test_a_path_that_cannot_be_planned_is_refused_and_what_is_sampled_is_sent(be
     assert bench.session.activity is Activity.ENDED
     assert bench.port.refused == [(Refusal.BAD_PATH, 'block 7 has no finite path')]
     assert bench.port.sender.unsent > 0 and bench.session.planner is planner
-    bench.session.see_machine(report(RUN, Motion.IDLE))
+    bench.session.see_machine(report(RUN, State.IDLE))
     assert bench.step() is None and len(bench.port.planners) == 1
 
 
@@ -307,9 +308,9 @@ def test_a_run_begun_again_goes_on_from_where_the_machine_rests_now(bench):
     again = RUN.next_attempt()
     bench.begin(again, place=0.010)
     held = {'plan_over': False, 'path_position': 0.013}
-    bench.session.see_machine(report(RUN, Motion.HELD, **held))
+    bench.session.see_machine(report(RUN, State.HELD, **held))
     assert bench.step() is None, 'it may still start with the old plan'
-    bench.session.see_machine(report(RUN, Motion.HELD, start_wanted=True, **held))
+    bench.session.see_machine(report(RUN, State.HELD, start_wanted=True, **held))
     task = bench.step()
     bench.finish(old)
     assert bench.session.task is task, 'a task of the run before is void'
@@ -318,9 +319,9 @@ def test_a_run_begun_again_goes_on_from_where_the_machine_rests_now(bench):
 
 def test_a_first_attempt_does_not_begin_on_a_machine_that_is_held(bench):
     bench.begin(place=-1.0)
-    bench.session.see_machine(report(RunId('other'), Motion.HELD, plan_over=True))
+    bench.session.see_machine(report(RunId('other'), State.HELD, plan_over=True))
     assert bench.step() is None and bench.session.activity is Activity.WAITING
-    bench.session.see_machine(report(RunId('other'), Motion.STARVED, plan_over=True))
+    bench.session.see_machine(report(RunId('other'), State.STARVED, plan_over=True))
     assert bench.step() is not None
     assert bench.port.planners[-1].place == -1.0, 'not the place in the other program'
 

@@ -36,7 +36,9 @@ class Heard:
 
     def say(self, run, state, time=0.0, **fields):
         """A state of the machine on a run."""
-        message = MachineState(program_id=run.run_id.program_id, state=state, **fields)
+        message = MachineState(
+            program_id=run.run_id.program_id, state=state, resting=state != RUNNING, **fields
+        )
         message.header.stamp.nanosec = round(time * 1e9)
         self.machine = machine_report(message)
 

@@ -4,8 +4,10 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.core.errors import StreamError
+from cnc_interp.nodes.machine_node import LEVELS
 from cnc_interp.run.run_state import (
     AT_REST,
     TEXTS,
@@ -16,6 +18,7 @@ from cnc_interp.run.run_state import (
     State,
     WaitsFor,
 )
+from cnc_interp.wire.machine_report import NUMBERS, machine_report, state_of
 
 MOVING = set(State) - AT_REST
 OPERATION = Path(__file__).parents[2] / 'docs' / 'operate' / 'operation.md'
@@ -45,6 +48,24 @@ def test_the_table_in_the_docs_is_that_of_the_code():
             told[State(name), Event(event)] = State(following)
     assert len(rows) == len(State)
     assert told == TRANSITIONS
+
+
+@pytest.mark.parametrize('state', State)
+def test_every_state_is_read_from_the_messages_again(state):
+    run = RunState(state)
+    message = MachineState(
+        state=NUMBERS[state], resting=run.resting, waits_for=run.waits_for, plan_over=run.plan_over
+    )
+    assert state_of(message) is state
+
+
+def test_what_fills_its_buffer_before_the_first_block_is_no_alarm():
+    filling = RunState(State.RUNNING).after(Event.FILL)
+    assert filling.state not in LEVELS and filling.reason is Reason.NONE
+    assert filling.may_start and not filling.may_resume
+    assert filling.waits_for is WaitsFor.SETPOINTS
+    report = machine_report(MachineState(state=NUMBERS[filling.state], resting=True))
+    assert report.moves and not report.is_free
 
 
 def test_the_table_by_its_meaning():

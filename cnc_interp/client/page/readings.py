@@ -6,11 +6,12 @@ import math
 from html import escape
 
 from cnc_interp.client.alarms import Alarm
-from cnc_interp.client.operator_client import STATE_NAMES, MachineState
+from cnc_interp.client.operator_client import MachineState
 from cnc_interp.client.page.desk import Desk, Job
 from cnc_interp.client.page.preview import Preview
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.wire.machine_report import state_of
 
 NOTHING = '–'
 #: Lines of the program shown around the one that is executed.
@@ -26,7 +27,7 @@ def readings(desk: Desk) -> dict[str, str]:
         return words
     words |= axis_words(state, machine) | feed_words(desk, state)
     words |= progress_words(state, desk.plan_of(state), desk.nodes.override)
-    words['state'] = 'no answer' if silent else STATE_NAMES.get(state.state, NOTHING)
+    words['state'] = 'no answer' if silent else state_of(state).value
     words['why'] = f'{silent} does not answer' if silent else state.message
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'
     least = state.least_buffered_time

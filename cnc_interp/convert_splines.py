@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.bspline import corner_end_derivatives
+from cnc_interp.core.corner_spline import corner_end_derivatives
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks

@@ -1,23 +1,16 @@
 """
-B-splines: conversion to Bezier pieces, and the corner spline of [B2013].
+B-splines and their conversion to Bezier pieces.
 
-Three kinds occur. Native programs have cubic B-splines with any knots. The compressor fits quintic
-B-splines. A corner is a cubic B-spline of five control points with the knots
-(0 0 0 0 .5 1 1 1 1) [B2013, section 2.2]. The first two are converted to Bezier pieces, which
-``bezier.py`` evaluates. The corner spline has fixed knots, so its two pieces are written out here
-in powers of u [B2013, Eq. A.2]; this is faster than the general conversion.
+Two kinds occur. Native programs have cubic B-splines with any knots. The compressor fits quintic
+B-splines. Both are converted to Bezier pieces, which ``bezier.py`` evaluates.
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.jet import Jet
 
 
 def cubic_bezier_points(points: FloatArray, knots: FloatArray) -> FloatArray:
@@ -227,128 +220,3 @@ def quintic_end_coefficients(
         for k in range(i + 1):
             found[i] += symmetric[k] / choose[k] * jet[k]
     return found
-
-
-def corner_spline_points(points: FloatArray, u: FloatArray | float) -> FloatArray:
-    """
-    Return points of corner splines [B2013, Eq. 1 and A.2].
-
-    Parameters
-    ----------
-    points : ndarray, shape (..., 5, 3)
-        Control points [m].
-    u : float or ndarray, shape (...)
-        Parameters in [0, 1].
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Points of the curves at u [m].
-
-    """
-    if np.ndim(u) == 0:
-        places = range(4) if u <= 0.5 else range(4, 0, -1)
-        weights = _corner_basis(min(float(u), 1.0 - float(u)))
-        return sum_of(w * points[..., i, :] for w, i in zip(weights, places, strict=True))
-    late = (np.asarray(u) > 0.5)[..., None]
-    weights = _corner_basis(np.minimum(u, 1.0 - np.asarray(u)))
-    return sum_of(
-        w[..., None] * np.where(late, points[..., 4 - i, :], points[..., i, :])
-        for i, w in enumerate(weights)
-    )
-
-
-def _corner_basis(x: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the four basis functions that are not zero at x in [0, 0.5] [B2013, Eq. A.2]."""
-    return (
-        (1.0 - 2.0 * x) ** 3,
-        2.0 * x * (3.0 + x * (7.0 * x - 9.0)),
-        2.0 * x * x * (3.0 - 4.0 * x),
-        2.0 * x**3,
-    )
-
-
-def sum_of(terms: Iterable[FloatArray]) -> FloatArray:
-    """
-    Add arrays in the given order, so that the result is the same bit for bit.
-
-    Parameters
-    ----------
-    terms : iterable of ndarray, shape (...)
-        At least one array; all have the same shape.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        The sum.
-
-    """
-    first, *rest = terms
-    for term in rest:
-        first = first + term
-    return first
-
-
-def corner_end_derivatives(points: FloatArray) -> FloatArray:
-    """
-    Return C', C'' and C''' of corner splines at u = 0 [B2013, Eq. A.2].
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 5, 3)
-        Control points [m]. Reversed control points give the other end, seen from there.
-
-    Returns
-    -------
-    ndarray, shape (3, n, 3)
-        The three derivatives by u [m].
-
-    """
-    p0, p1, p2, p3 = (points[:, i] for i in range(4))
-    return np.stack(
-        [
-            6.0 * (p1 - p0),
-            24.0 * p0 - 36.0 * p1 + 12.0 * p2,
-            -48.0 * p0 + 84.0 * p1 - 48.0 * p2 + 12.0 * p3,
-        ]
-    )
-
-
-@njit(cache=True, nogil=True, inline='always')
-def corner_spline_jet(points: FloatArray, i: int, u: float, second_half: bool) -> Jet:
-    """
-    Return the jet in u of one coordinate of a corner spline [B2013, Eq. 1 and A.2].
-
-    Parameters
-    ----------
-    points : ndarray, shape (5 or more, d)
-        Control points; the first five are used [m].
-    i : int
-        Index of the coordinate.
-    u : float
-        Parameter in [0, 1].
-    second_half : bool
-        Whether the polynomial piece over [0.5, 1] is used. At u = 0.5 both pieces are possible.
-
-    Returns
-    -------
-    Jet
-        Taylor coefficients of the coordinate at u [m].
-
-    """
-    if second_half:  # the reversed control points give the same curve backwards
-        p0, p1, p2, p3 = points[4, i], points[3, i], points[2, i], points[1, i]
-        x, sign = 1.0 - u, -1.0
-    else:
-        p0, p1, p2, p3 = points[0, i], points[1, i], points[2, i], points[3, i]
-        x, sign = u, 1.0
-    # (1-2x)^3 p0 + 2x(3 - 9x + 7x^2) p1 + 2x^2(3 - 4x) p2 + 2x^3 p3, in powers of x
-    a1 = 6.0 * (p1 - p0)
-    a2 = 12.0 * p0 - 18.0 * p1 + 6.0 * p2
-    a3 = -8.0 * p0 + 14.0 * p1 - 8.0 * p2 + 2.0 * p3
-    return (
-        p0 + x * (a1 + x * (a2 + x * a3)),
-        sign * (a1 + x * (2.0 * a2 + 3.0 * x * a3)),
-        a2 + 3.0 * x * a3,
-        sign * a3,
-    )

@@ -33,7 +33,7 @@ WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _has_free_terms(slopes: FloatArray) -> bool:
+def has_free_terms(slopes: FloatArray) -> bool:
     """Tell whether the terms depend on a free coefficient; other rows are skipped."""
     for f in range(3):
         for c in range(3):
@@ -43,7 +43,7 @@ def _has_free_terms(slopes: FloatArray) -> bool:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _is_fixed_cap(i: int, n: int, which: int) -> bool:
+def is_fixed_cap(i: int, n: int, which: int) -> bool:
     """Tell whether the cap of the cell (which = 0) or of its node (1) has no free coefficient."""
     return i == 0 or n < 3 or (which == 0 and i == n - 1)
 
@@ -94,7 +94,7 @@ def add_rows(
         pull_by[:] = 0.0
         cell_gap = 0.0
         for q in range(3):
-            if not _has_free_terms(slopes[i, q]):
+            if not has_free_terms(slopes[i, q]):
                 continue
             x0, x1, x2 = terms[i, q, 0], terms[i, q, 1], terms[i, q, 2]
             s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -137,7 +137,7 @@ def add_rows(
                         t0 * slopes[i, q, 0, d] + t1 * slopes[i, q, 1, d] + t2 * slopes[i, q, 2, d]
                     )
         for which in range(2):
-            if _is_fixed_cap(i, n, which):
+            if is_fixed_cap(i, n, which):
                 continue
             r, cap = 3 * n_axes + which, caps[i, which]
             g = m[i] / cap if which == 0 else terms[i, 2, 1] / cap
@@ -149,11 +149,11 @@ def add_rows(
             violation = max(violation, g - 1.0)
             count += 1
             for c in range(3):
-                e = _cap_slope(slopes[i], cap, which, c)
+                e = cap_slope(slopes[i], cap, which, c)
                 push_by[c] += push * e
                 pull_by[c] += y * e
                 for d in range(c, 3):
-                    square[c, d] += ratio * e * _cap_slope(slopes[i], cap, which, d)
+                    square[c, d] += ratio * e * cap_slope(slopes[i], cap, which, d)
         gap += cell_gap
         weighted += cell_gap / weight[i]
         for c in range(3):
@@ -171,263 +171,11 @@ def add_rows(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _cap_slope(slopes: FloatArray, cap: float, which: int, c: int) -> float:
+def cap_slope(slopes: FloatArray, cap: float, which: int, c: int) -> float:
     """Return the derivative of a cap row by m_{i-1} (c = 0), m_i (1) or m_{i+1} (2)."""
     if which == 1:
         return float(slopes[2, 1, c] / cap)
     return 1.0 / cap if c == 1 else 0.0
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def _linearised_terms(
-    terms: FloatArray, slopes: FloatArray, before: float, here: float, after: float
-) -> tuple[float, float, float]:
-    """Return the three terms, linearised, after the step (before, here, after) of m."""
-    return (
-        terms[0] + slopes[0, 0] * before + slopes[0, 1] * here + slopes[0, 2] * after,
-        terms[1] + slopes[1, 0] * before + slopes[1, 1] * here + slopes[1, 2] * after,
-        terms[2] + slopes[2, 0] * before + slopes[2, 1] * here + slopes[2, 2] * after,
-    )
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def predict(
-    rows: FloatArray,
-    caps: FloatArray,
-    m: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    inverse: FloatArray,
-    dm: FloatArray,
-    change: FloatArray,
-) -> tuple[float, float]:
-    """
-    Compute the predictor step of slacks and duals.
-
-    With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is
-    dy = -y (1 + t), so the dual stays positive up to 1/(1 + t).
-
-    Parameters
-    ----------
-    rows, caps, m, terms, slopes, weight, slack, dual, inverse, dm : ndarray
-        Input, with the shapes of the module docstring.
-    change : ndarray, shape (n, 3 n_axes + 2, 2)
-        Output: products dw dy of each row, for the corrector.
-
-    Returns
-    -------
-    step, square : float
-        Longest step length with positive slacks and duals, at most 1, and the sum of dw dy
-        divided by the cell weights.
-
-    """
-    n, n_axes = rows.shape[0], rows.shape[3]
-    worst, square = 1.0, 0.0
-    for i in range(n):
-        before = dm[i - 1] if i > 0 else 0.0
-        after = dm[i + 1] if i < n - 1 else 0.0
-        cell_square = 0.0
-        for q in range(3):
-            if not _has_free_terms(slopes[i, q]):
-                continue
-            x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
-            for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                g = c0 * x0 + c1 * x1 + c2 * x2
-                dw0, dw1 = 1.0 - slack[i, r, 0] - g, 1.0 - slack[i, r, 1] + g
-                t0, t1 = dw0 * inverse[i, r, 0], dw1 * inverse[i, r, 1]
-                worst = max(worst, max(max(-t0, -t1), 1.0 + max(t0, t1)))
-                change[i, r, 0] = -dual[i, r, 0] * dw0 * (1.0 + t0)
-                change[i, r, 1] = -dual[i, r, 1] * dw1 * (1.0 + t1)
-                cell_square += change[i, r, 0] + change[i, r, 1]
-        for which in range(2):
-            if _is_fixed_cap(i, n, which):
-                continue
-            r, cap = 3 * n_axes + which, caps[i, which]
-            g = _linearised_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
-            dw = 1.0 - slack[i, r, 0] - g
-            t = dw * inverse[i, r, 0]
-            worst = max(worst, max(-t, 1.0 + t))
-            change[i, r, 0] = -dual[i, r, 0] * dw * (1.0 + t)
-            cell_square += change[i, r, 0]
-        square += cell_square / weight[i]
-    return 1.0 / worst, square
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def _linearised_cap(
-    m: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
-    cap: float,
-    which: int,
-    i: int,
-    before: float,
-    here: float,
-    after: float,
-) -> float:
-    """Return the left side of a cap row, linearised, after the step (before, here, after) of m."""
-    if which == 0:
-        return float((m[i] + here) / cap)
-    b = terms[2, 1] + slopes[2, 1, 0] * before + slopes[2, 1, 1] * here + slopes[2, 1, 2] * after
-    return float(b / cap)
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def correct(
-    target: float,
-    second_order: float,
-    rows: FloatArray,
-    caps: FloatArray,
-    slopes: FloatArray,
-    weight: FloatArray,
-    inverse: FloatArray,
-    change: FloatArray,
-    rhs: FloatArray,
-) -> None:
-    """
-    Turn the right-hand side of the predictor into that of the corrector.
-
-    Parameters
-    ----------
-    target : float
-        Wanted product of slack and dual, per unit of cell weight.
-    second_order : float
-        Factor of the products dw dy.
-    rows, caps, slopes, weight, inverse, change : ndarray
-        Input, with the shapes of the module docstring.
-    rhs : ndarray, shape (n,)
-        Right-hand side, updated in place.
-
-    """
-    n, n_axes = rows.shape[0], rows.shape[3]
-    push_by = np.zeros(3)
-    for i in range(n):
-        aim = target * weight[i]
-        push_by[:] = 0.0
-        for q in range(3):
-            if not _has_free_terms(slopes[i, q]):
-                continue
-            p0, p1, p2 = 0.0, 0.0, 0.0
-            for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
-                push -= (aim - second_order * change[i, r, 1]) * inverse[i, r, 1]
-                p0 += push * c0
-                p1 += push * c1
-                p2 += push * c2
-            for c in range(3):
-                push_by[c] += (
-                    p0 * slopes[i, q, 0, c] + p1 * slopes[i, q, 1, c] + p2 * slopes[i, q, 2, c]
-                )
-        for which in range(2):
-            if _is_fixed_cap(i, n, which):
-                continue
-            r = 3 * n_axes + which
-            push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
-            for c in range(3):
-                push_by[c] += push * _cap_slope(slopes[i], caps[i, which], which, c)
-        for c in range(3):
-            if 0 <= i - 1 + c < n:
-                rhs[i - 1 + c] -= push_by[c]
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def advance(
-    target: float,
-    second_order: float,
-    keep: float,
-    rows: FloatArray,
-    caps: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
-    weight: FloatArray,
-    m: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    inverse: FloatArray,
-    change: FloatArray,
-    dm: FloatArray,
-    next_dual: FloatArray,
-) -> tuple[float, float]:
-    """
-    Take the corrected step while slacks, duals and coefficients stay positive.
-
-    Parameters
-    ----------
-    target, second_order : float
-        The arguments that ``correct`` had.
-    keep : float
-        Part of the longest step length that is taken [-].
-    rows, caps, terms, slopes, weight, inverse, dm : ndarray
-        Input, with the shapes of the module docstring.
-    m, slack, dual : ndarray
-        Coefficients, slacks and duals, updated in place.
-    change, next_dual : ndarray, shape (n, 3 n_axes + 2, 2)
-        Products dw dy on entry; overwritten with the steps dw and dy.
-
-    Returns
-    -------
-    primal, adjoint : float
-        Step lengths of slacks and coefficients, and of duals [-].
-
-    """
-    n, n_axes = rows.shape[0], rows.shape[3]
-    primal_worst, dual_worst = keep, keep
-    for i in range(n):
-        before = dm[i - 1] if i > 0 else 0.0
-        after = dm[i + 1] if i < n - 1 else 0.0
-        aim = target * weight[i]
-        for q in range(3):
-            if not _has_free_terms(slopes[i, q]):
-                continue
-            x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
-            for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                g = c0 * x0 + c1 * x1 + c2 * x2
-                y0, y1 = dual[i, r, 0], dual[i, r, 1]
-                i0, i1 = inverse[i, r, 0], inverse[i, r, 1]
-                dw0, dw1 = 1.0 - slack[i, r, 0] - g, 1.0 - slack[i, r, 1] + g
-                dy0 = (aim - second_order * change[i, r, 0] - y0 * dw0) * i0 - y0
-                dy1 = (aim - second_order * change[i, r, 1] - y1 * dw1) * i1 - y1
-                primal_worst = max(primal_worst, max(-dw0 * i0, -dw1 * i1))
-                dual_worst = max(dual_worst, max(-dy0 / y0, -dy1 / y1))
-                change[i, r, 0], change[i, r, 1] = dw0, dw1
-                next_dual[i, r, 0], next_dual[i, r, 1] = dy0, dy1
-        for which in range(2):
-            if _is_fixed_cap(i, n, which):
-                continue
-            r, cap = 3 * n_axes + which, caps[i, which]
-            g = _linearised_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
-            y = dual[i, r, 0]
-            dw = 1.0 - slack[i, r, 0] - g
-            dy = (aim - second_order * change[i, r, 0] - y * dw) * inverse[i, r, 0] - y
-            primal_worst = max(primal_worst, -dw * inverse[i, r, 0])
-            dual_worst = max(dual_worst, -dy / y)
-            change[i, r, 0], next_dual[i, r, 0] = dw, dy
-    primal, adjoint = keep / primal_worst, keep / dual_worst
-    for i in range(1, n - 1):
-        if dm[i] * primal < -0.9 * m[i]:
-            primal = -0.9 * m[i] / dm[i]
-    for i in range(n):
-        m[i] += primal * dm[i]
-        for r in range(slack.shape[1]):
-            for side in range(2):
-                slack[i, r, side] += primal * change[i, r, side]
-                dual[i, r, side] += adjoint * next_dual[i, r, side]
-    return primal, adjoint
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -12,7 +12,8 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.feedrate.barrier_rows import add_rows, advance, correct, predict, start_rows
+from cnc_interp.feedrate.barrier_rows import add_rows, start_rows
+from cnc_interp.feedrate.barrier_steps import advance, correct, predict
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states, terms_and_time
 
 SOLVED, STALLED, BROKEN = 0, 1, 2
@@ -172,7 +173,6 @@ def solve(
         primal, adjoint = advance(
             target,
             second,
-            0.98,
             rows,
             caps,
             terms,

@@ -205,3 +205,42 @@ def terms_and_time(
             if c == 0:
                 d2[slot] += k2 * ds[0] * ds[2]
     return total
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def build_rows(
+    left: FloatArray,
+    right: FloatArray,
+    table: FloatArray,
+    scale: FloatArray,
+    rows: FloatArray,
+) -> None:
+    """
+    Write the rows of the interior point method: derivatives divided by the allowed limits.
+
+    Parameters
+    ----------
+    left, right : ndarray, shape (4, n, n_axes)
+        q and its derivatives by s at both ends of each cell [m or rad, per m^order].
+    table : ndarray, shape (3, n_axes)
+        Velocity, acceleration and jerk limits of the axes.
+    scale : ndarray, shape (n, 4, n_axes)
+        Parts of the limits that each cell may use [-].
+    rows : ndarray, shape (n, 3, 3, n_axes)
+        Output: factors of the terms; see ``barrier_rows.py``.
+
+    """
+    n, n_axes = left.shape[1], left.shape[2]
+    for i in range(n):
+        for k in range(n_axes):
+            by_jerk = 1.0 / (table[2, k] * scale[i, 2, k])
+            rows[i, 0, 0, k] = left[1, i, k] * by_jerk
+            rows[i, 0, 1, k] = 3 * left[2, i, k] * by_jerk
+            rows[i, 0, 2, k] = left[3, i, k] * by_jerk
+            rows[i, 1, 0, k] = right[1, i, k] * by_jerk
+            rows[i, 1, 1, k] = 3 * right[2, i, k] * by_jerk
+            rows[i, 1, 2, k] = right[3, i, k] * by_jerk
+            smaller = scale[i, 1, k] if i == 0 else min(scale[i - 1, 1, k], scale[i, 1, k])
+            rows[i, 2, 0, k] = left[1, i, k] / (table[1, k] * smaller)
+            rows[i, 2, 1, k] = left[2, i, k] / (table[1, k] * smaller)
+            rows[i, 2, 2, k] = 0.0

@@ -9,8 +9,6 @@ is accepted only if it keeps every limit at all these instants.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numba
 import numpy as np
 
@@ -18,81 +16,12 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.braking import without_braking
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
+from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.limits import limit_use
+from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle_widths, spread_law
 from cnc_interp.kinematics.axis_path import AxisPath
-
-
-@dataclass(frozen=True)
-class PlanOptions:
-    """
-    Settings of the feed planner.
-
-    Parameters
-    ----------
-    passes : int
-        Largest number of corrections of one stretch.
-    cell_time : tuple of float
-        Shortest and longest wanted cell time [s].
-    share : float
-        Wanted cell time as a part of the duration of the stretch [-].
-    bend : float
-        Largest nonlinearity of a limit inside a cell, as a part of the limit [-].
-    gap : float
-        Accepted gap to the optimum, relative to the time [-].
-    points : int
-        Number of instants per cell at which the limits are checked.
-    window_ratio : float
-        Length of a planning window in horizons; about one horizon is committed later [-].
-    window_cells : int
-        Largest number of path cells in one window.
-    toppra : bool
-        Whether the jerk stage starts below the law of the toppra stage.
-    reserve : float
-        Part of a limit that stays free where the law could not brake otherwise [-].
-
-    """
-
-    passes: int = 6
-    cell_time: tuple[float, float] = (2e-4, 6e-3)
-    share: float = 1 / 64
-    bend: float = 0.005
-    gap: float = 5e-5
-    points: int = 7
-    window_ratio: float = 2.5
-    window_cells: int = 4000
-    toppra: bool = False
-    reserve: float = 0.029
-
-    def finer(self) -> PlanOptions:
-        """Return options with half the cell times and with the toppra stage."""
-        return replace(
-            self,
-            cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
-            share=self.share / 2,
-            bend=self.bend / 2,
-            toppra=True,
-        )
-
-
-@dataclass(frozen=True)
-class KeptCells:
-    """
-    The first cells of a stretch, as an older plan had them; the older law then stays feasible.
-
-    Parameters
-    ----------
-    ends : ndarray, shape (k,)
-        Path positions at the ends of the cells [m].
-    scale : ndarray, shape (k, 4, n_axes)
-        Parts of the limits that these cells were allowed to use [-].
-
-    """
-
-    ends: FloatArray
-    scale: FloatArray
-
 
 SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
 """Part of each limit (velocity, acceleration, jerk, feed) that stays unused at the nodes."""
@@ -110,34 +39,8 @@ WARM_START_PART = 0.7
 """Smallest part of every limit after a correction that still allows a warm start."""
 
 MOST_ITERATIONS = 80
-
 SMOOTHING_CELLS = 1
 """Number of cells on either side over which the first guess is smoothed."""
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def _build_rows(
-    left: FloatArray,
-    right: FloatArray,
-    table: FloatArray,
-    scale: FloatArray,
-    rows: FloatArray,
-) -> None:
-    """Write the rows of the interior point method: derivatives divided by the allowed limits."""
-    n, n_axes = left.shape[1], left.shape[2]
-    for i in range(n):
-        for k in range(n_axes):
-            by_jerk = 1.0 / (table[2, k] * scale[i, 2, k])
-            rows[i, 0, 0, k] = left[1, i, k] * by_jerk
-            rows[i, 0, 1, k] = 3 * left[2, i, k] * by_jerk
-            rows[i, 0, 2, k] = left[3, i, k] * by_jerk
-            rows[i, 1, 0, k] = right[1, i, k] * by_jerk
-            rows[i, 1, 1, k] = 3 * right[2, i, k] * by_jerk
-            rows[i, 1, 2, k] = right[3, i, k] * by_jerk
-            smaller = scale[i, 1, k] if i == 0 else min(scale[i - 1, 1, k], scale[i, 1, k])
-            rows[i, 2, 0, k] = left[1, i, k] / (table[1, k] * smaller)
-            rows[i, 2, 1, k] = left[2, i, k] / (table[1, k] * smaller)
-            rows[i, 2, 2, k] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -228,7 +131,7 @@ class StretchProblem:
             The law with its use of the limits, None if the solver broke down.
 
         """
-        _build_rows(self.left, self.right, self.table, self.scale, self.rows)
+        build_rows(self.left, self.right, self.table, self.scale, self.rows)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
         cap = (self.grid.bounds[:, 0] * part) ** 2
         width = self.reset_widths()

@@ -20,9 +20,10 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.horizon import WindowScan, commit_node
-from cnc_interp.feedrate.jerk_stage import KeptCells, PlanOptions, plan
+from cnc_interp.feedrate.jerk_stage import plan
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_bounds
 from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine

@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.transform import Transform, linear_jets, rotary_jets
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.kinematics.transform_kernels import linear_jets, rotary_jets
 from cnc_interp.smoothing.machine_traits import MachineTraits
 
 
@@ -55,8 +56,11 @@ def jerk_rates(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')  # at the pole they are not finite
-def rates(packed, outer, tip, axis, step, turn):  # type: ignore[no-untyped-def]
-    """Return q_s of the branch with the positive tilt, shape (n, 5)."""
+def rates(
+    packed: FloatArray, outer: int, tip: FloatArray, axis: FloatArray, step: FloatArray,
+    turn: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Return q_s of the branch with the positive tilt, shape (n, 5); rows as in ``jerk_rates``."""
     found = np.full((len(tip), 5), np.nan)
     for i in range(len(tip)):
         o, w = axis[i], turn[i]

@@ -15,8 +15,8 @@ from math import ceil, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.sampling import (
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.kinematics.segment_axes import (
     FOLLOWING,
     GUIDE_FROM,
     GUIDE_TO,
@@ -24,7 +24,13 @@ from cnc_interp.kinematics.sampling import (
     guide_jet,
     pose_jets,
 )
-from cnc_interp.kinematics.transform import OUTER, PRIMARY, SECONDARY, guided_gap, vector_at
+from cnc_interp.kinematics.transform_kernels import (
+    OUTER,
+    PRIMARY,
+    SECONDARY,
+    guided_gap,
+    vector_at,
+)
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
@@ -123,7 +129,7 @@ def _parameter_rates(spans: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True, nogil=True)
-def pole_sine(packed, kind, shape, f, u):  # type: ignore[no-untyped-def]
+def pole_sine(packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, u: float) -> float:
     """Return the sine of the angle between tool axis and pole at one point of a segment."""
     o = pose_jets(kind, shape, f, u, u)[1]
     pole = vector_at(packed, SECONDARY if packed[OUTER] > 0.5 else PRIMARY)
@@ -134,7 +140,10 @@ def pole_sine(packed, kind, shape, f, u):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def near_pole(packed, kinds, shapes, f, turns, limits):  # type: ignore[no-untyped-def]
+def near_pole(
+    packed: FloatArray, kinds: IntArray, shapes: FloatArray, f: FloatArray, turns: FloatArray,
+    limits: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """
     Find where segments are near to the pole.
 
@@ -218,8 +227,8 @@ def way_to(kind, shape, beside, length, u):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def place_at(kind, shape, beside, length, way):  # type: ignore[no-untyped-def]
-    """Return the parameter at a path length from the start of a segment of poses."""
+def place_at(kind: int, shape: FloatArray, beside: FloatArray, length: float, way: float) -> float:
+    """Return the parameter at a path length [m] from the start of a segment of poses."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         u = 0.5 * (low + high)
@@ -231,7 +240,9 @@ def place_at(kind, shape, beside, length, way):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def lengths_of(kinds, shapes, beside, lengths):  # type: ignore[no-untyped-def]
+def lengths_of(
+    kinds: IntArray, shapes: FloatArray, beside: FloatArray, lengths: FloatArray
+) -> FloatArray:
     """Return the path lengths of segments of poses, shape (n,) [m]."""
     found = np.empty(len(kinds))
     for i in range(len(kinds)):
@@ -240,7 +251,11 @@ def lengths_of(kinds, shapes, beside, lengths):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def gap_bounds(packed, kinds, shapes, beside, f, lengths, guides, rates, turning, allowed):  # type: ignore[no-untyped-def]
+def gap_bounds(
+    packed: FloatArray, kinds: IntArray, shapes: FloatArray, beside: FloatArray, f: FloatArray,
+    lengths: FloatArray, guides: FloatArray, rates: FloatArray, turning: FloatArray,
+    allowed: FloatArray,
+) -> FloatArray:  # fmt: skip
     """
     Bound by what angle the tool axis deviates where the outer axis is given.
 

@@ -20,18 +20,15 @@ from cnc_interp.core.units import DEG
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.branch import branch_at, start_positions
 from cnc_interp.kinematics.pole_passage import PolePassages
-from cnc_interp.kinematics.sampling import (
+from cnc_interp.kinematics.sampling import FINE, SINGULAR, STANDSTILL, sample_segments
+from cnc_interp.kinematics.segment_axes import (
     ALL_AXES,
-    FINE,
     FOLLOWING,
     GUIDE_FROM,
     LINEAR,
     NO_GUIDE,
     RESTING,
-    SINGULAR,
-    STANDSTILL,
     beside_of,
-    sample_segments,
     shapes_of,
 )
 from cnc_interp.kinematics.transform import Transform

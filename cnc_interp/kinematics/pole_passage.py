@@ -36,7 +36,7 @@ from cnc_interp.kinematics.passage_bounds import (
     rates_of,
     way_to,
 )
-from cnc_interp.kinematics.sampling import (
+from cnc_interp.kinematics.segment_axes import (
     BRANCH_AFTER,
     FOLLOWING,
     GUIDE,

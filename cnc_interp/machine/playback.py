@@ -20,7 +20,8 @@ from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.buffer import Buffer, BufferedChunk, Rows
-from cnc_interp.machine.cycle import (
+from cnc_interp.machine.cycle import Cycle, Records
+from cnc_interp.machine.cycle_kernels import (
     CHUNK,
     ENDED,
     FAILED,
@@ -29,8 +30,6 @@ from cnc_interp.machine.cycle import (
     STARVED,
     TAIL,
     WAITED,
-    Cycle,
-    Records,
     follow_ideally,
 )
 from cnc_interp.machine.drives import CycleDrives, DriveFaultError, Drives, FedDrives

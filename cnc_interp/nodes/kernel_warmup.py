@@ -13,8 +13,8 @@ from functools import cache
 import numpy as np
 
 from cnc_interp.core.units import MM, MM_PER_MIN
-from cnc_interp.feedrate.jerk_stage import PlanOptions
 from cnc_interp.feedrate.limits import limit_table
+from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.kinematics.axis_path import AxisPath

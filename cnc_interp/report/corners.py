@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.bspline import corner_spline_points
+from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.program.blocks import POSES
@@ -18,13 +18,8 @@ from cnc_interp.proof.verify import vertex_tolerances
 from cnc_interp.report.segments_file import FILE, lengths
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses, top_parameters
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segments import (
-    CORNER,
-    LINE,
-    PathSegments,
-    corner_breaks,
-    corner_jets,
-)
+from cnc_interp.smoothing.segment_curves import corner_breaks, corner_jets
+from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments
 
 MOST = 8
 #: Samples of each half of a corner for its figures.

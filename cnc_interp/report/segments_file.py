@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import corner_end_derivatives, sum_of
+from cnc_interp.core.corner_spline import corner_end_derivatives, sum_of
 from cnc_interp.core.errors import InterpError
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.orientation import norm

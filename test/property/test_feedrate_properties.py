@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from tiers import examples
 
 from cnc_interp.core.errors import PlanningError
-from cnc_interp.feedrate.jerk_stage import PlanOptions
+from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 

@@ -11,7 +11,7 @@ from feedrate_paths import XYZAC, line_path, polyline_path, sampled_ratios, scal
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.interior_point import BROKEN, STALLED
-from cnc_interp.feedrate.jerk_stage import PlanOptions
+from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 

@@ -12,7 +12,8 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.axis_motion import AxisMotion
-from cnc_interp.machine.cycle import REFUSED, REST, Cycle
+from cnc_interp.machine.cycle import Cycle
+from cnc_interp.machine.cycle_kernels import REFUSED, REST
 from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.simulated import SimulatedDrives, simulate
 from cnc_interp.run.chunk import Chunk, Wait

@@ -20,14 +20,8 @@ from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.machine_traits import MachineTraits
-from cnc_interp.smoothing.segments import (
-    CORNER,
-    LINE,
-    ROTATION,
-    PathSegments,
-    corner_jets,
-    line_jets,
-)
+from cnc_interp.smoothing.segment_curves import corner_jets, line_jets
+from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
 
 AXIS_RATES = partial(jerk_rates, Transform.of(Machine.load('xyzac')))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]

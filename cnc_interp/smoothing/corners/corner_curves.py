@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import corner_spline_points
+from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.smoothing.orientation import norm
 
 

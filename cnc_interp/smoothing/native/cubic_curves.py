@@ -20,7 +20,8 @@ from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
 from cnc_interp.smoothing.native.joining import Jets, span_jets
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segments import CORNER, PathSegments, corner_jets, spline_jets
+from cnc_interp.smoothing.segment_curves import corner_jets, spline_jets
+from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline

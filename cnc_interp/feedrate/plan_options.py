@@ -1,0 +1,77 @@
+"""Settings of the feed planner, and what it keeps of an older plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from cnc_interp.core.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """
+    Settings of the feed planner.
+
+    Parameters
+    ----------
+    passes : int
+        Largest number of corrections of one stretch.
+    cell_time : tuple of float
+        Shortest and longest wanted cell time [s].
+    share : float
+        Wanted cell time as a part of the duration of the stretch [-].
+    bend : float
+        Largest nonlinearity of a limit inside a cell, as a part of the limit [-].
+    gap : float
+        Accepted gap to the optimum, relative to the time [-].
+    points : int
+        Number of instants per cell at which the limits are checked.
+    window_ratio : float
+        Length of a planning window in horizons; about one horizon is committed later [-].
+    window_cells : int
+        Largest number of path cells in one window.
+    toppra : bool
+        Whether the jerk stage starts below the law of the toppra stage.
+    reserve : float
+        Part of a limit that stays free where the law could not brake otherwise [-].
+
+    """
+
+    passes: int = 6
+    cell_time: tuple[float, float] = (2e-4, 6e-3)
+    share: float = 1 / 64
+    bend: float = 0.005
+    gap: float = 5e-5
+    points: int = 7
+    window_ratio: float = 2.5
+    window_cells: int = 4000
+    toppra: bool = False
+    reserve: float = 0.029
+
+    def finer(self) -> PlanOptions:
+        """Return options with half the cell times and with the toppra stage."""
+        return replace(
+            self,
+            cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
+            share=self.share / 2,
+            bend=self.bend / 2,
+            toppra=True,
+        )
+
+
+@dataclass(frozen=True)
+class KeptCells:
+    """
+    The first cells of a stretch, as an older plan had them; the older law then stays feasible.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (k,)
+        Path positions at the ends of the cells [m].
+    scale : ndarray, shape (k, 4, n_axes)
+        Parts of the limits that these cells were allowed to use [-].
+
+    """
+
+    ends: FloatArray
+    scale: FloatArray

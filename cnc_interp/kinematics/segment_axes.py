@@ -1,0 +1,288 @@
+"""
+The axes and their exact derivatives by path length at one point of a segment.
+
+A break of a corner (u = 0.5, or an end of a span of f) belongs to two pieces. The argument
+``inside`` is a parameter inside one of them, and selects it.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from cnc_interp.core import jet
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bezier import quintic_jet
+from cnc_interp.core.corner_spline import corner_spline_jet
+from cnc_interp.core.jet import Jet, VectorJet
+from cnc_interp.kinematics.axis_path import septic_value
+from cnc_interp.kinematics.transform_kernels import (
+    OUTER,
+    SIZE,
+    guided_jets,
+    linear_jets,
+    rotary_jets,
+)
+from cnc_interp.smoothing.segment_curves import (
+    corner_jets,
+    great_circle_jets,
+    line_jets,
+    spline_jets,
+)
+from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, SPLINE, PathSegments
+
+PLAIN_GRID = np.array([0.0, 0.5, 1.0])
+#: A tip slower than this share of the top rests, and its arc length measures nothing [-].
+SLOWEST_TIP = 1e-6
+#: How the rotary axes move on a segment: at rest, following the tool axis, or as coordinates of
+#: the path on the basis of the tip. With ALL_AXES, X Y Z are coordinates, too, not the tip.
+RESTING, FOLLOWING, LINEAR, ALL_AXES = 0, 1, 2, 3
+#: Layout of a row of ``guides`` (``pole_passage.py``): parameters between which the outer axis
+#: is a septic of the path length, the branch after it, path length from the start of the septic to
+#: that of the segment, length of the septic [m], and its coefficients from the lowest on.
+GUIDE_FROM, GUIDE_TO, BRANCH_AFTER, GUIDE_BEGUN, GUIDE_LENGTH = range(5)
+GUIDE = slice(5, 13)
+NO_GUIDE = np.array([2.0, 2.0] + [0.0] * 11)
+#: Layout of ``rotary``: positions [rad], branch (+1 or -1) and flank height [m].
+FIRST, SECOND, BRANCH, HEIGHT = range(4)
+#: Rows of a segment's ``shape``.
+BOTTOM, TOP = slice(0, POINTS), slice(POINTS, 2 * POINTS)
+AXIS, ROTATION, CONNECTION = 2 * POINTS, 2 * POINTS + 1, slice(2 * POINTS + 2, None)
+# Gauss-Legendre points and weights for the arc length of half a corner
+_GAUSS = np.array(np.polynomial.legendre.leggauss(10))  # type: ignore[no-untyped-call]
+
+
+def beside_of(segments: PathSegments) -> FloatArray:
+    """Stack the control values of rotary and extra axes for the kernels, shape (n, 6, 2 + k)."""
+    return np.concatenate([segments.rotary, segments.extra], axis=2)
+
+
+def shapes_of(segments: PathSegments) -> FloatArray:
+    """Stack the geometry of segments for the kernels, shape (n, 20 or 22, 3)."""
+    return np.concatenate(
+        [
+            segments.bottom,
+            segments.top,
+            segments.axis[:, None],
+            segments.rotation[:, None],
+            segments.connection,
+        ],
+        axis=1,
+    )
+
+
+@njit(cache=True, nogil=True)
+def sample(
+    packed: FloatArray, kind: int, motion: int, shape: FloatArray, beside: FloatArray,
+    f: FloatArray, length: float, rotary: FloatArray, guide: FloatArray, way: float, u: float,
+    inside: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
+    """
+    Return the axes at one point of a segment.
+
+    Parameters
+    ----------
+    packed : ndarray, shape (29 + 3 k,)
+        Geometry of the machine.
+    kind, motion, length : int, int, float
+        Kind of the segment, RESTING to ALL_AXES, and its length unless it is a curve [m].
+    shape, f : ndarray, shapes (m, 3) and (spans, 8)
+        Its geometry, and the parametrization of corners.
+    beside : ndarray, shape (6, 2 + k)
+        Control values of the rotary axes [rad] and of k extra axes [m], on the same basis as the
+        bottom curve.
+    rotary : ndarray, shape (4,)
+        Rotary positions [rad], branch and flank height [m]. Rotary axes that follow the tool axis
+        keep the branch and the whole turns nearest to these positions.
+    guide : ndarray, shape (13,)
+        Where the outer axis is given, and its septic (``GUIDE_FROM`` and following).
+    way : float
+        Path length from the start of the segment to u [m].
+    u : float
+        Parameter in [0, 1].
+    inside : float
+        A parameter inside the cell that u belongs to, where u lies on a break.
+
+    Returns
+    -------
+    q : ndarray, shape (4, 5 + k)
+        Axes, extra ones last, and three derivatives by path length.
+    tip, tool : ndarray, shape (3,)
+        Tool tip [m] and tool axis [-]; of no meaning where the rotary axes are coordinates.
+    sine_squared : float
+        Of the tilt from the pole; negative when unreachable, 1 unless it is solved.
+
+    """
+    if kind == CORNER and motion >= LINEAR:
+        p = bottom_jets(shape[BOTTOM], u, inside)
+        o = p
+        speed = speed_beside(p, beside, rotary[HEIGHT], u, inside)
+    else:
+        p, o = pose_jets(kind, shape, f, u, inside)
+        curved = kind == CORNER or kind == SPLINE
+        speed = speed_of(p) if curved else jet.constant(length)
+    sine_squared, outer = 1.0, int(packed[OUTER])
+    if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
+        s = (way, speed[0], 0.5 * speed[1], speed[2] / 3.0)
+        turn = jet.compose(guide_jet(guide, way), s)
+        tilt, turn = guided_jets(packed, o, turn, rotary[1 - outer], rotary[outer])
+        first, second = (tilt, turn) if outer == 1 else (turn, tilt)
+    elif motion == RESTING:
+        first, second = jet.constant(rotary[FIRST]), jet.constant(rotary[SECOND])
+    elif motion != FOLLOWING:
+        first = beside_jet(kind, beside, 0, u, inside)
+        second = beside_jet(kind, beside, 1, u, inside)
+    else:
+        branch = rotary[BRANCH] if inside < guide[GUIDE_TO] else guide[BRANCH_AFTER]
+        tilt, turn, sine_squared = rotary_jets(packed, o, branch, rotary[1 - outer], rotary[outer])
+        first, second = (tilt, turn) if outer == 1 else (turn, tilt)
+    v = p if motion == ALL_AXES else linear_jets(packed, p, first, second)
+    count = beside.shape[1] - 2
+    q = np.empty((4, 5 + count))
+    for i, component in enumerate((v[0], v[1], v[2], first, second)):
+        q[0, i], q[1, i], q[2, i], q[3, i] = jet.by_arc_length(component, speed)
+    for k in range(count):
+        w = beside_jet(kind, beside, 2 + k, u, inside)
+        j = 5 + k
+        q[0, j], q[1, j], q[2, j], q[3, j] = jet.by_arc_length(w, speed)
+        if motion == ALL_AXES:
+            continue
+        for i in range(3):  # (x, y, z) = XYZ + w d, so XYZ gives way
+            direction = packed[SIZE + 3 * k + i]
+            for order in range(4):
+                q[order, i] -= direction * q[order, j]
+    tip = np.array([p[0][0], p[1][0], p[2][0]])
+    tool = np.array([o[0][0], o[1][0], o[2][0]])
+    return q, tip, tool, sine_squared
+
+
+@njit(cache=True, nogil=True)
+def pose_jets(
+    kind: int, shape: FloatArray, f: FloatArray, u: float, inside: float
+) -> tuple[VectorJet, VectorJet]:
+    """Return the jets in u of tool tip [m] and tool axis [-] on a segment of poses."""
+    if kind == CORNER:
+        return corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)  # type: ignore[no-any-return]
+    if kind == SPLINE:
+        return spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)  # type: ignore[no-any-return]
+    if kind == LINE:
+        return line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)  # type: ignore[no-any-return]
+    p = (jet.constant(shape[0, 0]), jet.constant(shape[0, 1]), jet.constant(shape[0, 2]))
+    return p, great_circle_jets(shape[AXIS], shape[ROTATION], u)
+
+
+@njit(cache=True, nogil=True)
+def guide_jet(guide: FloatArray, way: float) -> Jet:
+    """Return the jet by path length [rad] of the outer axis where it is given; see ``sample``."""
+    value, length = np.empty(4), guide[GUIDE_LENGTH]
+    septic_value(guide[GUIDE], (guide[GUIDE_BEGUN] + way) / length, length, value)
+    return (value[0], value[1], 0.5 * value[2], value[3] / 6.0)
+
+
+@njit(cache=True, nogil=True)
+def beside_jet(kind: int, beside: FloatArray, k: int, u: float, inside: float) -> Jet:
+    """
+    Return the jet in u of column k of ``beside``: an axis that is a coordinate [m or rad].
+
+    On a line the axis runs linearly with the tip. On a corner it joins both lines as smoothly as
+    the tip does.
+    """
+    if kind == CORNER:
+        return corner_spline_jet(beside, k, u, inside > 0.5)  # type: ignore[no-any-return]
+    if kind == SPLINE:
+        return quintic_jet(beside, k, u)  # type: ignore[no-any-return]
+    rate = beside[1, k] - beside[0, k]
+    return (beside[0, k] + u * rate, rate, 0.0, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def bottom_jets(bottom: FloatArray, u: float, inside: float) -> VectorJet:
+    """Return the jet in u of the bottom curve of a corner; control points of shape (6, 3) [m]."""
+    late = inside > 0.5
+    return (
+        corner_spline_jet(bottom, 0, u, late),
+        corner_spline_jet(bottom, 1, u, late),
+        corner_spline_jet(bottom, 2, u, late),
+    )
+
+
+@njit(cache=True, nogil=True)
+def speed_beside(p: VectorJet, beside: FloatArray, height: float, u: float, inside: float) -> Jet:
+    """Return the jet of ds/du [m] of a corner whose path length counts the axes of ``beside``."""
+    square = squared_rate(p[0])
+    for i in range(1, 3):
+        square = jet.add(square, squared_rate(p[i]))
+    for k in range(beside.shape[1]):
+        w = jet.scale(corner_spline_jet(beside, k, u, inside > 0.5), height if k < 2 else 1.0)
+        square = jet.add(square, squared_rate(w))
+    return jet.square_root(square)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True, inline='always')
+def squared_rate(p: Jet) -> Jet:
+    """Return the jet of (dp/du)^2; its third coefficient is not known and has no meaning."""
+    rate = (p[1], 2.0 * p[2], 3.0 * p[3], 0.0)
+    return jet.multiply(rate, rate)  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True, inline='always')
+def speed_of(p: VectorJet) -> Jet:
+    """Return the jet of ds/du [m] from that of the tip; its third coefficient has no meaning."""
+    dx = (p[0][1], 2.0 * p[0][2], 3.0 * p[0][3], 0.0)
+    dy = (p[1][1], 2.0 * p[1][2], 3.0 * p[1][3], 0.0)
+    dz = (p[2][1], 2.0 * p[2][2], 3.0 * p[2][3], 0.0)
+    return jet.square_root(jet.dot((dx, dy, dz), (dx, dy, dz)))  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True)
+def arc_length(
+    kind: int, motion: int, shape: FloatArray, beside: FloatArray, height: float, length: float,
+    a: float, b: float,
+) -> float:  # fmt: skip
+    """
+    Return the path length between two parameters of a segment [m].
+
+    Parameters
+    ----------
+    kind, motion, shape, beside, length
+        The segment, as in ``sample``.
+    height : float
+        Flank height, which turns angles of the rotary axes into lengths [m].
+    a, b : float
+        Parameters in the same half of the segment, [0, 0.5] or [0.5, 1].
+
+    """
+    if kind != CORNER and kind != SPLINE:
+        return length * (b - a)
+    late = 0.5 * (a + b) > 0.5
+    total = 0.0
+    for i in range(_GAUSS.shape[1]):
+        u = 0.5 * (a + b) + 0.5 * (b - a) * _GAUSS[0, i]
+        square = 0.0
+        for k in range(3):
+            if kind == CORNER:
+                rate = corner_spline_jet(shape[BOTTOM], k, u, late)[1]
+            else:
+                rate = quintic_jet(shape[BOTTOM], k, u)[1]
+            square += rate * rate
+        if motion >= LINEAR:
+            for k in range(beside.shape[1]):
+                rate = corner_spline_jet(beside, k, u, late)[1] * (height if k < 2 else 1.0)
+                square += rate * rate
+        total += _GAUSS[1, i] * sqrt(square)
+    return 0.5 * (b - a) * total
+
+
+@njit(cache=True, nogil=True)
+def tip_rests(shape: FloatArray) -> bool:
+    """Tell whether the tip of a spline of this shape, as in ``sample``, rests at 0, 0.5 or 1."""
+    for u in PLAIN_GRID:
+        tip = top = 0.0
+        for k in range(3):
+            tip += quintic_jet(shape[BOTTOM], k, u)[1] ** 2
+            top += quintic_jet(shape[TOP], k, u)[1] ** 2
+        if tip <= SLOWEST_TIP**2 * top:
+            return True
+    return False

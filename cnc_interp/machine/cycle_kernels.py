@@ -1,0 +1,186 @@
+"""
+One period of the machine's cycle, compiled: choose a setpoint, step the drives, record both.
+
+``cycle.py`` describes the rings of chunks and records.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray, cfunc, njit, types
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.machine.native import (
+    call_drives,
+    fence,
+    pointer,
+    sleep_until,
+    time_now,
+)
+from cnc_interp.machine.realtime import note_lateness
+
+#: What the cycle plays.
+REST, CHUNK, TAIL = 0, 1, 2
+#: What happened in a period: bits of a record.
+STARVED, ENDED, WAITED, REFUSED, FAILED = 1, 2, 4, 8, 16
+#: Words that Python writes and the cycle reads ...
+QUIT, LEAVE, HALT, START, FIRST, READ, FORGET = range(7)
+#: ... and words that the cycle writes.
+HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, WORDS = range(7, 15)
+#: Columns of a descriptor: positions, velocities and count of a chunk, then of its stop tail;
+#: whether the machine rests after it; and the chunk that comes next.
+POSITIONS, VELOCITIES, COUNT, TAIL_COLUMNS, RESTS, NEXT, COLUMNS = 0, 1, 2, 3, 6, 7, 8
+#: No chunk comes next, so far.
+NONE = -1
+#: After a longer stall of the computer the clock starts anew and does not catch up [ns].
+LONGEST_CATCH_UP = 500_000_000
+
+
+class Memory(NamedTuple):
+    """
+    What the cycle shares with the threads of Python.
+
+    Parameters
+    ----------
+    control : ndarray of int, shape (WORDS,)
+        Commands and state.
+    chunks : ndarray of int, shape (slots, COLUMNS)
+        Descriptors of chunks; that of chunk ``serial`` stands in slot ``serial % slots``.
+    travel : ndarray, shape (n_axes, 2)
+        Smallest and largest setpoint [m, rad].
+    jump : ndarray, shape (n_axes,)
+        Largest step between two setpoints [m, rad].
+    setpoint, feedback : ndarray, shape (2, n_axes)
+        Position and velocity, commanded and actual [m, rad, per s].
+    drives : ndarray
+        Memory of the drives.
+    records : ndarray of int, shape (count, 4)
+        Source, serial and row of the setpoint of a period, and what happened.
+    measured : ndarray, shape (count, 2, n_axes)
+        Feedback of the same periods [m, rad, per s].
+    late : ndarray of int, shape (RECORD,)
+        Histogram of the clock, see ``realtime.Lateness``.
+
+    """
+
+    control: IntArray
+    chunks: IntArray
+    travel: FloatArray
+    jump: FloatArray
+    setpoint: FloatArray
+    feedback: FloatArray
+    drives: FloatArray
+    records: IntArray
+    measured: FloatArray
+    late: IntArray
+
+
+@njit(cache=True, nogil=True)
+def _choose(memory: Memory) -> int:
+    """Choose what is played in this period; return what happened."""
+    control, chunks = memory.control, memory.chunks
+    source, serial, row = control[SOURCE], control[SERIAL], control[ROW] + 1
+    events = 0
+    if control[HALTED] != control[HALT]:
+        control[HALTED], source = control[HALT], REST
+    if source == REST and control[STARTED] != control[START]:
+        control[STARTED] = control[START]
+        source, serial, row = CHUNK, control[FIRST], 0
+    while source != REST:
+        slot = serial % len(chunks)
+        if row < chunks[slot, COUNT + (TAIL_COLUMNS if source == TAIL else 0)]:
+            break
+        if source == TAIL:
+            source = REST
+            events |= ENDED
+        elif control[LEAVE]:
+            source, row = TAIL, 0
+        elif chunks[slot, RESTS]:
+            source = REST
+            events |= WAITED
+        elif chunks[slot, NEXT] != NONE:
+            serial, row = chunks[slot, NEXT], 0
+        else:
+            source, row = TAIL, 0
+            events |= STARVED
+    control[SOURCE], control[SERIAL], control[ROW] = source, serial, row
+    return events
+
+
+@njit(cache=True, nogil=True)
+def _take_setpoint(memory: Memory) -> bool:
+    """Make the chosen row the setpoint; False where it cannot be, then the last one is held."""
+    control, setpoint = memory.control, memory.setpoint
+    descriptor, n = memory.chunks[control[SERIAL] % len(memory.chunks)], setpoint.shape[1]
+    shift = TAIL_COLUMNS if control[SOURCE] == TAIL else 0
+    shape = (descriptor[COUNT + shift], n)
+    position = carray(pointer(np.uintp(descriptor[POSITIONS + shift])), shape)[control[ROW]]
+    velocity = carray(pointer(np.uintp(descriptor[VELOCITIES + shift])), shape)[control[ROW]]
+    for i in range(n):
+        inside = memory.travel[i, 0] <= position[i] <= memory.travel[i, 1]
+        near = abs(position[i] - setpoint[0, i]) <= memory.jump[i]
+        if not (inside and near and abs(velocity[i]) < np.inf):
+            return False
+    for i in range(n):
+        setpoint[0, i], setpoint[1, i] = position[i], velocity[i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def advance(memory: Memory, step: int) -> None:
+    """Let one period pass."""
+    control, records = memory.control, memory.records
+    events = _choose(memory)
+    source = control[SOURCE]
+    if source != REST and not _take_setpoint(memory):
+        events |= REFUSED
+        control[SOURCE] = REST
+    if control[SOURCE] == REST:
+        memory.setpoint[1] = 0.0
+    fault = call_drives(
+        np.uintp(step), memory.drives.ctypes.data, memory.setpoint.ctypes.data,
+        memory.feedback.ctypes.data, memory.setpoint.shape[1],
+    )  # fmt: skip
+    if fault and source != REST:
+        events |= FAILED
+        control[SOURCE], control[ROW] = REST, fault
+    count = control[RECORDED]
+    if source == REST and events == 0 and count - control[READ] >= len(records) - 1:
+        return  # nobody reads, nothing moves
+    slot = count % len(records)
+    records[slot, 0], records[slot, 1] = source, control[SERIAL]
+    records[slot, 2], records[slot, 3] = control[ROW], events
+    memory.measured[slot] = memory.feedback
+    fence()
+    control[RECORDED] = count + 1
+
+
+@njit(cache=True, nogil=True)
+def run_periods(memory: Memory, step: int, period: int) -> None:
+    """Advance at absolute deadlines, ``period`` [ns] apart, until it is told to quit."""
+    control, spec = memory.control, np.zeros(2, dtype=np.int64)
+    due = time_now(spec)
+    while control[QUIT] == 0:
+        due += period
+        now = time_now(spec)
+        if now < due:
+            sleep_until(due, spec)
+            now = time_now(spec)
+        elif now - due > LONGEST_CATCH_UP:
+            due = now
+        if control[FORGOTTEN] != control[FORGET]:
+            control[FORGOTTEN] = control[FORGET]
+            memory.late[:] = 0
+        note_lateness(memory.late, now - due)
+        advance(memory, step)
+
+
+@cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
+def follow_ideally(_memory: int, setpoint: int, feedback: int, n: int) -> int:
+    """Let the axes be where they should be: the step in place of drives that Python feeds."""
+    wanted, actual = carray(pointer(setpoint), 2 * n), carray(pointer(feedback), 2 * n)
+    for i in range(2 * n):
+        actual[i] = wanted[i]
+    return 0

@@ -31,7 +31,7 @@ setup(
     author='cnc_interp maintainers',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={f'{NAME}.client.page': ['*.css', '*.js']},
+    package_data={f'{NAME}.client.page': ['*.css', '*.js'], f'{NAME}.nodes': ['*.xml']},
     data_files=shared_files(),
     python_requires='>=3.11,<3.13',
     install_requires=['setuptools'],

@@ -30,7 +30,7 @@ from rclpy.node import Node
 
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.node_main import stay_on_this_host
+from cnc_interp.nodes.this_host import stay_on_this_host
 
 LENGTHS = (250_000, 1_000_000)
 #: Rows of the raster: so many lines of 0.4 mm, to and fro over a wave.
@@ -123,6 +123,7 @@ def measure(lines: int, folder: Path) -> str:
     namespace, domain = f'/long_{uuid.uuid4().hex[:8]}', 1 + os.getpid() % 100
     command = [sys.executable, '-m', 'cnc_interp.nodes.program_node', '--ros-args']
     command += ['-r', f'__ns:={namespace}', '--params-file', str(nodes_file())]
+    command += ['-p', f"program_folders:=['{program}']"]
     command += ['-p', 'resend_after:=10.0']  # nothing is lost here, the taker may be slow
     environment = os.environ | {'ROS_DOMAIN_ID': str(domain)}
     taker = Taker(namespace, domain)

@@ -55,7 +55,10 @@ def page_options(added: argparse.ArgumentParser) -> None:
         '--port', type=int, default=8650, help='its port, 0 for any free one (8650)'
     )
     added.add_argument(
-        '--token', default='', help='what commands from the page need (default: a random one)'
+        '--token-file',
+        type=Path,
+        metavar='FILE',
+        help='holds what commands from the page need (default: a random token is printed)',
     )
 
 

@@ -130,7 +130,9 @@ def main() -> None:
             check=True,
         )
         program = str(folder / 'program.mpf')
-        panel = interp('panel', program, '--port', '0', '--token', 'picture')
+        token_file = folder / 'token'
+        token_file.write_text('picture')
+        panel = interp('panel', program, '--port', '0', '--token-file', str(token_file))
         page = subprocess.Popen(panel, stdout=subprocess.PIPE, text=True)
         browser = Browser()
         try:

@@ -4,15 +4,18 @@ Start the four nodes of the interpolator; they configure and activate themselves
 ``show:=true`` adds what RViz and Foxglove draw: the machine's frames and the markers of the paths.
 """
 
+import os
 import sys
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import Command, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+from cnc_interp.nodes.this_host import variables_of_this_host
 
 NODES = ('lookahead_node', 'feedrate_node', 'machine_node', 'program_node')
 
@@ -24,6 +27,7 @@ ARGUMENTS = (
     ('machine', 'xyzac', 'Name of a bundled machine, or path of a machine file.'),
     ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
+    ('program_folder', '', 'Programs below this folder may be run by their path.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),
     ('rviz', 'false', 'Also start RViz; needs show:=true.'),
@@ -38,6 +42,9 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
         'machine': ParameterValue(LaunchConfiguration('machine'), value_type=str),
         'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool),
     }
+    if name == 'program_node':
+        folders = ["['", LaunchConfiguration('program_folder'), "']"]
+        values['program_folders'] = ParameterValue(folders, value_type=list[str])
     return Node(
         package='cnc_interp',
         executable=name,
@@ -78,4 +85,5 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=value, description=text)
         for name, value, text in ARGUMENTS
     ]
-    return LaunchDescription([*arguments, *(node(name) for name in NODES), *views()])
+    local = [SetEnvironmentVariable(*pair) for pair in variables_of_this_host(os.environ).items()]
+    return LaunchDescription([*arguments, *local, *(node(name) for name in NODES), *views()])

@@ -25,9 +25,9 @@ from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING
-from cnc_interp.nodes.node_main import stay_on_this_host
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, OVERRIDE, STATE
+from cnc_interp.nodes.this_host import stay_on_this_host
 
 __all__ = ['STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 

@@ -23,7 +23,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.node_main import stay_on_this_host
+from cnc_interp.nodes.this_host import stay_on_this_host
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import OperatorSettings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import time
@@ -84,6 +85,7 @@ class RunRequest:
         for choice in choices(self.settings, Stage.MOTION):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
+        given['program_folders'] = json.dumps([str(path.resolve()) for path in self.programs])
         return {
             node: {p.name: given[p.name] for p in declared if p.name in given}
             for node, declared in NODES.items()

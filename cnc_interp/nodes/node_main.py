@@ -22,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.nodes.this_host import stay_on_this_host
 
 #: The events executor needs a finite timeout; signals are noticed after it at the latest [s].
 SPIN_TIMEOUT = 0.1
@@ -114,11 +115,6 @@ def come_first() -> None:
     if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell
         with contextlib.suppress(OSError):
             Path('/proc/self/autogroup').write_text(str(NICENESS), encoding='ascii')
-
-
-def stay_on_this_host() -> None:
-    """Let only this computer find the node, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set."""
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:

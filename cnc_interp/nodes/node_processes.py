@@ -111,7 +111,6 @@ class Children:
         self._folder = TemporaryFolder()
         self._environment = os.environ | {
             'ROS_DOMAIN_ID': str(domain),
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'ROS_LOG_DIR': self._folder.name,
         }
         self._namespace, self._parameters, self._file = namespace, parameters, file

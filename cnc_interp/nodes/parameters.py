@@ -24,7 +24,7 @@ class Declared:
     """A parameter with its default and range; all are fixed once the node has started."""
 
     name: str
-    default: float | int | bool | str
+    default: float | int | bool | str | list[str]
     description: str
     low: float | None = None
     high: float | None = None
@@ -92,7 +92,15 @@ MACHINE_NODE = (
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),
 )
-PROGRAM = (MACHINE, *of_settings(), PEER_TIMEOUT, RESEND)
+PROGRAM = (
+    MACHINE,
+    *of_settings(),
+    Declared(
+        'program_folders', [''], 'Programs that goals may name by path: folders, or single files'
+    ),
+    PEER_TIMEOUT,
+    RESEND,
+)
 
 MARKERS = (
     MACHINE,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import ProgramStream, open_program
 from cnc_interp.program.source import Source
@@ -51,7 +50,11 @@ class Prepared:
 
 
 def prepare(
-    goal: Any, transform: Transform, defaults: Settings, told: Callable[[float], None]
+    goal: Any,
+    transform: Transform,
+    defaults: Settings,
+    told: Callable[[float], None],
+    folders: Sequence[str] = (),
 ) -> Prepared:
     """
     Read and check the program of a goal, before anything moves; memory does not grow with it.
@@ -66,6 +69,8 @@ def prepare(
         Settings of the node, for choices that the goal leaves open.
     told : callable
         Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
+    folders : sequence of str, optional
+        Folders and files that the goal may name; see ``require_allowed``.
 
     Raises
     ------
@@ -78,17 +83,19 @@ def prepare(
 
     """
     machine = transform.machine
-    if goal.machine and Machine.load(goal.machine).name != machine.name:
+    if goal.machine and goal.machine != machine.name:
         raise InterpError(
             f"the nodes run machine '{machine.name}', not '{goal.machine}'; start them with it"
         )
     settings = settings_of_goal(goal, defaults)
-    if goal.program:
+    if goal.program and not goal.text:
+        require_allowed(Path(goal.program), folders)
         stream = open_program(Path(goal.program), transform, settings)
         text = text_of(Path(goal.program))
     else:
-        text = goal.text
-        stream = ProgramStream(Source.of_text(text, '<text>'), transform, settings)
+        source = Source.of_text(goal.text, Path(goal.program).name or '<text>')
+        stream = ProgramStream(source, transform, settings)
+        text = goal.text if len(goal.text) <= LONGEST_TEXT else ''
     blocks = BlockSpool()
     try:
         length = checked_length(stream, blocks, transform, settings, told)
@@ -102,6 +109,26 @@ def prepare(
         blocks.close()
         raise
     return Prepared(blocks, stream.notices, text, settings, length)
+
+
+def require_allowed(program: Path, folders: Sequence[str]) -> None:
+    """
+    Refuse a path that is neither one of some files nor below one of some folders.
+
+    Nothing of the file is read, and the answer is the same whether or not it exists.
+
+    Raises
+    ------
+    InterpError
+        If the node was not started with a folder of this program.
+
+    """
+    wanted = program.resolve()
+    if not any(wanted.is_relative_to(Path(folder).resolve()) for folder in folders if folder):
+        raise InterpError(
+            f'{program}: no program of a folder that program_node may read; start it with '
+            'program_folders, or send the text of the program'
+        )
 
 
 def text_of(path: Path) -> str:

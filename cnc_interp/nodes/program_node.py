@@ -80,6 +80,7 @@ class ProgramNode(Node):
             self._transform,
             self._settings,
             run.preparation.has_checked,
+            self._values['program_folders'],
         )
         self._queue.add(run, handle)
 

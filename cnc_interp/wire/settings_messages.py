@@ -44,10 +44,10 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
 
 
 def goal_of(
-    program: Path, settings: Settings, names: Iterable[str] | None = None
+    program: Path, settings: Settings, names: Iterable[str] | None = None, text: str = ''
 ) -> RunProgram.Goal:
     """Return the goal that runs a program with settings: those of some names, or all."""
-    return RunProgram.Goal(program=str(program), settings=pairs_of(settings, names))
+    return RunProgram.Goal(program=str(program), text=text, settings=pairs_of(settings, names))
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:

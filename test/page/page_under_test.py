@@ -4,6 +4,8 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 from browser import Browser
 from cnc_interp_msgs.msg import MachineState
@@ -26,8 +28,11 @@ class PageUnderTest:
     """The page beside nodes that run, and a browser."""
 
     def __init__(self, namespace, domain):
+        self._folder = tempfile.TemporaryDirectory()
+        token_file = Path(self._folder.name) / 'token'
+        token_file.write_text(TOKEN)
         command = [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--port', '0']
-        command += ['--namespace', namespace, '--domain', str(domain), '--token', TOKEN]
+        command += ['--namespace', namespace, '--domain', str(domain), '--token-file', token_file]
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, text=True, env=clean_environment()
         )
@@ -58,6 +63,7 @@ class PageUnderTest:
         self.browser.close()
         self.process.terminate()
         self.process.wait()
+        self._folder.cleanup()
 
 
 class PanelUnderTest(NodesUnderTest):

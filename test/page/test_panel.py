@@ -15,7 +15,7 @@ from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.cli import main
 from cnc_interp.client.alarms import Alarm
-from cnc_interp.client.page.access import Access
+from cnc_interp.client.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
 from cnc_interp.client.page.preview import DRAWN, Preview, thinned
 from cnc_interp.client.page.readings import axis_words, clock, program_html, progress_words
 from cnc_interp.client.page.tube import INDISTINCT, SCALE, SIDES, UNSEEN, tube
@@ -29,31 +29,49 @@ PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F
 
 def test_one_page_with_the_token_has_the_keys():
     access = Access('secret')
-    access.enter('stranger', 'wrong')
-    access.enter('first', 'secret')
-    access.enter('second', 'secret')
-    rights = [access.may_command(tab, 'secret') for tab in ('stranger', 'first', 'second')]
+    access.enter('stranger', trusted=False)
+    access.enter('first', trusted=True)
+    access.enter('second', trusted=True)
+    rights = [access.is_in_charge(tab) for tab in ('stranger', 'first', 'second')]
     assert rights == [False, True, False]
-    assert not access.may_command('first', 'wrong')
-    assert access.may_stop('secret') and not access.may_stop('wrong') and not access.may_stop('')
-    assert not access.take_over('stranger', 'wrong') and access.may_command('first', 'secret')
-    assert access.take_over('second', 'secret') and not access.may_command('first', 'secret')
+    access.take_over('second')
+    assert access.is_in_charge('second') and not access.is_in_charge('first')
+
+
+def test_who_guesses_tokens_is_not_heard_for_a_minute_and_others_are():
+    access = Access('secret')
+    for k in range(TRIES):
+        assert access.knows('secret', 'operator', now=float(k))
+        assert not access.knows(f'guess {k}', 'stranger', now=float(k))
+        assert not access.knows('', 'stranger', now=float(k))  # a page to view only is no try
+    for guess in ('secret', 'another'):  # what is right is not told either
+        with pytest.raises(TooManyTriesError):
+            access.knows(guess, 'stranger', now=LATELY - 0.1)
+    assert access.knows('secret', 'operator', now=LATELY)
+    assert access.knows('secret', 'stranger', now=LATELY + 0.1)
+
+
+def test_addresses_without_end_do_not_fill_the_memory():
+    access = Access('secret')
+    for k in range(3 * ADDRESSES):
+        assert not access.knows('guess', str(k), now=0.0)
+    assert len(access._wrong) == ADDRESSES
 
 
 def test_a_refreshed_page_keeps_the_keys_and_a_closed_one_frees_them():
     access = Access('secret')
-    access.enter('tab', 'secret')
-    access.enter('tab', 'secret')  # the new page comes before the old one goes
+    access.enter('tab', trusted=True)
+    access.enter('tab', trusted=True)  # the new page comes before the old one goes
     access.leave('tab')
-    assert access.may_command('tab', 'secret')
+    assert access.is_in_charge('tab')
     access.leave('tab')
-    access.enter('other', 'secret')
-    assert access.may_command('other', 'secret') and not access.may_command('tab', 'secret')
+    access.enter('other', trusted=True)
+    assert access.is_in_charge('other') and not access.is_in_charge('tab')
 
 
 def test_without_a_token_nobody_guesses_it():
     assert len(Access().token) >= 16 and Access().token != Access().token
-    assert not Access().knows('')
+    assert not Access().knows('', 'anywhere', now=0.0)
 
 
 def test_the_tube_lies_around_the_path_and_takes_its_colours():
@@ -184,6 +202,9 @@ def test_an_address_in_use_is_one_clear_line(capsys):
         (['--namespace', 'bad name!'], "'bad name!'"),
         (['nosuch.ngc'], 'nosuch.ngc'),
         (['--machine', 'nosuch'], 'xyzac'),
+        (['--host', ''], '0.0.0.0'),
+        (['--token-file', 'nosuch.txt'], 'nosuch.txt'),
+        (['--token-file', '/dev/null'], 'not a file'),
     ],
 )
 def test_what_cannot_be_served_is_one_clear_line(words, named, capsys):

@@ -29,9 +29,11 @@ def hear_ctrl_c():
 def test_a_run_with_the_page_beside_it(tmp_path):
     program = tmp_path / 'short.ngc'
     program.write_text(PROGRAM)
+    token_file = tmp_path / 'token'
+    token_file.write_text('known\n')
     command = [sys.executable, '-m', 'cnc_interp', 'run', str(program), '--panel', '--port', '0']
     run = subprocess.Popen(
-        [*command, '--token', 'known'],
+        [*command, '--token-file', str(token_file)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean_environment(),
         preexec_fn=hear_ctrl_c,
     )  # fmt: skip

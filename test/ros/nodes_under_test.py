@@ -28,8 +28,9 @@ class NodesUnderTest:
     def __init__(self, parameters=None, arguments=None, namespace=''):
         self.namespace = namespace or f'/test_{uuid.uuid4().hex[:8]}'
         self.domain = 1 + os.getpid() % 100
+        everywhere = {'program_node': {'program_folders': "['/']"}}
         self.children = Children(
-            self.namespace, self.domain, parameters or {}, nodes_file(), arguments
+            self.namespace, self.domain, everywhere | (parameters or {}), nodes_file(), arguments
         )
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=self.domain)

@@ -9,7 +9,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
 
-from cnc_interp.core.errors import BlockError, ProgramError
+from cnc_interp.core.errors import BlockError, InterpError, ProgramError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.program_check import prepare
@@ -62,3 +62,56 @@ def test_a_check_ends_when_it_is_told_to():
 
     with pytest.raises(BlockError, match='cancelled'):
         prepared(TEXT, cancelled)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder of programs, beside it a secret."""
+    (tmp_path / 'secret').write_text('root:x:0')
+    (tmp_path / 'parts').mkdir()
+    (tmp_path / 'parts' / 'a.ngc').write_text(TEXT)
+    (tmp_path / 'parts' / 'link.ngc').symlink_to(tmp_path / 'secret')
+    (tmp_path / 'parts_of_others').mkdir()
+    (tmp_path / 'parts_of_others' / 'b.ngc').write_text(TEXT)
+    return tmp_path
+
+
+def prepared_file(path, *folders):
+    goal = RunProgram.Goal(program=str(path))
+    return prepare(goal, TRANSFORM, Settings(), lambda share: None, [str(f) for f in folders])
+
+
+@pytest.mark.parametrize('allowed', ['parts', 'parts/a.ngc', 'parts/../parts'])
+def test_a_program_of_a_folder_is_read(folder, allowed):
+    assert prepared_file(folder / 'parts' / 'a.ngc', '', folder / allowed).text == TEXT
+
+
+@pytest.mark.parametrize(
+    'path',
+    [
+        'secret', 'parts/../secret', 'parts/link.ngc', 'parts/../nosuch',
+        'parts_of_others/b.ngc', '/etc/passwd', '/dev/zero',
+    ],
+)  # fmt: skip
+def test_nothing_else_is_read_and_the_answer_does_not_tell_whether_it_exists(folder, path):
+    """Whoever reached program_node could have it read any file, and quote its first line."""
+    told = []
+    for name in (folder / path, folder / 'nosuch'):
+        with pytest.raises(InterpError) as refusal:
+            prepared_file(name, folder / 'parts')
+        told.append(str(refusal.value).replace(str(name), ''))
+    assert told[0] == told[1] and 'program_folders' in told[0]
+
+
+def test_without_a_folder_no_file_is_read_and_a_text_has_a_name(folder):
+    with pytest.raises(InterpError, match='program_folders'):
+        prepared_file(folder / 'parts' / 'a.ngc')
+    goal = RunProgram.Goal(program='/etc/part.ngc', text='G1 X10 F100\nG1 Xfoo\n')
+    with pytest.raises(InterpError, match=r'^part\.ngc'):
+        prepare(goal, TRANSFORM, Settings(), lambda share: None)
+
+
+@pytest.mark.parametrize('machine', ['/etc/passwd', '/dev/zero', 'bc_trunnion'])
+def test_a_goal_for_another_machine_is_refused_and_no_file_is_read(machine):
+    with pytest.raises(InterpError, match='the nodes run machine'):
+        prepare(RunProgram.Goal(text=TEXT, machine=machine), TRANSFORM, Settings(), print)

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections import Counter
+from collections import Counter, deque
+
+#: Wrong tokens that one address may try, in so much time [s]; then it is not listened to.
+TRIES, LATELY = 10, 60.0
+#: Addresses that are remembered.
+ADDRESSES = 1000
+
+
+class TooManyTriesError(Exception):
+    """An address has tried too many wrong tokens."""
 
 
 class Access:
@@ -26,16 +35,44 @@ class Access:
         self.token = token or secrets.token_urlsafe(16)
         self._holder = ''
         self._pages: Counter[str] = Counter()
+        self._wrong: dict[str, deque[float]] = {}
 
-    def knows(self, token: str) -> bool:
-        """Tell whether a token is the right one, in the same time for all wrong ones."""
-        return hmac.compare_digest(token.encode(), self.token.encode())
+    def knows(self, token: str, address: str, now: float) -> bool:
+        """
+        Tell whether a token is the right one, in the same time for all wrong ones.
 
-    def enter(self, tab: str, token: str) -> None:
-        """Let a page in; with the token it takes charge if no other page is."""
+        Parameters
+        ----------
+        token : str
+            What a page was opened with; none is no try.
+        address : str
+            Where it comes from.
+        now : float
+            Time of any steady clock [s].
+
+        Raises
+        ------
+        TooManyTriesError
+            If the address has tried too many wrong ones lately; right or wrong is not told then.
+
+        """
+        if not token:
+            return False
+        tries = self._wrong.get(address, deque())
+        if len(tries) == TRIES and now - tries[0] < LATELY:
+            raise TooManyTriesError
+        if hmac.compare_digest(token.encode(), self.token.encode()):
+            return True
+        if address not in self._wrong and len(self._wrong) == ADDRESSES:
+            del self._wrong[next(iter(self._wrong))]
+        self._wrong.setdefault(address, deque(maxlen=TRIES)).append(now)
+        return False
+
+    def enter(self, tab: str, trusted: bool) -> None:
+        """Let a page in; one that knows the token takes charge if no other page is."""
         self._pages[tab] += 1
-        if not self._holder:
-            self.take_over(tab, token)
+        if trusted and not self._holder:
+            self._holder = tab
 
     def leave(self, tab: str) -> None:
         """Let a page go; a tab that is refreshed has its new page before the old one goes."""
@@ -45,17 +82,10 @@ class Access:
             if self._holder == tab:
                 self._holder = ''
 
-    def take_over(self, tab: str, token: str) -> bool:
-        """Put a page in charge."""
-        if not self.knows(token):
-            return False
+    def take_over(self, tab: str) -> None:
+        """Put a page that knows the token in charge."""
         self._holder = tab
-        return True
 
-    def may_command(self, tab: str, token: str) -> bool:
+    def is_in_charge(self, tab: str) -> bool:
         """Tell whether a page is in charge."""
-        return self.knows(token) and tab == self._holder
-
-    def may_stop(self, token: str) -> bool:
-        """Tell whether a page may stop the machine: the token is enough."""
-        return self.knows(token)
+        return tab == self._holder

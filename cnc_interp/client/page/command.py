@@ -11,11 +11,13 @@ import sys
 import time
 from argparse import Namespace
 from dataclasses import dataclass
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cnc_interp.client.session import RunResult, check_place, chosen_domain, nodes_file
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.node_processes import Children
 from cnc_interp.settings.choices import DEFAULT_MACHINE
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
 
 #: Environment variable with the process of the run; the page ends when that process ends.
 PARENT = 'CNC_INTERP_PARENT'
-LOOPBACK = ('127.0.0.1', 'localhost', '::1')
+#: Longest token [bytes].
+LONGEST_TOKEN = 1000
 #: How long the page may take to end [s].
 LAST_WAIT = 5.0
 
@@ -45,8 +48,10 @@ class PanelRequest:
         Join nodes that run already instead.
     namespace, domain
         Where the nodes are; domain None leaves the choice to ROS_DOMAIN_ID.
-    host, port, token
+    host, port
         See ``Served``.
+    token_file : Path, optional
+        Holds the token; without it a random one is made.
 
     """
 
@@ -57,7 +62,7 @@ class PanelRequest:
     domain: int | None = None
     host: str = '127.0.0.1'
     port: int = 8650
-    token: str = ''
+    token_file: Path | None = None
 
     @staticmethod
     def from_options(options: Namespace) -> PanelRequest:
@@ -70,7 +75,7 @@ class PanelRequest:
             domain=getattr(options, 'domain', None),
             host=options.host,
             port=options.port,
-            token=options.token,
+            token_file=options.token_file,
         )
 
 
@@ -87,8 +92,9 @@ def run_panel(request: PanelRequest) -> None:
     need_library()
     from cnc_interp.client.page.server import Served
 
-    served = Served.prepare(request.host, request.port, request.token, request.program)
-    if request.host not in LOOPBACK:
+    token = token_of(request.token_file)
+    served = Served.prepare(request.host, request.port, token, request.program)
+    if not is_loopback(request.host):
         print(
             f'cnc-interp: {request.host} is seen by others; page and token go unencrypted',
             file=sys.stderr,
@@ -110,6 +116,37 @@ def run_panel(request: PanelRequest) -> None:
     }
     with Children(request.namespace, domain, parameters, nodes_file()):
         until_asked(served, request.namespace, domain)
+
+
+def token_of(file: Path | None) -> str:
+    """
+    Read the token; it does not stand in the command line, which every user of a computer sees.
+
+    Raises
+    ------
+    InterpError
+        If the file cannot be read or holds no token.
+
+    """
+    if file is None:
+        return ''
+    try:
+        token = small_text(file, LONGEST_TOKEN).strip()
+    except OSError as problem:
+        raise InterpError(f'{file}: cannot be opened: {problem.strerror}') from None
+    except UnreadableError as problem:
+        raise InterpError(f'{file}: {problem}') from None
+    if not token:
+        raise InterpError(f'{file}: it holds no token')
+    return token
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether an address is seen by this computer only."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == 'localhost'
 
 
 def until_asked(served: Served, namespace: str, domain: int) -> None:
@@ -134,6 +171,7 @@ class PanelBeside:
 
     def __init__(self, request: PanelRequest):
         need_library()
+        token_of(request.token_file)  # a wrong one is told before anything starts
         self._request = request
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -142,7 +180,9 @@ class PanelBeside:
         request = self._request
         command = [sys.executable, '-m', 'cnc_interp', 'panel', '--attach']
         command += ['--namespace', namespace, '--domain', str(domain), '--host', request.host]
-        command += ['--port', str(request.port), '--token', request.token]
+        command += ['--port', str(request.port)]
+        if request.token_file is not None:
+            command += ['--token-file', str(request.token_file)]
         self._process = subprocess.Popen(
             command,
             env=os.environ | {PARENT: str(os.getpid())},

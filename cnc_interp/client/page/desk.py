@@ -65,8 +65,9 @@ class Job:
         return same_text and texts_of(self.settings) == texts_of(settings)
 
     def goal(self) -> RunProgram.Goal:
-        """Return the goal that runs it; it gives the choices that are not defaults."""
-        return goal_of(self.path, self.settings, changed(self.settings))
+        """Return the goal that runs it, with its text and the choices that are not defaults."""
+        text = self.path.read_text(encoding='utf-8')
+        return goal_of(Path(self.name), self.settings, changed(self.settings), text)
 
 
 class Desk:

@@ -114,9 +114,9 @@ class Planner:
         self._process: asyncio.subprocess.Process | None = None
 
     def keep(self, name: str, text: str) -> Path:
-        """Write a program where the nodes can read it, under its own name."""
+        """Write a program where the planning process reads it, under its own name."""
         path = Path(self._folder.name) / (Path(name).name or 'program.ngc')
-        path.write_text(text, encoding='utf-8')
+        path.write_text(text.replace('\0', '\ufffd'), encoding='utf-8')  # a message ends at \0
         return path
 
     async def plan(self, program: Path, settings: Settings) -> Preview:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+import time
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
-from fastapi import Response
+from fastapi import HTTPException, Request, Response
 from nicegui import app, ui
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from cnc_interp.client.page.access import Access
-from cnc_interp.client.page.command import LOOPBACK, PARENT
+from cnc_interp.client.page.access import Access, TooManyTriesError
+from cnc_interp.client.page.command import PARENT
 from cnc_interp.client.page.contact import Contact
-from cnc_interp.client.page.desk import Desk
+from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.client.page.gate import Gate
 from cnc_interp.client.page.tab import Page
 from cnc_interp.core.errors import InterpError
 
@@ -80,7 +82,8 @@ def serve(served: Served, namespace: str, domain: int) -> None:
             text = None
 
     @ui.page('/')
-    async def page(token: str = '') -> None:
+    async def page(request: Request, token: str = '') -> None:
+        trusted = opens(access, request, token)
         ui.add_css(STYLE)
         ui.add_head_html(Contact.script())
         ui.dark_mode(True)
@@ -88,7 +91,7 @@ def serve(served: Served, namespace: str, domain: int) -> None:
         await shown_when_known(desk)
         client, tab = ui.context.client, ui.context.client.tab_id or ''
         client.on_delete(lambda: access.leave(tab))
-        Page(desk, access, tab, token)
+        Page(desk, access, tab, trusted)
 
     @app.get('/path/{number}.glb')
     def path(number: int) -> Response:
@@ -96,8 +99,7 @@ def serve(served: Served, namespace: str, domain: int) -> None:
             return Response(status_code=404)
         return Response(desk.tube, media_type='model/gltf-binary')
 
-    # Names that point to this computer by an attacker's choice are not served.
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOOPBACK, served.host])
+    app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)
     app.on_startup(lambda: announce(served.host, served.port, access.token))
     app.on_shutdown(desk.close)
@@ -106,6 +108,15 @@ def serve(served: Served, namespace: str, domain: int) -> None:
         show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
         binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
     )  # fmt: skip
+
+
+def opens(access: Access, request: Request, token: str) -> bool:
+    """Tell whether a request for the page knows the token; refuse an address that guesses."""
+    address = request.client.host if request.client is not None else ''
+    try:
+        return access.knows(token, address, time.monotonic())
+    except TooManyTriesError:
+        raise HTTPException(429, 'too many wrong tokens: wait a minute') from None
 
 
 async def shown_when_known(desk: Desk) -> None:
@@ -128,7 +139,7 @@ async def announce(host: str, port: int, token: str) -> None:
             await asyncio.sleep(WATCH)
     connection.close()
     shown = f'[{host}]' if ':' in host else host
-    print(f'operator page  http://{shown}:{port}/?token={token}', flush=True)
+    print(f'operator page  http://{shown}:{port}/?token={quote(token, safe="")}', flush=True)
     print(f'view only      http://{shown}:{port}/', flush=True)
 
 
@@ -136,6 +147,8 @@ def free_port(host: str, port: int) -> int:
     """Return the port, or a free one for 0; refuse one that is taken."""
     if port not in PORTS:
         raise InterpError(f'--port {port}: ports are {PORTS.start} to {PORTS.stop - 1}')
+    if not host:
+        raise InterpError('--host: no address is given; 0.0.0.0 stands for all of this computer')
     family = socket.AF_INET6 if ':' in host else socket.AF_INET
     with socket.socket(family) as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -48,18 +48,18 @@ class Page:
         Who may command.
     tab : str
         This tab of the browser; it stays the same when the page is refreshed.
-    token : str
-        What the page was opened with.
+    trusted : bool
+        Whether the page was opened with the token.
 
     """
 
-    def __init__(self, desk: Desk, access: Access, tab: str, token: str):
-        self._desk, self._access, self._tab, self._token = desk, access, tab, token
+    def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool):
+        self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted
         self._labels: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         self._count = 0
         self._waits = False
-        access.enter(tab, token)
+        access.enter(tab, trusted)
         self._contact = Contact(self._stop_with)
         with ui.element('div').classes('panel'):
             self._build_head()
@@ -146,6 +146,7 @@ class Page:
             upload = ui.upload(
                 on_upload=self._load, auto_upload=True, max_file_size=LONGEST_PROGRAM
             ).classes('hidden')
+            upload.disable()  # until the page is in charge: then nothing is taken from others
             self._upload = upload
             check = self._answer(self._desk.check)
             self._loader = ui.button('load', on_click=lambda: self._pick(waits=False))
@@ -198,7 +199,7 @@ class Page:
 
     @property
     def _in_charge(self) -> bool:
-        return self._access.may_command(self._tab, self._token)
+        return self._trusted and self._access.is_in_charge(self._tab)
 
     async def _command(self, act: Callable[[], Awaitable[Answer]]) -> None:
         """Do what was asked for, or say why not."""
@@ -222,7 +223,7 @@ class Page:
 
     async def _stop_with(self, name: str) -> None:
         """Stop, however late it was heard; the token is enough in an emergency."""
-        urgent = name == 'emergency_stop' and self._access.may_stop(self._token)
+        urgent = name == 'emergency_stop' and self._trusted
         if urgent or self._allowed():
             await self._do(self._trigger(name))
 
@@ -291,7 +292,9 @@ class Page:
             self._show_override_again()
 
     def _take_over(self) -> None:
-        if not self._access.take_over(self._tab, self._token):
+        if self._trusted:
+            self._access.take_over(self._tab)
+        else:
             ui.notify(
                 'to take over, open the page with the address that was printed at start',
                 type='warning',
@@ -348,9 +351,9 @@ class Page:
             self._labels['rights'].set_text(rights)
             self._take.set_visibility(not self._in_charge)
             buttons = (self._loader, self._follower, self._checker, self._setter)
-            for element in (*self._keys, self._single, self._slider, *buttons):
+            for element in (*self._keys, self._single, self._slider, self._upload, *buttons):
                 element.set_enabled(self._in_charge)
-            self._stop.set_enabled(self._access.may_stop(self._token))
+            self._stop.set_enabled(self._trusted)
         if self._changed('single block', self._desk.single_block):
             self._single.set_value(self._desk.single_block)
         if self._changed('override set', self._desk.nodes.override):

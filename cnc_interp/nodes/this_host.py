@@ -1,0 +1,39 @@
+"""By default no other computer reaches the nodes: variables of ROS 2 and Fast DDS that say so."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
+#: Variables with which a user chooses transports. Any of them replaces our profile.
+TRANSPORTS = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS')
+PROFILE = Path(__file__).with_name('this_host.xml')
+
+
+def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
+    """
+    Return the variables that keep a ROS process on this computer.
+
+    The range of discovery alone does not: sockets would still answer every host that knows the
+    address. So the profile binds them to 127.0.0.1.
+
+    Parameters
+    ----------
+    environment : mapping
+        The environment of the process. A range other than LOCALHOST, static peers or transports
+        of the user's own are respected.
+
+    """
+    if environment.get(PEERS) or environment.get(RANGE, 'LOCALHOST') != 'LOCALHOST':
+        return {}
+    found = {RANGE: 'LOCALHOST'}
+    if not any(environment.get(name) for name in TRANSPORTS):
+        found[TRANSPORTS[0]] = str(PROFILE)
+    return found
+
+
+def stay_on_this_host() -> None:
+    """Let no other computer reach this process, unless the user's environment says otherwise."""
+    os.environ.update(variables_of_this_host(os.environ))

@@ -239,7 +239,7 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
     domain = chosen_domain()
     # Imported while the nodes' libraries are loaded in another process.
-    from cnc_interp.client.run_console import run_recorded
+    from cnc_interp.client.recorded_runs import run_recorded
     from cnc_interp.kinematics.machine import Machine
 
     with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:

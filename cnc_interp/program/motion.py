@@ -15,10 +15,11 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
-from cnc_interp.program.columns import EXTRA_LETTERS, NO_ARC, TargetColumns
+from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import JobSetup
+from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.words import BlockWords

@@ -11,7 +11,8 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MINUTE
 from cnc_interp.program import scan
 from cnc_interp.program.arcs import PLANES, arcs_of
-from cnc_interp.program.columns import (
+from cnc_interp.program.motion import FARTHEST, LONG_WAY, MOST_TURN, Mover
+from cnc_interp.program.moves import (
     AXES,
     AXIS,
     CENTRE,
@@ -32,7 +33,6 @@ from cnc_interp.program.columns import (
     TURN_RATE,
     WIDTH,
 )
-from cnc_interp.program.motion import FARTHEST, LONG_WAY, MOST_TURN, Mover
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 #: Shorter runs are as fast line by line.

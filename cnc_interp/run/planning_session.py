@@ -12,9 +12,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
-from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.machine_report import MachineReport
@@ -22,7 +21,7 @@ from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision, RunPlanner
-from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.run.session_port import SessionPort
 
 SEGMENTS_PER_TASK = 64
 """Segments taken over together."""
@@ -38,52 +37,6 @@ LEAD, LONGEST_LEAD = 0.08, 0.4
 
 MARGIN = 0.04
 """A revision that joins less ahead of the machine than this is late [s]."""
-
-
-class ChunkSender(Protocol):
-    """The sending end of the setpoints, as far as planning depends on it."""
-
-    sent: int
-    """Number after the last setpoint that was sent."""
-
-    next_number: int
-    """Number after the last setpoint that was queued."""
-
-    @property
-    def unsent(self) -> int:
-        """Setpoints queued but not sent."""
-
-    def begin(self, run_id: RunId) -> None:
-        """Start with setpoint 0 of a plan; forget what is queued."""
-
-    def put(self, item: Chunk, count: int = 1) -> None:
-        """Queue a chunk of so many setpoints."""
-
-
-class SessionPort(Protocol):
-    """What a planning session asks of the node around it."""
-
-    sender: ChunkSender
-
-    def make_planner(
-        self, first: Any, stands: FloatArray, continue_at: float, settings: OperatorSettings
-    ) -> RunPlanner:
-        """Make the planner of the run that begins with a segment message; see RunPlanner."""
-
-    def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait]]:
-        """Read segment messages; returns also the blocks after which cycle_start is waited for."""
-
-    def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan from a number on, which joins the plan that is being sent."""
-
-    def take_back(self) -> None:
-        """Go on with the plan before the one that was to join."""
-
-    def consumed(self, count: int) -> None:
-        """Open the window of the segments."""
-
-    def refuse(self, kind: Refusal, reason: str) -> None:
-        """Tell the sender of the segments that the run is over."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ class State(Enum):
     IDLE = 'idle'  # drives on, at rest, no program
     RUNNING = 'running'  # follows setpoints
     PAUSED = 'paused'  # at rest on the path while the feed override is 0
-    FILLING = 'filling'  # at rest at the start of the path until the buffer is full
+    FILLING = 'filling'  # at rest on the path until the buffer is full
     HOLDING = 'holding'  # slows down to a feed hold
     HELD = 'held'  # at rest on the path until cycle_start
     STARVING = 'starving'  # setpoints are late: follows the stop tail
@@ -224,7 +224,7 @@ class RunState:
     def text(self) -> str:
         """Return the reason in words for the operator; empty when there is none."""
         if self.state is State.FILLING:
-            return 'setpoints are being planned; the program begins by itself'
+            return 'setpoints are being planned; motion goes on by itself'
         return TEXTS[self.reason].format(self.detail)
 
     def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:

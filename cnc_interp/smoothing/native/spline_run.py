@@ -10,8 +10,6 @@ halved, so that only its end changes. If the path turns too sharply, the tool re
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
@@ -20,103 +18,17 @@ from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
-from cnc_interp.smoothing.native.joining import Jets, connected, shortest_tool, span_jets
+from cnc_interp.smoothing.native.joining import Jets, shortest_tool
+from cnc_interp.smoothing.native.spline_piece import Piece, absorbed, joins_gently, same_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary
 
-#: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
-SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
-#: Above this angle between the directions at a join, the tool rests [rad].
-SHARPEST = 0.1
 #: Share of the tolerances for one join [-]. Two joins of a span may act at the same place.
 JOIN_SHARE = 0.45
-#: Largest number of times that a span is halved for a join.
-MOST_HALVINGS = 12
 #: The tip stands still if its speed is below this share of the polygon length of the span [-].
 STANDSTILL_SHARE = 1e-6
 #: Largest difference between the start of a curve and the end of the block before it [m], [-].
 SAME_POSE = 1e-9
-
-
-@dataclass(frozen=True)
-class Piece:
-    """
-    One polynomial piece of the curve.
-
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (1, 6, 3)
-        Bezier points of tip and second point [m].
-    connection : ndarray, shape (1, m, 3)
-        Bezier points of the connection E [m].
-    deviation : ndarray, shape (2,)
-        Bounds of contour and orientation deviation [m].
-    row : int
-        Number of the span in the curve.
-
-    """
-
-    bottom: FloatArray
-    top: FloatArray
-    connection: FloatArray
-    deviation: FloatArray
-    row: int
-
-    def jets(self, at_end: bool) -> Jets:
-        """Return the jets at the start or the end of the piece, in the direction of motion."""
-        if not at_end:
-            return span_jets(self.bottom, self.top, self.connection)
-        inward = (self.bottom[:, ::-1], self.top[:, ::-1], self.connection[:, ::-1])
-        return span_jets(*inward).backwards()
-
-    def halves(self) -> tuple[Piece, Piece]:
-        """Divide a piece without a connection in the middle."""
-        first, last = zip(divided(self.bottom), divided(self.top), strict=True)
-        return (
-            replace(self, bottom=first[0], top=first[1]),
-            replace(self, bottom=last[0], top=last[1]),
-        )
-
-
-def _absorbed(
-    piece: Piece, first: Jets | None, last: Jets | None, tolerance: FloatArray, height: float,
-    halvings: int = MOST_HALVINGS,
-) -> list[Piece] | None:  # fmt: skip
-    """
-    Change a piece so that it takes the derivatives of its neighbours within tolerances.
-
-    Returns the changed piece, or the shorter ones it was divided into. Returns None if the
-    tolerances, shape (2,) [m], cannot be kept.
-    """
-    if first is None and last is None:
-        return [piece]
-    points = piece.connection.shape[1]
-    made = connected(piece.bottom, piece.top, first, last, height, points)
-    if (made.deviation[0] <= tolerance).all():
-        return [
-            replace(
-                piece, bottom=made.bottom, connection=made.connection, deviation=made.deviation[0]
-            )
-        ]
-    if halvings == 0:
-        return None
-    left, right = piece.halves()
-    parts = [
-        _absorbed(left, first, None, tolerance, height, halvings - 1),
-        _absorbed(right, None, last, tolerance, height, halvings - 1),
-    ]
-    return None if None in parts else [piece for part in parts for piece in part or ()]
-
-
-def _same(a: Jets, b: Jets, height: float) -> bool:
-    """Tell whether both sides of a join have equal derivatives."""
-    angle, bend = (float(x[0]) for x in a.jumps(b, height))
-    return angle <= SAME_DIRECTION and bend <= SAME_BEND
-
-
-def _gentle(a: Jets, b: Jets) -> bool:
-    """Tell whether the path turns little enough at a join to pass it without rest."""
-    return float(norm(a.tip[1] - b.tip[1])[0]) <= SHARPEST
 
 
 class SplineRun:
@@ -322,9 +234,9 @@ class SplineRun:
         if before is None:
             return False, None
         start = piece.jets(at_end=False)
-        if _same(start, before, self._style.height):
+        if same_jets(start, before, self._style.height):
             return True, None
-        fits = _gentle(start, before) and self._absorb(piece, before, None) is not None
+        fits = joins_gently(start, before) and self._absorb(piece, before, None) is not None
         return fits, before if fits else None
 
     def _settle(self, after: Jets | None, done: list[tuple[Piece, bool]], stop: bool) -> None:
@@ -333,8 +245,8 @@ class SplineRun:
         piece, taken = self._held
         if after is not None:
             end = piece.jets(at_end=True)
-            same = _same(end, after, self._style.height)
-            fits = _gentle(end, after) and self._absorb(piece, None, after) is not None
+            same = same_jets(end, after, self._style.height)
+            fits = joins_gently(end, after) and self._absorb(piece, None, after) is not None
             stop = not (same or fits)
             after = after if fits and not same else None
         made = self._absorb(piece, taken, after)
@@ -343,10 +255,10 @@ class SplineRun:
         done.append((made[-1], stop))
 
     def _absorb(self, piece: Piece, first: Jets | None, last: Jets | None) -> list[Piece] | None:
-        """Change a piece within the share of its tolerances (function ``_absorbed``)."""
+        """Change a piece within the share of its tolerances (function ``absorbed``)."""
         rows, i = self._rows_known(), piece.row - self._offset
         both = (rows.contour_tolerance[i], rows.orientation_tolerance[i])
-        return _absorbed(piece, first, last, JOIN_SHARE * np.array(both), self._style.height)
+        return absorbed(piece, first, last, JOIN_SHARE * np.array(both), self._style.height)
 
     def _rows_known(self) -> Blocks:
         """Return the control points that are kept."""

@@ -1,0 +1,82 @@
+"""Runs of programs whose bag becomes plan files, or is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.client.recorded_run import recorded_run, write_run
+from cnc_interp.client.recorder import NEEDED, Recorder
+from cnc_interp.client.run_console import RunConsole
+from cnc_interp.client.session import RunRequest, RunResult
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.nodes.node_processes import Children
+
+
+def run_recorded(
+    request: RunRequest,
+    machine: Machine,
+    children: Children,
+    place: tuple[str, int],
+    started: float,
+    attended: bool,
+) -> list[RunResult]:
+    """
+    Run programs, record them where that is asked for, and write the plan files of ``out``.
+
+    Parameters
+    ----------
+    request : RunRequest
+        What shall be run, and what is wanted of it.
+    machine : Machine
+        The machine of the nodes.
+    children : Children
+        Processes of the nodes.
+    place : tuple
+        ROS namespace and domain.
+    started : float
+        When the command began, in monotonic time [s].
+    attended : bool
+        See ``RunConsole``.
+
+    Raises
+    ------
+    InterpError
+        See ``RunConsole.run``.
+
+    """
+    with bag_folder(request) as folder:
+        with OperatorClient('run', *place) as client, ExitStack() as records:
+            recorder = None
+            if folder is not None:
+                topics = NEEDED if request.record is None else TOPICS
+                recorder = Recorder(client.node, folder, topics)
+                records.callback(recorder.finish, client)
+            with RunConsole(client, children, request, recorder, attended) as console:
+                results = console.run(machine, started)
+        if request.out is not None and folder is not None and results[0].ok:
+            with Bag(folder) as bag:
+                run = replace(recorded_run(bag), name=results[0].program)
+            write_run(run, machine, request.out)
+    return results
+
+
+@contextmanager
+def bag_folder(request: RunRequest) -> Iterator[Path | None]:
+    """Yield the bag of a run: as asked for, or one for the plan files alone, or none."""
+    if request.record is not None or request.out is None:
+        yield request.record
+        return
+    created = not request.out.exists()
+    request.out.mkdir(parents=True, exist_ok=True)
+    try:
+        with TemporaryDirectory(prefix='.run-', dir=request.out) as folder:
+            yield Path(folder) / 'bag'
+    finally:
+        if created and not any(request.out.iterdir()):
+            request.out.rmdir()

@@ -1,0 +1,325 @@
+"""
+Motions between rows of targets: what runs linearly on each of them, and their poses inside.
+
+A row of targets has one number per column; the constants name the columns.
+"""
+
+from __future__ import annotations
+
+from math import nan
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.program import arcs
+from cnc_interp.program.blocks import (
+    AXES_LINEAR,
+    POSES,
+    ROTARY_LINEAR,
+)
+from cnc_interp.program.rotary_geometry import RotaryGeometry
+from cnc_interp.program.subdivide import (
+    angle_between,
+    great_circle,
+    piece_counts,
+)
+from cnc_interp.settings.choices import Settings
+
+# Columns of a target row.
+POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
+NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
+CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
+CENTRE, NORMAL, SWEEP, EXTRA, WIDTH = slice(19, 22), slice(22, 25), 25, slice(26, 29), 29
+#: Letters of the columns EXTRA.
+EXTRA_LETTERS = 'UVW'
+SAME = 1e-12  # [m], [-], [rad]
+#: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
+CHORD_SHARE = 0.1
+#: Nearer to the pole than this number of orientation tolerances, a direction does not give the
+#: rotary positions: a path within the tolerance could pass the pole on its other side.
+POLE_TOLERANCES = 4.0
+#: Without tool-tip programming, lines in axes become curves of poses after so many short blocks in
+#: a row. In each of them the tip moves more than this share of the turn at flank height [-].
+FEWEST_DENSE, SLOW_TIP = 32, 0.05
+
+
+class Moves:
+    """
+    Motions between consecutive targets, which can be evaluated at any parameter.
+
+    Parameters
+    ----------
+    geometry : RotaryGeometry
+        Kinematics of the machine.
+    zero : ndarray, shape (3,)
+        Axis positions of the workpiece zero, with the rotary axes at zero [m].
+    before, rows : ndarray, shape (n, 29)
+        Targets at the start and at the end of each motion.
+    settings : Settings
+        Choices of the user.
+    dense : int
+        Number of short blocks before the first motion, at most ``FEWEST_DENSE``.
+
+    Attributes
+    ----------
+    interpolation : ndarray of int, shape (n,)
+        What runs linearly in each motion, as in ``Blocks``.
+    dense : int
+        The same number before the next motion.
+    rests : ndarray of bool, shape (n,)
+        Motions with tool-tip programming in which words turn the rotary axes about a resting tip.
+
+    """
+
+    def __init__(
+        self,
+        geometry: RotaryGeometry,
+        zero: FloatArray,
+        before: FloatArray,
+        rows: FloatArray,
+        settings: Settings,
+        dense: int = 0,
+    ):
+        self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
+        self.dense = dense
+        self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
+        self.axis_before = before[:, AXIS]
+        self._along = np.zeros((3, 3))
+        for letter, direction in zip(geometry.extra_names, geometry.extra_direction, strict=True):
+            self._along[EXTRA_LETTERS.index(letter)] = direction
+        self._start = self._starts()
+        self._arc = np.isfinite(rows[:, SWEEP])
+        # Axis positions and tool tips are equal while the rotary axes are at zero.
+        turned = (np.abs(rows[:, ROTARY]) > 0.0) | (np.abs(before[:, ROTARY]) > 0.0)
+        beside = (rows[:, EXTRA] != 0.0) | (before[:, EXTRA] != 0.0)
+        turned = turned.any(axis=1) | beside.any(axis=1)
+        self._by_axes = (rows[:, AXES] != 0.0) & turned
+        self.interpolation = self._interpolation(settings)
+
+    def _interpolation(self, settings: Settings) -> IntArray:
+        """
+        Say what runs linearly; without tool-tip programming, the axes where one turns.
+
+        Short blocks whose poses run linearly as well become curves with their neighbours.
+        """
+        rows = self.rows
+        turns = (np.abs(self.sweep).max(axis=1) > SAME) & (rows[:, GREAT_CIRCLE] == 0.0)
+        kind = np.where(turns & (rows[:, AXES] != 0.0), AXES_LINEAR, POSES)
+        # With tool-tip programming, directions give the rotary axes unless the pole is near.
+        self.rests = turns & (kind == POSES) & ~self._travels()
+        words = np.flatnonzero(turns & (kind == POSES) & ~self.rests)
+        if len(words):
+            kind[words[self._near_pole(words, settings.flank_height)]] = ROTARY_LINEAR
+        if settings.compress:
+            like = (kind == POSES) & (rows[:, RAPID] == 0.0) & self._travels()
+            short = np.flatnonzero((kind == AXES_LINEAR) & (rows[:, RAPID] == 0.0) & ~self._arc)
+            if len(short):
+                like[short[self._like_poses(short, settings)]] = True
+            row = np.arange(len(rows))
+            broken = np.maximum.accumulate(np.where(like, -1, row))
+            count = row - broken + np.where(broken < 0, self.dense, 0)
+            kind[like & (count > FEWEST_DENSE)] = POSES
+            self.dense = int(min(count[-1], FEWEST_DENSE)) if len(rows) else self.dense
+        return kind
+
+    def _near_pole(self, row: IntArray, height: float) -> BoolArray:
+        """Return which motions come so near to the pole that words must rule, shape (m,)."""
+        cone = POLE_TOLERANCES * self.rows[row, ORIENTATION] / height
+        near = self._geometry.nearest_to_pole(self._before[row, ROTARY], self.rows[row, ROTARY])
+        return np.asarray(near < np.maximum(cone, self._geometry.pole_cone))
+
+    def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
+        """Return which lines in axes are short lines of poses within a tenth, shape (m,)."""
+        end, height = self.rows[row], settings.flank_height
+        (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
+        way, turn = np.linalg.norm(tip - tip_from, axis=1), height * angle_between(o_from, o)
+        fits = (way <= settings.longest_block) & (way > SLOW_TIP * turn)
+        fits &= ~self._near_pole(row, height)
+        some = row[fits]
+        if len(some):
+            fits[fits] = (
+                piece_counts(
+                    lambda block, u: self.poses(some[block], u),
+                    np.abs(self.sweep[some]).sum(axis=1),
+                    CHORD_SHARE * end[fits, CONTOUR],
+                    CHORD_SHARE * end[fits, ORIENTATION] / height,
+                )
+                == 1
+            )
+        return np.asarray(fits)
+
+    def _travels(self) -> BoolArray:
+        """Return which end points differ from their start points, shape (n,)."""
+        gone = np.abs(self.rows[:, POINT] - self._start).max(axis=1)
+        return np.asarray((gone > SAME) | self._arc)
+
+    def _starts(self) -> FloatArray:
+        """Return the start points of the motions, in the same coordinates as their ends."""
+        points = self._before[:, POINT].copy()
+        was, now = self._before[:, AXES] != 0.0, self.rows[:, AXES] != 0.0
+        to_tips, to_axes = was & ~now, ~was & now
+        if to_tips.any():
+            before = self._before[to_tips]
+            points[to_tips] = self._tips(points[to_tips], before[:, ROTARY], before[:, EXTRA])
+        if to_axes.any():
+            linear = self._geometry.linear(points[to_axes], self._before[to_axes, ROTARY])
+            points[to_axes] = linear - self._zero - self._before[to_axes, EXTRA] @ self._along
+        return points
+
+    def _tips(self, points: FloatArray, rotary: FloatArray, extra: FloatArray) -> FloatArray:
+        """Tool tips of axis positions, of the rotary axes and of U V W [m], shape (m, 3)."""
+        stands = points + extra @ self._along
+        if np.isnan(rotary).all():  # a machine without rotary axes
+            return np.asarray(stands)
+        return self._geometry.forward(np.concatenate([stands + self._zero, rotary], axis=1))[0]
+
+    def extra(self, row: IntArray, u: FloatArray) -> FloatArray:
+        """Return positions of U V W at shares of motions, shape (m, 3) [m]."""
+        start, end = self._before[row, EXTRA], self.rows[row, EXTRA]
+        return np.where((u == 1.0)[:, None], end, start + u[:, None] * (end - start))
+
+    def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
+        """
+        Return rotary positions on motions.
+
+        Parameters
+        ----------
+        row : ndarray of int, shape (m,)
+            Indices of the motions.
+        u : ndarray, shape (m,)
+            Parameters in [0, 1].
+
+        Returns
+        -------
+        ndarray, shape (m, 2)
+            Rotary positions [rad].
+
+        """
+        at = self._before[row, ROTARY] + u[:, None] * self.sweep[row]
+        return np.where((u == 1.0)[:, None], self.rows[row, ROTARY], at)
+
+    def poses(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return poses on motions.
+
+        Parameters
+        ----------
+        row : ndarray of int, shape (m,)
+            Indices of the motions.
+        u : ndarray, shape (m,)
+            Parameters in [0, 1].
+
+        Returns
+        -------
+        tip, axis : ndarray, shape (m, 3)
+            Tool tips [m] and unit tool axes [-].
+
+        """
+        end, point, final = self.rows[row], self._points(row, u), u == 1.0
+        rotary = self.rotary(row, u)
+        by_axes = self._by_axes[row]
+        if by_axes.any():
+            extra = self.extra(row[by_axes], u[by_axes])
+            point[by_axes] = self._tips(point[by_axes], rotary[by_axes], extra)
+        axis = end[:, AXIS].copy()
+        between = ~final
+        circle = between & (end[:, GREAT_CIRCLE] != 0.0)
+        axis[circle] = great_circle(self.axis_before[row[circle]], end[circle, AXIS], u[circle])
+        linear = between & (end[:, GREAT_CIRCLE] == 0.0)
+        if linear.any():
+            axis[linear] = self._geometry.tool_axis(rotary[linear])
+        return point, axis
+
+    def _points(self, row: IntArray, u: FloatArray) -> FloatArray:
+        """Return points on lines and arcs, in the coordinates of their ends, shape (m, 3) [m]."""
+        end, start, arc = self.rows[row], self._start[row], self._arc[row]
+        point = start + u[:, None] * (end[:, POINT] - start)
+        if arc.any():
+            on_arc = end[arc]
+            point[arc] = arcs.points_on(
+                start[arc], on_arc[:, POINT], on_arc[:, CENTRE], on_arc[:, NORMAL],
+                on_arc[:, SWEEP], u[arc],
+            )  # fmt: skip
+        final = u == 1.0
+        point[final] = end[final, POINT]
+        return np.asarray(point)
+
+    def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return what a chord must be near to: poses, or points where rotary axes run linearly.
+
+        The tip deviates from a chord in the axes as much as X Y Z do, because the rotary axes of
+        both are the same. The parameters are those of ``poses``.
+        """
+        tip, axis = self.poses(row, u)
+        linear = self.interpolation[row] != POSES
+        if linear.any():
+            tip[linear] = self._points(row[linear], u[linear])
+            axis[linear] = (0.0, 0.0, 1.0)
+        return tip, axis
+
+    def curved(self) -> BoolArray:
+        """Return which motions must be divided: what they interpolate is no line, shape (n,)."""
+        turns = (np.abs(self.sweep).max(axis=1) > SAME) & (self.rows[:, GREAT_CIRCLE] == 0.0)
+        # A rotation with the tip at rest stays whole, because only the rotary axes move.
+        turns &= (self.interpolation == POSES) & self._travels()
+        return np.asarray(self._arc | turns)
+
+    def speeds(self) -> tuple[FloatArray, FloatArray]:
+        """
+        Return feedrate and duration of the motions; one of both is NaN.
+
+        If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
+        rotary axes turn alone, F is their speed. The duration follows from it. Where the rotary
+        axes run linearly beside the tip, the duration follows from its speed.
+
+        Returns
+        -------
+        feedrate, duration : ndarray, shape (n,)
+            Speed of the tip [m/s], and time [s].
+
+        """
+        feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
+        turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
+        turning |= self.interpolation == ROTARY_LINEAR
+        row = np.flatnonzero(turning & np.isfinite(feedrate))
+        if len(row):
+            way = np.linalg.norm(self.rows[row, POINT] - self._start[row], axis=1)
+            arc = row[self._arc[row]]
+            rows = self.rows[arc]
+            way[self._arc[row]] = arcs.lengths(
+                self._start[arc], rows[:, POINT], rows[:, CENTRE], rows[:, NORMAL], rows[:, SWEEP]
+            )
+            angle = np.linalg.norm(self.sweep[row], axis=1)
+            alone = way <= SAME
+            duration[row] = np.where(alone, angle / self.rows[row, TURN_RATE], way / feedrate[row])
+            feedrate[row] = nan
+        return feedrate, duration
+
+
+def merge_repeated(rows: FloatArray) -> FloatArray:
+    """Drop rows without motion; their exact stops are moved to the row before."""
+    # Row 0 is always kept: it begins the program, or the batch before held it back.
+    same = np.zeros(len(rows), dtype=np.bool_)
+    same[1:] = _moves_nothing(rows[:-1], rows[1:])
+    if not same.any():
+        return rows
+    first = np.flatnonzero(~same)
+    kept = rows[first]
+    kept[:, EXACT_STOP] = np.maximum.reduceat(rows[:, EXACT_STOP], first)
+    return kept
+
+
+def _moves_nothing(rows: FloatArray, following: FloatArray) -> BoolArray:
+    """Return which following rows do not move from the row before, shape (n,)."""
+    change = np.abs(following[:, : ROTARY.stop] - rows[:, : ROTARY.stop])
+    still = (change[:, POINT].max(axis=1) <= SAME) & (change[:, AXIS].max(axis=1) <= SAME)
+    on_circle = following[:, GREAT_CIRCLE] != 0.0
+    still &= on_circle | ~(change[:, ROTARY].max(axis=1) > SAME)
+    still &= np.isnan(following[:, SWEEP])
+    still &= ~(np.abs(following[:, EXTRA] - rows[:, EXTRA]).max(axis=1) > SAME)
+    # Equal numbers mean nothing if one row has tool tips and the other axis positions.
+    same_terms = following[:, AXES] == rows[:, AXES]
+    at_zero = np.abs(rows[:, ROTARY]).max(axis=1) == 0.0
+    at_zero &= np.abs(rows[:, EXTRA]).max(axis=1) == 0.0
+    return np.asarray(still & (same_terms | at_zero))

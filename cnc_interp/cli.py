@@ -54,12 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def interrupt(_number: int, _frame: FrameType | None) -> None:
-    """End like Ctrl-C, in order: nodes are ended, and temporary files removed."""
+    """End as after Ctrl-C: stop the nodes and remove temporary files."""
     raise KeyboardInterrupt
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands; each is declared where it is done."""
+    """Return the parser of all commands. Each module declares its own command."""
     top = argparse.ArgumentParser(
         prog='cnc-interp',
         description='5-axis CNC interpolator: smooth, plan and run part programs, every setpoint '

@@ -50,7 +50,7 @@ ON_POLE = 1e-14
 @dataclass(frozen=True)
 class Converted:
     """
-    A written program.
+    The result of a conversion: a program as text.
 
     Parameters
     ----------

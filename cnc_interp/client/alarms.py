@@ -9,9 +9,9 @@ from datetime import datetime
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-#: Alarms that are kept.
+#: Number of alarms that are kept.
 KEPT = 200
-#: A new alarm is compared with so many before it.
+#: Number of earlier alarms that a new one is compared with.
 COMPARED = 8
 NUMBER = re.compile(r'\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
@@ -44,7 +44,7 @@ class Alarm:
     count: int = 1
 
     def repeats(self, other: Alarm) -> bool:
-        """Tell whether it is the other alarm again; numbers in the text may differ."""
+        """Tell whether both alarms are the same, apart from numbers in the text."""
         one, two = (NUMBER.sub('#', alarm.message) for alarm in (self, other))
         return (self.level, self.source, one) == (other.level, other.source, two)
 
@@ -71,7 +71,7 @@ class AlarmList:
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """Add a warning or an error of a node, unless it is the one that it reported last."""
+        """Add a warning or an error of a node, unless the node reported the same one last."""
         news = (status.level, status.message)
         if self._last.get(status.name) != news and status.level in LEVELS:
             self.add(LEVELS[status.level], status.name, status.message)

@@ -63,7 +63,7 @@ def type_name(kind: Any) -> str:
 
 
 def types() -> Any:
-    """Return the message types that a bag describes, ours among them."""
+    """Return the message types that a bag describes; the package's own are among them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     try:
         folder = share_directory('cnc_interp_msgs') / 'msg'
@@ -92,7 +92,7 @@ def refuse_existing(path: Path) -> None:
 
 class BagWriter:
     """
-    A bag that is written; it is complete once it is closed.
+    A bag being written; ``close`` makes it complete.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class BagWriter:
             self._writer.set_custom_data(f'{PARAMETER}{node}.{name}', json.dumps(value))
 
     def write(self, topic: str, data: bytes, stamp: int) -> None:
-        """Write a message, serialised, with the time at which it came [ns]."""
+        """Write a serialised message with the time at which it was received [ns]."""
         self._writer.write(self._connections[topic], stamp, data)
         self.count += 1
 
@@ -138,7 +138,7 @@ class BagWriter:
 
 class Bag:
     """
-    A bag that is read.
+    A bag being read.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class Bag:
         self.duration = self._reader.duration * 1e-9
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
-        """Return topic, time [ns] and bytes of the messages of some topics, in order of time."""
+        """Yield topic, time [ns] and bytes of the messages of some topics in order of time."""
         names = {f'/{topic.removeprefix("/")}': topic for topic in topics}
         wanted: list[Connection] = [c for c in self._reader.connections if c.topic in names]
         try:

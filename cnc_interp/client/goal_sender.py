@@ -55,7 +55,7 @@ class SentProgram:
 
     def follow(self) -> None:
         """
-        Take note of an answer, or send the goal again; to be called again and again.
+        Read an answer, or send the goal again. Call this repeatedly.
 
         A second answer to the same goal says "not accepted", because the first one runs. So the
         first answer counts.
@@ -71,7 +71,7 @@ class SentProgram:
 
     @property
     def accepted(self) -> bool:
-        """True once program_node has taken the goal."""
+        """True once program_node has accepted the goal."""
         return self.handle is not None
 
     @property
@@ -84,7 +84,7 @@ class SentProgram:
 
     @property
     def programs_ahead(self) -> int:
-        """Number of programs that come first."""
+        """Number of programs that run before this one."""
         return self._ahead if self.feedback is None else int(self.feedback.programs_ahead)
 
     def cancel(self) -> None:

@@ -33,21 +33,21 @@ __all__ = ['STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 
 #: Commands without a value; each is a service of that name.
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
-#: Commands that may come twice, and late: they are sent again while no answer comes.
+#: Commands that may arrive twice or late. They are sent again until they are answered.
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
 #: Time without an answer after which a stop is sent again [s].
 AGAIN = 0.5
-#: Longest time that an override of this client may take to be heard [s].
+#: Longest time until an override sent by this client is reported by the machine [s].
 ECHO = 10.0
-#: Longest wait for an event; commands of other threads are seen after it [s].
+#: Longest wait for an event [s]. Commands of other threads are sent after it.
 SPIN = 0.01
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a command."""
+    """The answer to a command."""
 
     ok: bool
     message: str
@@ -134,7 +134,7 @@ class OperatorClient:
 
     @property
     def override(self) -> float:
-        """The feed override [-]: what was heard last, or what is on its way from here."""
+        """The feed override [-]: the value sent last until it is reported, then that."""
         return self._override.at(time.monotonic())
 
     def _see_program(self, message: LoadedProgram) -> None:
@@ -146,7 +146,7 @@ class OperatorClient:
             self._on_state(state)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
-        """Take note of alarms, of the programs that wait and of the check of the next one."""
+        """Store alarms, the waiting programs, and how far the next program is checked."""
         for status in array.status:
             if status.hardware_id != self._namespace:
                 continue
@@ -157,7 +157,7 @@ class OperatorClient:
                 self.checked = float(values[CHECKED]) if CHECKED in values else None
 
     def _ask_for_machine(self) -> None:
-        """Ask the machine node which machine it is."""
+        """Ask machine_node for the machine that it simulates."""
         if self.machine or not self._parameters.service_is_ready():
             return
 
@@ -216,7 +216,7 @@ class OperatorClient:
         return sent
 
     def start_program(self, goal: RunProgram.Goal) -> Future[Answer]:
-        """Send a program from any thread; answered when it is accepted, its end is an alarm."""
+        """Send a program from any thread. Answered when it is accepted; its end is an alarm."""
         wanted: Future[Answer] = Future()
 
         def see_result(result: RunProgram.Result) -> None:
@@ -239,7 +239,7 @@ class OperatorClient:
         return wanted
 
     def cancel_waiting(self) -> int:
-        """Cancel the waiting programs that were sent from here; returns how many."""
+        """Cancel the waiting programs sent by this client and return their number."""
         found = [sent for sent in list(self._sent) if sent.programs_ahead > 0]
         self._commands.extend(sent.cancel for sent in found)
         return len(found)
@@ -261,7 +261,7 @@ class OperatorClient:
             if answer is not None:
                 response = answer.result()
                 wanted.set_result(Answer(response.success, f'{name}: {response.message}'))
-            elif waited > ANSWER:  # a start is not sent again by itself: it could come too late
+            elif waited > ANSWER:  # a repeated start may be too late
                 wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
             elif name in STOPS and waited > AGAIN * len(sent):
                 sent.append(client.call_async(request))
@@ -283,7 +283,7 @@ class OperatorClient:
         self._executor.spin_once(timeout_sec=timeout)
 
     def start(self) -> None:
-        """Serve the node in a thread from here on."""
+        """Start a thread that serves the node."""
         self._thread = threading.Thread(target=self._serve_on, name='ros', daemon=True)
         self._thread.start()
 
@@ -292,7 +292,7 @@ class OperatorClient:
             self.serve()
 
     def close(self) -> None:
-        """End the client; the machine goes on."""
+        """Close the client. The machine continues."""
         self._ended.set()
         if self._thread is not None:
             self._thread.join()

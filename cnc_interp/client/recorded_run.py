@@ -29,7 +29,7 @@ from cnc_interp.wire.settings_messages import settings_of_block
 
 #: Segments taken over together.
 BATCH = 256
-#: Every so many setpoints the path gets a grid point, and the shortest cell made so [m].
+#: Number of setpoints per grid point of the path, and shortest cell made in this way [m].
 GRID_EVERY, SHORTEST = 10, 1e-6
 
 
@@ -118,7 +118,7 @@ class RecordedRun:
 
 def recorded_run(bag: Bag) -> RecordedRun:
     """
-    Find the last run in a bag that moved.
+    Find the last run in a bag in which the machine moved.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def executed_feed(samples: Setpoints, period: float) -> tuple[FloatArray, FloatA
 
 
 def grid_points(path: AxisPath, s: FloatArray) -> FloatArray:
-    """Return the positions [m] that lie well inside the cells of a path, and well apart."""
+    """Return the positions [m] that are far enough from ends of cells and from each other."""
     s = s[(s > path.s[0]) & (s < path.s[-1])]
     s = s[np.diff(s, prepend=-np.inf) > SHORTEST]
     after = np.searchsorted(path.s, s)

@@ -114,7 +114,7 @@ class Recorder:
 
     def finish(self, client: OperatorClient) -> None:
         """
-        Take the last messages of all nodes, then close the bag.
+        Write the last messages of all nodes, then close the bag.
 
         Parameters
         ----------

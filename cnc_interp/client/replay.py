@@ -129,7 +129,7 @@ def _compare_run(
     period = plans[min(plans)][0].period
     overrides = _overrides(bag, run_id)
     followed = OperatorSettings(overrides[0])
-    # Behind a loss the run went on from where the machine stood when planning began again.
+    # After a loss the run continued from where the machine stood when planning began again.
     goes_on = blocks[0].continue_at > 0.0
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
@@ -204,7 +204,7 @@ def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
 
 
 def _same(samples: Setpoints, again: Setpoints) -> int:
-    """Count the setpoints, from the first on, that are the same bit for bit."""
+    """Count the leading setpoints that are equal bit for bit."""
     n = min(len(samples), len(again))
     same = np.ones(n, dtype=bool)
     for name in COLUMNS:

@@ -27,7 +27,7 @@ from cnc_interp.nodes.node_processes import Children
 from cnc_interp.wire.settings_messages import goal_of
 
 Result = RunProgram.Result
-#: Longest start of the nodes; all kernels may have to be compiled first [s].
+#: Longest time that the nodes may take to start [s]. All kernels may have to be compiled.
 START_TIMEOUT = 300.0
 #: Stops at which the operator is asked to go on.
 STOP_TEXTS = {
@@ -39,13 +39,13 @@ STOP_TEXTS = {
 SILENCE = 1.0
 #: Longest wait for the answers of the nodes to a recorder [s].
 RECORD_TIMEOUT = 10.0
-#: Longest wait for an event; signals and processes are looked at after it [s].
+#: Longest wait for an event [s]. Signals and processes are checked after it.
 SPIN = 0.05
 
 
 class RunConsole:
     """
-    Runs programs on nodes that live as child processes.
+    Runs programs on nodes that are child processes.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class RunConsole:
     def _as_told(
         self, program: str, outcome: RunProgram.Result, machine: Machine, started: float
     ) -> RunResult:
-        """Turn the result of a goal into that of the run."""
+        """Convert the result of a goal to the result of the run."""
         names, state = machine.axis_names, self._client.state
 
         def by_axis(values: Any) -> dict[str, float]:
@@ -167,7 +167,7 @@ class RunConsole:
         )
 
     def _wait_for_nodes(self) -> None:
-        """Wait until all four nodes answer, and until what is to be recorded is heard."""
+        """Wait until all four nodes answer and the recorder receives from all of them."""
         recorder = self._recorder
 
         def recording() -> bool:
@@ -184,7 +184,7 @@ class RunConsole:
             raise InterpError('not all topics of the run can be heard; run it again')
 
     def _send(self, program: Path) -> SentProgram:
-        """Send a program; it waits for those before it."""
+        """Send a program. It starts when the programs before it have ended."""
         request = self._request
         sent = self._client.run(goal_of(program, request.settings))
         self._spin(lambda: sent.accepted)
@@ -219,7 +219,7 @@ class RunConsole:
         return result
 
     def _show_progress(self, sent: SentProgram) -> None:
-        """Show how far the check of the program is, then how far its motion is."""
+        """Show the progress of the program's check, then that of its motion."""
         feedback, name = sent.feedback, Path(sent.goal.program).name
         if feedback is not None and not feedback.programs_ahead:
             line = f'line {feedback.line_number}' if feedback.line_number else ''
@@ -249,7 +249,7 @@ class RunConsole:
         )
 
     def _bring_back_lost_nodes(self) -> None:
-        """Start killed nodes again, and go on from where the machine has stopped."""
+        """Restart killed nodes and continue from where the machine has stopped."""
         for name in self._children.revive():
             print(f'\n{name} was killed; it is started again', file=sys.stderr)
             self._restarted = True
@@ -267,7 +267,7 @@ class RunConsole:
                 self._pressed = self._client.trigger('cycle_start')
 
     def _pass_program_stop(self) -> None:
-        """Go on after Enter where the program waits for its operator (M0)."""
+        """Continue after Enter if the program waits for its operator (M0)."""
         state = self._client.state
         if (
             state is None
@@ -290,14 +290,14 @@ class RunConsole:
             self._passed = self._client.trigger('cycle_start')
 
     def _see_motion(self) -> None:
-        """Note when the machine executed its first setpoint."""
+        """Record when the machine executed its first setpoint."""
         state = self._client.state
         if self._first_motion != self._first_motion and state is not None and state.samples:
             past = state.samples * state.interpolation_period
             self._first_motion = time.monotonic() - past
 
     def _spin(self, done: Callable[[], bool], timeout: float = float('inf')) -> bool:
-        """Serve ROS until something is done; the nodes must live."""
+        """Serve ROS until a condition holds; raises an error if a node has ended."""
         deadline = time.monotonic() + timeout
         while not done():
             if time.monotonic() > deadline:

@@ -22,7 +22,7 @@ from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.declaration import Stage, choices
 
-#: Domains whose ports no other program on Linux takes, and all domains.
+#: Domains whose ports Linux gives to no other program, and all domains.
 DOMAINS = range(1, 102)
 ALL_DOMAINS = range(233)
 
@@ -78,7 +78,7 @@ class RunRequest:
         return (self.program, *self.then)
 
     def node_parameters(self) -> dict[str, dict[str, object]]:
-        """Return what the nodes must know from the start."""
+        """Return the parameters with which the nodes are started."""
         from cnc_interp.nodes.parameters import NODES
 
         given: dict[str, object] = {'machine': f"'{self.machine}'"}
@@ -95,7 +95,7 @@ class RunRequest:
 @dataclass(frozen=True)
 class RunResult:
     """
-    What came of a run; SI units.
+    The result of a run; SI units.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class RunResult:
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
     def text(self) -> str:
-        """Say it in words and shop units."""
+        """Return the result in words and shop units."""
         lines = [
             f'program        {self.program} on {self.machine}: {self.message}',
             f'blocks         {self.blocks_sent} sent, {self.blocks_executed} executed; '
@@ -184,13 +184,13 @@ class RunResult:
 
     @property
     def excesses(self) -> list[str]:
-        """Limits that executed setpoints exceeded; tolerances are checked before motion."""
+        """Limits that executed setpoints exceeded. Tolerances were checked before the motion."""
         kinds = ('velocity', 'acceleration', 'jerk')
         return excesses({kind: getattr(self, f'{kind}_use') for kind in kinds}, {})
 
 
 def underruns(count: int) -> str:
-    """Say how often the machine had no setpoint in time."""
+    """Return the number of underruns in words."""
     return f'{count or "no"} underrun{"" if count == 1 else "s"}'
 
 
@@ -198,7 +198,7 @@ class Companion(Protocol):
     """A process beside the nodes of a run, such as the operator page."""
 
     def start(self, namespace: str, domain: int) -> None:
-        """Start it while the nodes start."""
+        """Start the process while the nodes start."""
 
     def finish(self, result: RunResult) -> None:
         """Take the result of the run. The nodes end after this returns."""

@@ -27,7 +27,7 @@ class SharedValue:
         self._until = 0.0
 
     def wish(self, value: float, now: float) -> None:
-        """Note a value that is sent from here at the time ``now`` [s]."""
+        """Record a value that is sent from here at the time ``now`` [s]."""
         if now >= self._until:
             self._wishes.clear()
         if value != self.at(now):
@@ -36,7 +36,7 @@ class SharedValue:
 
     def hear(self, value: float) -> None:
         """
-        Note a value that was heard; values sent before it will not be heard any more.
+        Record a value that was received. Values sent before it will not be received any more.
 
         A value that is heard again and again is news only the first time.
         """

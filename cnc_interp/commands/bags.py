@@ -54,7 +54,7 @@ def record_command(options: Namespace) -> int:
 
 
 def replay_command(options: Namespace) -> int:
-    """Compute again, or show again."""
+    """Compute a recorded run again, or publish it again."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.replay import compute_again, show_again
 

@@ -88,16 +88,16 @@ def report_command(options: Namespace) -> int:
 
 
 def is_bag(path: Path) -> bool:
-    """Tell a bag from a folder of plan files."""
+    """Tell whether a folder is a bag."""
     return (path / 'metadata.yaml').is_file() or path.suffix == '.mcap'
 
 
 @contextmanager
 def plan_files(path: Path, machine: str | None) -> Iterator[tuple[Path, str | None]]:
     """
-    Yield a folder of plan files and the machine to take, None for the one that they name.
+    Yield a folder of plan files and the machine to use; None means the machine that they name.
 
-    The plan files of a bag are written for a while: those of its last run.
+    For a bag, the plan files of its last run are written to a temporary folder.
 
     Raises
     ------

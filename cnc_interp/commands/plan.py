@@ -20,7 +20,7 @@ from cnc_interp.command_options import (
 from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
 
-#: Text is not drawn wider than this [characters].
+#: Largest width of a drawing in text [characters].
 WIDEST = 100
 
 
@@ -114,7 +114,7 @@ def describe(summary: dict[str, Any]) -> str:
 
 
 def sketch(directory: Path) -> str:
-    """Draw the feed profile of a plan with what the output can show."""
+    """Draw the feed profile of a plan with the characters that the output can show."""
     from cnc_interp.report.sketch import EIGHTHS, feed_sketch
 
     try:

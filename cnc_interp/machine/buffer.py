@@ -21,7 +21,7 @@ class Rows:
     lines: list[int]
 
     def __len__(self) -> int:
-        """Count them."""
+        """Return the number of setpoints."""
         return len(self.samples)
 
     def part(self, first: int, last: int) -> Rows:
@@ -93,7 +93,7 @@ class Buffer:
         self.newest: FloatArray = np.tile(stands, (3, 1))  # the last three setpoints
 
     def push(self, chunk: BufferedChunk) -> None:
-        """Take a chunk."""
+        """Append a chunk."""
         self.chunks.append(chunk)
         self.count += len(chunk.rows)
         self.rests += chunk.chunk.wait is not Wait.NOTHING
@@ -109,7 +109,7 @@ class Buffer:
         self.newest = newest
 
     def pop(self) -> BufferedChunk:
-        """Hand out the next chunk."""
+        """Remove the next chunk and return it."""
         chunk = self.chunks.popleft()
         self.count -= len(chunk.rows)
         self.rests -= chunk.chunk.wait is not Wait.NOTHING

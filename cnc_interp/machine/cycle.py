@@ -51,7 +51,7 @@ from cnc_interp.machine.native import (
 from cnc_interp.machine.realtime import RECORD, Lateness
 from cnc_interp.run.chunk import Chunk
 
-#: Records are kept so long until they are read [s]: longer than any buffer and any stop tail.
+#: Time for which records are kept until they are read [s]; longer than any buffer and stop tail.
 KEPT = 10.0
 
 
@@ -129,10 +129,10 @@ class Cycle:
         self._kept: deque[tuple[int, tuple[FloatArray, ...]]] = deque()
         self._written = 0  # chunks
         self._control[QUIT] = 1
-        self.run()  # compiled, or read from the cache, before it counts
+        self.run()  # compiles the cycle, or loads it from the cache, before motion
 
     def place(self, position: FloatArray) -> None:
-        """Take where the axes stand at rest as the last setpoint."""
+        """Set the last setpoint to where the axes stand at rest."""
         self._memory.setpoint[0] = position
         self._memory.feedback[0] = position
 
@@ -157,7 +157,7 @@ class Cycle:
         return serial
 
     def link(self, after: int, serial: int) -> None:
-        """Let a chunk come after one after which none came so far."""
+        """Make a chunk follow another one that has no successor."""
         descriptors = self._memory.chunks
         publish(descriptors[after % len(descriptors)], NEXT, serial)
 
@@ -177,16 +177,16 @@ class Cycle:
         return bool(control[SOURCE] == REST or not after < control[SERIAL] < serial)
 
     def start(self, serial: int) -> None:
-        """Play from a chunk on, from rest."""
+        """Start from rest with a chunk."""
         self._control[LEAVE], self._control[FIRST] = 0, serial
         publish(self._control, START, self._control[START] + 1)
 
     def leave(self) -> None:
-        """Take the stop tail of the chunk that is being played."""
+        """Continue with the stop tail of the chunk that is being played."""
         publish(self._control, LEAVE, 1)
 
     def halt(self) -> None:
-        """Tell the drives no further setpoint."""
+        """Send the drives no further setpoint."""
         publish(self._control, HALT, self._control[HALT] + 1)
 
     def step(self) -> None:
@@ -194,11 +194,11 @@ class Cycle:
         advance(self._memory, self._step)
 
     def run(self) -> None:
-        """Let periods pass by the clock, in the calling thread, until ``quit`` is called."""
+        """Run by the clock in the calling thread until ``quit`` is called."""
         run_periods(self._memory, self._step, self._period)
 
     def quit(self, quits: bool = True) -> None:
-        """End ``run``, or let it begin."""
+        """End ``run``, or allow it to begin."""
         publish(self._control, QUIT, int(quits))
 
     def read(self) -> Records:
@@ -219,5 +219,5 @@ class Cycle:
         return Lateness(self._memory.late.copy(), self._period * 1e-9)
 
     def forget_lateness(self) -> None:
-        """Start the figures of the clock anew."""
+        """Reset the figures of the clock."""
         self._control[FORGET] += 1

@@ -53,7 +53,7 @@ class Drives(Protocol):
 
     def switch_on(self) -> None:
         """
-        Take power and hold the axes where they stand.
+        Switch the power on and hold the axes where they stand.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class CycleDrives(Drives, Protocol):
 
     @property
     def memory(self) -> FloatArray:
-        """What the step keeps from one period to the next."""
+        """The state that the step keeps from one period to the next."""
         ...
 
     def fault(self, number: int) -> str:
@@ -97,7 +97,7 @@ class CycleDrives(Drives, Protocol):
 
 @runtime_checkable
 class FedDrives(Drives, Protocol):
-    """Drives that are told in Python what the cycle has played; every call returns at once."""
+    """Drives that Python feeds with what the cycle has played. Every call returns at once."""
 
     def follow(self, position: FloatArray, velocity: FloatArray) -> AxisFeedback:
         """

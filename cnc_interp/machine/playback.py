@@ -45,7 +45,7 @@ WAIT_REASONS = {
     Wait.OPTIONAL_STOP: Reason.OPTIONAL_STOP,
     Wait.SINGLE_BLOCK: Reason.SINGLE_BLOCK,
 }
-#: What the states are told when the machine rests after a chunk.
+#: The event that occurs when the machine rests after a chunk.
 REST_EVENTS = {
     Wait.NOTHING: Event.FILL,
     Wait.OVERRIDE: Event.PAUSE,
@@ -54,12 +54,12 @@ REST_EVENTS = {
     Wait.SINGLE_BLOCK: Event.WAIT,
     Wait.END: Event.FINISH,
 }
-#: Chunks that may wait, beyond one for each setpoint of a full buffer.
+#: Number of chunks that may wait, in addition to one for each setpoint of a full buffer.
 SPARE_CHUNKS = 4096
 
 
 class Executed(NamedTuple):
-    """Setpoints that were executed one after the other: their plan, and the number in the run."""
+    """Consecutive executed setpoints: their plan, and the number of the first one in the run."""
 
     run_id: RunId
     number: int
@@ -107,7 +107,7 @@ class Playback:
         self._forget_run(NO_RUN)
 
     def _place(self, position: FloatArray) -> None:
-        """Take where the axes stand; nothing moves."""
+        """Set the position at which the axes stand; nothing moves."""
         self.axes.place(position)
         self.cycle.place(position)
         row = np.array(position, dtype=float)[None, :]
@@ -129,7 +129,7 @@ class Playback:
     # Runs and plans -----------------------------------------------------------------------------
 
     def begin(self, run_id: RunId) -> None:
-        """Get ready for a run; figures start anew, the axes stay where they are."""
+        """Prepare for a run: reset the figures, the axes stay where they are."""
         self.state = self.state.after(Event.BEGIN)
         self._forget_run(run_id)
 
@@ -137,7 +137,7 @@ class Playback:
         """
         Refuse a plan that cannot begin now, else drop what waits in the buffer.
 
-        So the machine rests until the plan does begin: it cannot start with the old one.
+        The machine then rests until the plan begins, because nothing of the old plan is left.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class Playback:
         self.buffer.clear(self.axes.setpoints[-1])
 
     def begin_plan(self, run_id: RunId) -> None:
-        """Get ready for a new run, or for another plan of the run from where the machine rests."""
+        """Prepare for a new run, or for another plan of the run from where the machine rests."""
         if run_id.program_id != self.run_id.program_id or self.state.completed:
             self.begin(run_id)
             return
@@ -178,7 +178,7 @@ class Playback:
         self.run_id, self.played_of_plan = run_id, 0
 
     def _forget_run(self, run_id: RunId) -> None:
-        """Start everything that counts through a run anew."""
+        """Reset everything that is counted through a run."""
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
         self.last: Place | None = None
@@ -193,7 +193,7 @@ class Playback:
         self._on_tail, self._row = False, -1
 
     def _forget_figures(self) -> None:
-        """Start the figures anew: at a run, and where its approach ends."""
+        """Reset the figures: when a run begins, and where its approach ends."""
         self.axes.forget_use()
         self.largest_following_error = np.zeros(len(self.axes.machine.axis_names))
         self.largest_contour_error = 0.0
@@ -262,7 +262,7 @@ class Playback:
         self, run_id: RunId, number: int, chunk: Chunk, lines: list[int], tail_lines: list[int]
     ) -> None:
         """
-        Let a plan join in motion: setpoints from a number on give way to its first chunk.
+        Join a plan in motion: its first chunk replaces the setpoints from a number on.
 
         Raises
         ------
@@ -290,7 +290,7 @@ class Playback:
         self.run_id = run_id
 
     def coming(self) -> list[Setpoints]:
-        """Return the setpoints to come as things stand, the stop after them included."""
+        """Return the setpoints still to be played and the stop after them, if nothing changes."""
         current = self._current
         if self.state.resting or current is None:
             return []
@@ -319,12 +319,12 @@ class Playback:
 
     def start(self) -> None:
         """
-        Go on, as soon as setpoints are there.
+        Continue as soon as enough setpoints are buffered.
 
         Raises
         ------
         StreamError
-            If there is nothing to go on with.
+            If there is nothing to continue.
 
         """
         self.read()
@@ -343,7 +343,7 @@ class Playback:
         self._forget_run(NO_RUN)
 
     def _handle(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> None:
-        """Change the state and have the cycle stop; a fault at rest leaves nothing to execute."""
+        """Change the state and stop the cycle if needed. A fault at rest empties the buffer."""
         self.state = self.state.after(event, reason, detail)
         if self.state.leaves_plan:
             self.cycle.leave()
@@ -372,16 +372,16 @@ class Playback:
             self.cycle.start(self.buffer.chunks[0].serial)
 
     def _has_enough(self) -> bool:
-        """Tell whether the buffer is full, or nothing more is needed or will come."""
+        """Tell whether the buffer is full, holds a rest, or gets no further setpoints."""
         buffer = self.buffer
         last = buffer.rests > 0 or bool(buffer.chunks and self.state.refusal)
         return last or buffer.count >= self._full
 
     def _take_over(self, records: Records) -> None:
-        """Take over some periods of one source; something happened in the first one at most."""
+        """Read some periods of one source; only the first one may have an event."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
-            source = REST  # drives that are fed have failed meanwhile and were told nothing more
+            source = REST  # drives that Python feeds have failed in the meantime
         if source == CHUNK:
             self._find(int(records.serial[0]))
         if events & STARVED:
@@ -430,7 +430,7 @@ class Playback:
             return
         wait, self._current = current.chunk.wait, None
         if wait is Wait.SINGLE_BLOCK and not self.single_block:
-            wait = Wait.NOTHING  # it was switched off after this rest was planned
+            wait = Wait.NOTHING  # single block was switched off after this rest was planned
         reason = WAIT_REASONS.get(wait, Reason.NONE)
         self.state = self.state.after(REST_EVENTS[wait], reason)
 
@@ -464,7 +464,7 @@ class Playback:
     def _feed(
         self, drives: FedDrives, samples: Setpoints | None, count: int
     ) -> tuple[FloatArray, FloatArray, int]:
-        """Tell drives that Python feeds what was played; they rest from a fault on."""
+        """Feed the drives with what was played. They rest after a fault."""
         done, followed = [], 0
         for k in range(count):
             try:

@@ -13,7 +13,7 @@ from cnc_interp.wire.window_protocol import WindowedSender
 
 #: Blocks queued for sending at a time; not the whole program.
 MOST_QUEUED = 512
-#: Messages made together: one by one they take more than twice the time.
+#: Number of messages made together. Making them singly takes more than twice the time.
 MADE_TOGETHER = 64
 
 
@@ -56,7 +56,7 @@ class BlockFeed:
             self._queued += 1
 
     def end(self, sender: WindowedSender[int]) -> None:
-        """Send nothing more of the run."""
+        """Stop sending blocks of the run."""
         self._prepared = None
         sender.begin(NO_RUN)
 

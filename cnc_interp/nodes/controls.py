@@ -50,7 +50,7 @@ class Controls:
             try:
                 act()
                 state = self._playback.state.state.value
-                if gives_up:  # the senders are told, and the playback
+                if gives_up:  # informs the senders and the playback
                     self._give_up(gives_up)
                 response.success, response.message = True, state
             except StreamError as problem:

@@ -21,7 +21,7 @@ MOST = 1.5
 
 class FeedOverride:
     """
-    Takes the feed override from the operator.
+    Receives the feed override of the operator.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class FeedOverride:
         node.create_subscription(Float64, 'feed_override', self._take, OVERRIDE)
 
     def _take(self, message: Float64) -> None:
-        """Take a value from 0 to ``MOST``, refuse any other."""
+        """Accept a value from 0 to ``MOST`` and refuse any other."""
         value = float(message.data)
         sound = 0.0 <= value <= MOST
         if sound:

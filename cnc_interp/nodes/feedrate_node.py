@@ -43,7 +43,7 @@ from cnc_interp.wire.path_messages import segments_from
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-#: Time between looks at the planning thread [s].
+#: Time between checks of the planning thread [s].
 WORK_PERIOD = 0.005
 #: Time between diagnostics of the planning [s].
 DIAGNOSTICS_PERIOD = 1.0
@@ -87,12 +87,12 @@ class FeedrateNode(LifecycleNode):
         self.create_timer(DIAGNOSTICS_PERIOD, self._tell_planning)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
-        """Begin to take programs."""
+        """Begin to accept programs."""
         self._active = True
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
-        """Take no more segments; what the machine holds is executed."""
+        """Accept no more segments. The machine executes the setpoints that it has."""
         self._active = False
         return super().on_deactivate(state)
 
@@ -101,10 +101,10 @@ class FeedrateNode(LifecycleNode):
         self._moves = report.moves
         self._session.see_machine(report)
         if self._inputs.see(state):
-            self._work()  # it counts for what is planned already, too
+            self._work()  # single block also affects motion that is planned already
 
     def _check(self, segment: PathSegment) -> None:
-        """Let segments in while the node is active."""
+        """Accept segments while the node is active."""
         if not self._active:
             name = self.get_name()
             text = f'{name} is not active; activate it, then run the program again'
@@ -112,14 +112,14 @@ class FeedrateNode(LifecycleNode):
         check_segment(segment, len(self._transform.extra_names))
 
     def _take(self, segment: PathSegment) -> None:
-        """Queue a sound segment; the first one begins a run."""
+        """Queue a valid segment. The first one begins a run."""
         if segment.sequence == 0:
             self._session.begin(run_id_of(segment), segment.continue_at)
         self._session.take(segment, segment.end_of_program)
         self._watch.hear()
 
     def _work(self) -> None:
-        """Send what may be sent, then give the planning thread the most urgent task."""
+        """Send what the window allows, then give the planning thread the most urgent task."""
         session, outlet = self._session, self._outlet
         session.settings = self._inputs.settings
         outlet.pump()
@@ -134,7 +134,7 @@ class FeedrateNode(LifecycleNode):
         self._watch.look(session.wants_segments and self._inlet.receiver.active)
 
     def _received(self) -> Received:
-        """Return what the machine receives, and where it is by now."""
+        """Return which plan the machine receives, and the setpoint that it executes now."""
         outlet, peer = self._outlet, self._outlet.peer
         if peer is None:
             return Received()
@@ -144,7 +144,7 @@ class FeedrateNode(LifecycleNode):
         return Received(run_id_of(peer), executed, outlet.turned_away)
 
     def _tell_planning(self) -> None:
-        """Tell how much motion is ready beyond what the machine holds, and how long tasks take."""
+        """Report how much planned motion waits to be sent, and how long tasks take."""
         session, sender = self._session, self._outlet.sender
         idle = session.activity in (Activity.NONE, Activity.ENDED)
         self._diagnostics.say(
@@ -203,7 +203,7 @@ class FeedrateNode(LifecycleNode):
         )  # fmt: skip
 
     def close(self) -> None:
-        """End: what was sent is complete with its stop tail."""
+        """Close. The setpoints sent end with a stop tail."""
         self._active = False
         self._thread.close()
 

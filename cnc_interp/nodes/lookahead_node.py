@@ -53,7 +53,7 @@ class LookaheadNode(Node):
         self.create_timer(0.01, self._work)
 
     def _take(self, block: G1Block) -> None:
-        """Queue a sound block; the first one begins a run."""
+        """Queue a valid block. The first one begins a run."""
         if block.sequence == 0:
             settings = settings_of_block(block, self._settings)
             self._run = SmoothingRun(block, smoother_of(self._transform, settings))
@@ -66,7 +66,7 @@ class LookaheadNode(Node):
             self._work()
 
     def _work(self) -> None:
-        """Smooth a batch when few segments wait, and send what may be sent."""
+        """Smooth a batch if few segments wait, and send as much as the window allows."""
         run, receiver, outlet = self._run, self._inlet.receiver, self._outlet
         outlet.pump()
         if outlet.refused and receiver.active:
@@ -89,7 +89,7 @@ class LookaheadNode(Node):
             self._end()
 
     def _end(self) -> None:
-        """Bring the path to rest at the last sound block."""
+        """End the path at rest with the last valid block."""
         if self._run is None:
             return
         segments, problem = self._run.end()
@@ -98,13 +98,13 @@ class LookaheadNode(Node):
             self._inlet.refuse(self._run.run_id, Refusal.BAD_PATH, problem)
 
     def _send(self, segments: list[PathSegment]) -> None:
-        """Queue segments and send what may be sent."""
+        """Queue segments and send as much as the window allows."""
         for segment in segments:
             self._outlet.sender.put(segment)
         self._outlet.pump()
 
     def close(self) -> None:
-        """End: nothing moves here."""
+        """Close. This node moves nothing."""
 
 
 def main(arguments: list[str] | None = None) -> int:

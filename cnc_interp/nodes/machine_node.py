@@ -59,7 +59,7 @@ class MachineNode(LifecycleNode):
         values = self._values
         machine = Machine.load(values['machine'])
         priority = values['realtime_priority']
-        # The other threads of this process come next after the clock: a hold waits for them.
+        # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
         model = DriveModel(
@@ -105,7 +105,7 @@ class MachineNode(LifecycleNode):
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
 
     def _check(self, chunk: SetpointChunk) -> None:
-        """Let in what fits the machine, its state, and where it stands."""
+        """Check that a chunk fits the machine, its state and its position."""
         playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0
         playback.read()
         state = playback.state
@@ -126,32 +126,32 @@ class MachineNode(LifecycleNode):
             playback.join(run_id, number, *_parts(chunk))
 
     def _void(self) -> str:
-        """Say why setpoints of the plan that was left are void; the same text for all of them."""
+        """Return why setpoints of a plan that was left are ignored; the same text for all."""
         plan = self._playback.run_id.plan
         return f'plan {plan} has ended by a stop; its later setpoints are not needed'
 
     def _take(self, chunk: SetpointChunk) -> None:
-        """Put sound setpoints into the buffer."""
+        """Put valid setpoints into the buffer."""
         playback = self._playback
         if chunk.first_sample == 0:
             playback.begin_plan(run_id_of(chunk))
             if not playback.played:
-                playback.cycle.forget_lateness()  # a new run, and its figures
-        if not chunk.joins:  # else it is in the buffer already
+                playback.cycle.forget_lateness()  # a new run resets the figures
+        if not chunk.joins:  # a chunk that joins is in the buffer already
             playback.push(*_parts(chunk))
 
     def _see_refusal(self) -> None:
-        """Stop on the path after the sound setpoints: nothing more comes of this run."""
+        """Stop on the path after the valid setpoints, because the run gets no further ones."""
         self._playback.refuse(self._inlet.receiver.refusal_text)
 
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
-        """Tell the senders that the run is over."""
+        """Inform the senders that the run is over."""
         receiver = self._inlet.receiver
         if receiver.run_id and not receiver.refused:
             self._inlet.refuse(receiver.run_id, kind, reason)
 
     def _work(self) -> None:
-        """Open the window by what was played; publish a change of the state at once."""
+        """Open the window by the setpoints played; publish a change of the state at once."""
         playback, receiver = self._playback, self._inlet.receiver
         playback.read()
         state, run_id = playback.state, playback.run_id
@@ -170,14 +170,14 @@ class MachineNode(LifecycleNode):
             self._reports.publish_state()
 
     def _report_clock(self) -> None:
-        """Report how punctual the drives are stepped in this run, and how they are scheduled."""
+        """Report how late the drives are stepped in this run, and how the clock is scheduled."""
         clock = self._clock_of_drives
         if clock is not None:
             said = f'{clock.scheduling}; {self._memory}'
             self._diagnostics.say('clock', OK, said, **self._playback.cycle.lateness().figures())
 
     def publish_rest(self) -> None:
-        """Publish what was executed and not published yet."""
+        """Publish the executed setpoints that are not published yet."""
         self._reports.publish_executed()
 
     def close(self) -> None:

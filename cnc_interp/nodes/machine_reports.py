@@ -21,7 +21,7 @@ EXECUTED_PERIOD, TRAJECTORY_PERIOD = 0.1, 0.05
 
 class MachineReports:
     """
-    Publishes at the rates of the node's parameters.
+    Publishes state, joints and executed setpoints at the rates of the node's parameters.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class MachineReports:
         self._joints.publish(joint_state(feedback, machine, self._now()))
 
     def publish_executed(self) -> None:
-        """Publish what was executed since the last call."""
+        """Publish the setpoints executed since the last call."""
         self._playback.read()
         messages = executed_setpoints(self._playback, self._period)
         for message in messages:

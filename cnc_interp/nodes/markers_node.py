@@ -109,7 +109,7 @@ class MarkersNode(Node):
         self.create_timer(1.0 / values['rate'], self._tell)
 
     def _begin(self, program_id: str) -> None:
-        """Clear the picture when another program begins."""
+        """Remove all markers when another program begins."""
         if program_id != self._program_id:
             self._program_id, self._sequence, self._cleared = program_id, -1, True
             self._programmed.clear()
@@ -117,12 +117,12 @@ class MarkersNode(Node):
 
     def _see_block(self, block: G1Block) -> None:
         self._begin(block.program_id)
-        if block.sequence > self._sequence:  # a repeated block is known already
+        if block.sequence > self._sequence:  # a repeated block is drawn already
             self._sequence = block.sequence
             self._programmed.add(block.tip)
 
     def _see_setpoints(self, chunk: SetpointChunk) -> None:
-        """Take the last setpoint of the message that follows the program."""
+        """Add the last setpoint of the message that belongs to the program."""
         self._begin(chunk.program_id)
         q = np.reshape(chunk.positions, (-1, chunk.axis_count))
         if len(q) and chunk.sequences[-1] > 0:
@@ -130,7 +130,7 @@ class MarkersNode(Node):
             self._executed.add(tip[0])
 
     def _tell(self) -> None:
-        """Publish what has changed; everything if there is a new subscriber."""
+        """Publish the markers that have changed, or all of them for a new subscriber."""
         viewers = self.count_subscribers('markers')
         everything, self._viewers = viewers > self._viewers, viewers
         markers = self._programmed.news(everything) + self._executed.news(everything)
@@ -141,7 +141,7 @@ class MarkersNode(Node):
             self._publisher.publish(MarkerArray(markers=markers))
 
     def close(self) -> None:
-        """Do nothing at the end; no node depends on this one."""
+        """Close. No node depends on this one."""
 
 
 def main(arguments: list[str] | None = None) -> int:

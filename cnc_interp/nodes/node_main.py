@@ -24,9 +24,9 @@ from std_srvs.srv import Trigger
 from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.this_host import stay_on_this_host
 
-#: The events executor needs a finite timeout; signals are noticed after it at the latest [s].
+#: Timeout of the events executor [s]. Signals are noticed after it at the latest.
 SPIN_TIMEOUT = 0.1
-#: Niceness of the nodes where it is permitted: setpoints must not wait for other programs.
+#: Niceness of the nodes, if permitted, so that setpoints do not wait for other programs.
 NICENESS = -10
 
 
@@ -66,7 +66,7 @@ def run_node(
         executor = EventsExecutor()
         executor.add_node(node)
         gc.collect()
-        gc.freeze()  # objects that exist now live as long as the node; the collector ignores them
+        gc.freeze()  # objects that exist now are never freed, so the collector may ignore them
         run = multiprocessing.parent_process()
         # A node that was started by a run ends when the run ends.
         looked, lives = time.monotonic(), True
@@ -104,7 +104,7 @@ def answer_flush(node: Any, _request: Any, response: Any) -> Any:
 
 def come_first() -> None:
     """
-    Ask the system to serve this process before others; only some users may.
+    Ask the system to prefer this process. Only some users may do so.
 
     On Linux this holds for the calling thread and those that it starts from now on, so it comes
     before the threads of ROS. Where processes are scheduled by session, as desktops do, niceness
@@ -118,7 +118,7 @@ def come_first() -> None:
 
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
-    """Do the work of a lifecycle transition; rclpy would fail in silence where this says why."""
+    """Do the work of a lifecycle transition and log why it fails; rclpy would fail silently."""
     try:
         work()
     except InterpError as problem:

@@ -152,7 +152,7 @@ class Children:
                 raise InterpError(f'{node.name} ended: {last.removeprefix("cnc_interp: ")}')
 
     def revive(self) -> list[str]:
-        """Start nodes again that were killed by a signal; returns their names."""
+        """Restart nodes that were killed by a signal and return their names."""
         dead = [n.name for n in self._nodes.values() if (n.process.exitcode or 0) < 0]
         for name in dead:
             self._nodes[name] = self._start(name)
@@ -169,7 +169,7 @@ class Children:
         return {node.name: node.process.exitcode for node in self._nodes.values()}
 
     def end(self) -> None:
-        """Ask all nodes to end, wait, and kill those that do not end."""
+        """End all nodes; those that do not end in time are killed."""
         for node in self._nodes.values():
             node.process.terminate()
         deadline = time.monotonic() + LAST_WAIT

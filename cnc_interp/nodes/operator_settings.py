@@ -27,7 +27,7 @@ class OperatorInputs:
         node.create_service(SetBool, 'optional_stop', self._set_optional_stop)
 
     def see(self, state: MachineState) -> bool:
-        """Take what the machine tells; tell whether it has changed."""
+        """Store the settings that the machine reports; return whether they have changed."""
         before, self.settings = (
             self.settings, OperatorSettings(state.feed_override, state.single_block)
         )  # fmt: skip

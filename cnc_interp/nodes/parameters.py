@@ -31,7 +31,7 @@ class Declared:
 
 
 def of_settings(*stages: Stage) -> tuple[Declared, ...]:
-    """Declare the choices of some stages; for those that may be left out 0 or empty is none."""
+    """Declare the choices of some stages. An optional one is not given if it is 0 or empty."""
     return tuple(declared(choice) for choice in choices(Settings, *stages))
 
 
@@ -171,7 +171,7 @@ def descriptor_of(parameter: Declared) -> ParameterDescriptor:
 
 
 def check_change(changes: list[Any]) -> SetParametersResult:
-    """Refuse changes while the node runs: buffers, windows and plans are built on the values."""
+    """Refuse changes while the node runs: buffers, windows and plans depend on the values."""
     known = {parameter.name for table in (*NODES.values(), MARKERS) for parameter in table}
     for change in changes:
         if change.name in known:

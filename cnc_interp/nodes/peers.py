@@ -56,7 +56,7 @@ class Peers:
         self._state_seen = time.monotonic()
 
     def trust(self, now: float) -> None:
-        """Forget how long the others were silent: this node was not listening."""
+        """Reset the silence of the other nodes, because this node was not listening."""
         self._seen = dict.fromkeys(self._seen, now)
         self._state_seen = now
 
@@ -90,7 +90,7 @@ class Peers:
         """Return why a run was refused, by the node nearest to the machine that did."""
         for stream in reversed(RECEIVERS):
             status = self._status.get(stream)
-            # A plan that joins too late is between its two nodes: the run goes on.
+            # A plan that joins too late does not end the run.
             if status is None or status.refusal_kind in (Refusal.NONE, Refusal.TOO_LATE):
                 continue
             if self.knows(stream, run_id):
@@ -140,7 +140,7 @@ class SenderWatch:
             self.hear()
 
     def hear(self) -> None:
-        """Note that the sender was heard."""
+        """Record that the sender was heard."""
         self._silence.hear(time.monotonic())
         if self._lost:
             self._lost = False

@@ -11,12 +11,12 @@ from typing import Any
 
 from cnc_interp.run.planning_session import Task
 
-#: The thread that sends waits no longer for the one that plans, each time [s].
+#: Longest time that the sending thread waits for the planning thread [s].
 SWITCH = 5e-4
 
 
 class PlanningThread:
-    """A thread and the task that it was given last."""
+    """A thread that does one task after another, and the task submitted last."""
 
     def __init__(self) -> None:
         sys.setswitchinterval(SWITCH)
@@ -27,7 +27,7 @@ class PlanningThread:
         self._executor.submit(import_module, 'cnc_interp.feedrate.toppra_stage')
 
     def submit(self, task: Task) -> None:
-        """Have a task done after those submitted before."""
+        """Submit a task, which is done after those submitted before."""
         self._job = task, self._executor.submit(task.work), time.monotonic()
 
     def done(self) -> tuple[Task, Callable[[], Any]] | None:
@@ -40,5 +40,5 @@ class PlanningThread:
         return task, future.result
 
     def close(self) -> None:
-        """Begin no further task."""
+        """Start no further task."""
         self._executor.shutdown(wait=False, cancel_futures=True)

@@ -14,4 +14,4 @@ __all__ = ['feedrate_node', 'lookahead_node', 'machine_node', 'program_node']
 
 warm_nodes()
 gc.collect()
-gc.freeze()  # ignored by the collector from here on, so that the memory stays shared
+gc.freeze()  # the collector ignores these objects from now on, so their memory stays shared

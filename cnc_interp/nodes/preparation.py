@@ -10,7 +10,7 @@ from cnc_interp.run.run_phase import Code, Outcome
 
 
 class Preparation:
-    """What a thread has found about a program so far."""
+    """The check of a program in a thread, and its result."""
 
     def __init__(self) -> None:
         self.future: Future[Prepared] | None = None
@@ -19,13 +19,13 @@ class Preparation:
         self.cancelled = False
 
     def has_checked(self, share: float) -> None:
-        """Take note of how far the check is; it ends when the user has cancelled."""
+        """Record the progress of the check, or end it if the user has cancelled."""
         self.checked = share
         if self.cancelled:
             raise BlockError('cancelled before anything moved')
 
     def look(self) -> Outcome | None:
-        """Take the checked program over when it is there; a refusal is the outcome."""
+        """Return the outcome if the program was refused; store it when it is checked."""
         if self.prepared is not None or self.future is None or not self.future.done():
             return None
         try:
@@ -39,7 +39,7 @@ class Preparation:
         return None
 
     def close(self) -> None:
-        """Forget the program; a check that is under way ends."""
+        """Drop the program and end a check that is under way."""
         self.cancelled = True
         if self.prepared is not None:
             self.prepared.blocks.close()

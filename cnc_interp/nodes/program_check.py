@@ -18,14 +18,14 @@ from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 
-#: Length up to which the text is kept for those who show it [bytes].
+#: Largest length of a text that is kept for display [bytes].
 LONGEST_TEXT = 16 << 20
 
 
 @dataclass(frozen=True)
 class Prepared:
     """
-    A program that can run.
+    A program that was checked and can run.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def require_allowed(program: Path, folders: Sequence[str]) -> None:
 
 
 def text_of(path: Path) -> str:
-    """Return the text of a program as the reader saw it; nothing when it is very long."""
+    """Return the text of a program as the reader saw it, or an empty text if it is very long."""
     if path.stat().st_size > LONGEST_TEXT:
         return ''
     return path.read_text(encoding='utf-8-sig', errors='replace')

@@ -32,14 +32,14 @@ from cnc_interp.wire.run_messages import add_executed, run_feedback
 Result = RunProgram.Result
 #: Time between feedbacks [s].
 FEEDBACK = 0.1
-#: How often a button is pressed until it has had its effect [s].
+#: Time between repeated calls of a service of the machine [s].
 PRESS_AGAIN = 0.25
 #: After a longer pause of its own, silence of the other nodes does not count [s].
 FROZEN = 0.5
 
 
 class ProgramNode(Node):
-    """Runs one program after another; goals that come meanwhile wait."""
+    """Runs one program after another. Goals that arrive in the meantime wait."""
 
     def __init__(self) -> None:
         super().__init__('program_node')
@@ -72,7 +72,7 @@ class ProgramNode(Node):
         self._diagnostics.say('program', OK, 'no program')
 
     def _accept(self, handle: Any) -> None:
-        """Read the program of a goal and put it into the queue; the timer brings it forward."""
+        """Begin to read the program of a goal and queue it. The timer does the rest."""
         run = ProgramRun(handle.request)
         run.preparation.future = self._worker.submit(
             prepare,
@@ -85,7 +85,7 @@ class ProgramNode(Node):
         self._queue.add(run, handle)
 
     def _work(self) -> None:
-        """Bring the run forward by one step."""
+        """Advance the run by one step."""
         now = time.monotonic()
         if self._run is None and (following := self._queue.next()) is not None:
             (self._run, self._goal), self._state = following, None
@@ -126,14 +126,14 @@ class ProgramNode(Node):
         )
 
     def _see_unknown_run(self) -> None:
-        """Say what to do where cycle_start was asked for a run that this node has not begun."""
+        """Return what to do if cycle_start was called for a run that this node has not begun."""
         state = self._peers.state
         if state is not None and state.start_wanted and state.program_id:
             text = 'the program of this run is not known here any more; reset, then run it again'
             self._diagnostics.say('program', WARN, text)
 
     def _help(self, run: ProgramRun, now: float) -> None:
-        """Bring a cancelled run to its end; begin one again after the loss of a node."""
+        """End a cancelled run, or begin a run again after the loss of a node."""
         if run.preparation.cancelled:
             self._press('reset' if run.rests else 'feed_hold', now)
         elif run.may_go_on():
@@ -141,7 +141,7 @@ class ProgramNode(Node):
             self._begin(run)
 
     def _tell_programs(self, run: ProgramRun) -> None:
-        """Tell what runs, what waits, and what keeps the run from going on."""
+        """Report what runs, what waits, and what prevents the run from continuing."""
         waiting = ', '.join(self._queue.names)
         values: dict[str, object] = {WAITING: waiting}
         text = f'running {run.name}'
@@ -159,14 +159,14 @@ class ProgramNode(Node):
             self._buttons[button].call_async(Trigger.Request())
 
     def _tell_progress(self, program: Prepared | None, now: float) -> None:
-        """Publish feedback now and then."""
+        """Publish feedback at intervals."""
         due = now - self._feedback_at > FEEDBACK
         if due and self._state is not None and program is not None:
             self._feedback_at = now
             self._goal.publish_feedback(run_feedback(self._state, program.path_length))
 
     def _finish(self, run: ProgramRun, outcome: Outcome) -> None:
-        """End the run and hand its result over."""
+        """End the run and return its result to the client."""
         result = run.result(outcome)
         result.blocks_sent = max(0, self._outlet.sender.sent - 1)
         if self._state is not None:
@@ -183,7 +183,7 @@ class ProgramNode(Node):
             self._queue.give_up(run.name)
 
     def close(self) -> None:
-        """End: blocks that were sent are executed, the look-ahead ends the path after them."""
+        """Close. The blocks sent are executed; the look-ahead ends the path after them."""
         self._worker.shutdown(wait=False, cancel_futures=True)
         self._server.destroy()
 

@@ -11,7 +11,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.run.run_phase import Code, Outcome
 
-#: Most programs that may wait; each keeps in memory what was read of it.
+#: Largest number of programs that may wait. Each one uses memory.
 MOST = 16
 #: Time between feedbacks to a goal that waits [s].
 FEEDBACK = 0.5
@@ -45,14 +45,14 @@ def answer(handle: Any, result: RunProgram.Result) -> None:
 
 
 class ProgramQueue:
-    """First in, first out. A goal also leaves when it is cancelled or refused."""
+    """A queue of goals, first in, first out. Goals that are cancelled or refused leave it, too."""
 
     def __init__(self) -> None:
         self._entries: deque[Waiting] = deque()
         self._told_at = 0.0
 
     def add(self, run: ProgramRun, handle: Any) -> None:
-        """Take a goal in, or say that too many wait already."""
+        """Add a goal, or refuse it if too many wait already."""
         if len(self._entries) < MOST:
             self._entries.append(Waiting(run, handle))
             return
@@ -60,7 +60,7 @@ class ProgramQueue:
         self._end(Waiting(run, handle), Outcome(Code.BUSY, full))
 
     def next(self) -> Waiting | None:
-        """Hand out the goal whose turn it is."""
+        """Remove the next goal and return it."""
         return self._entries.popleft() if self._entries else None
 
     @property
@@ -69,9 +69,9 @@ class ProgramQueue:
         return [entry.run.name for entry in self._entries]
 
     def watch(self) -> None:
-        """Answer goals that were cancelled or refused; a refused one ends all after it."""
+        """End goals that were cancelled or refused. A refused one ends all after it."""
         for entry in list(self._entries):
-            if entry not in self._entries:  # it came after one that was refused
+            if entry not in self._entries:  # a goal before it was refused
                 continue
             if entry.handle.is_cancel_requested:
                 self._entries.remove(entry)
@@ -88,11 +88,11 @@ class ProgramQueue:
                 entry.handle.publish_feedback(RunProgram.Feedback(programs_ahead=ahead))
 
     def give_up(self, name: str) -> None:
-        """Start none of those that wait: the program before them did not reach its end."""
+        """Empty the queue, because the program before did not reach its end."""
         self._drop(0, name)
 
     def _drop(self, first: int, name: str) -> None:
-        """Answer all from a place on."""
+        """End all goals from an index on."""
         while len(self._entries) > first:
             entry = self._entries.pop()
             text = f'not started: {name} before it did not reach its end; send it again'

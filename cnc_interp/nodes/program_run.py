@@ -54,12 +54,12 @@ class ProgramRun:
         self.phase, self._since = TABLE[self.phase, step], now
 
     def take_turn(self, now: float) -> None:
-        """Leave the queue: the programs before this one have ended."""
+        """Leave the queue, because the programs before this one have ended."""
         self._change(Step.TURN, now)
 
     def step(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         """
-        Bring the run forward.
+        Advance the run.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class ProgramRun:
         return refused(kind, reason, moved=self._machine is not None)
 
     def _see_nodes(self, peers: Peers, now: float) -> None:
-        """Note which nodes have taken the run, and which one has forgotten it."""
+        """Record which nodes have accepted the run, and which one has lost it."""
         for stream, node in RECEIVERS.items():
             if peers.knows(stream, self.run_id):
                 self._known_by.add(node)
@@ -164,19 +164,19 @@ class ProgramRun:
 
     @property
     def trouble(self) -> str:
-        """What keeps the run from going on, and what to do; empty when nothing does."""
+        """What prevents the run from continuing, and what to do; empty if nothing does."""
         if self.missing:
             return f'{self.missing} does not answer; start it again, then cycle_start'
         lost = self.recovery.node
         return f'{lost} was restarted; cycle_start goes on from here' if lost else ''
 
     def may_go_on(self) -> bool:
-        """Tell whether the operator wants to go on after a loss, and all nodes are there."""
+        """Tell whether the operator wants to continue after a loss and all nodes answer."""
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
     def begin_again(self, now: float) -> None:
         """
-        Begin the run once more, from the place where the machine rests.
+        Begin the run again from the place where the machine rests.
 
         All blocks are sent again, because rounding looks at what lies before: the same blocks
         give the same path.

@@ -35,7 +35,7 @@ def _reliable(depth: int) -> QoSProfile:
 
 
 def listening_to(profile: QoSProfile) -> QoSProfile:
-    """Return the profile with which a recorder listens: as offered, with a longer queue."""
+    """Return the profile of a recorder: the offered one with a longer queue."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=DEPTH,

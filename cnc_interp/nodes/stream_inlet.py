@@ -93,7 +93,7 @@ class Inlet:
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
     def _receive(self, data: bytes) -> None:
-        """Open a message and take those that the gate lets pass."""
+        """Read a message and accept those that the gate returns."""
         try:
             message = opened(data, self._kind)
         except StreamError as fault:
@@ -103,7 +103,7 @@ class Inlet:
             self._enter(passed)
 
     def _enter(self, message: Any) -> None:
-        """Take a message, or name why it is not taken."""
+        """Accept a message, or report why it is refused."""
         receiver = self.receiver
         run_id, first, count, begins = numbers_of(message)
         try:
@@ -132,7 +132,7 @@ class Inlet:
             self.tell()  # the sender may go on
 
     def _pass_over(self, fault: StreamError, mine: bool) -> None:
-        """Name why a message does not belong here; where something is missing, ask for it."""
+        """Report why a message does not fit; ask for messages that are missing."""
         receiver = self.receiver
         if fault.kind is Refusal.PLAN_OVER:
             self._logger.debug(str(fault))
@@ -158,7 +158,7 @@ class Inlet:
         )
 
     def _ask_again(self, kind: Refusal, reason: str) -> None:
-        """Have what is missing sent again."""
+        """Ask the sender to repeat the missing messages."""
         self._name(WARN, kind, reason)
         if not self._gap:
             self._gap = True
@@ -166,7 +166,7 @@ class Inlet:
 
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
         """
-        Take nothing more of a run, and tell its sender why.
+        Accept nothing more of a run, and tell its sender why.
 
         Parameters
         ----------
@@ -196,17 +196,17 @@ class Inlet:
         self._diagnostics.say(self.receiver.stream, *self._named, refused=self._refused.total())
 
     def _news(self) -> tuple[Any, ...]:
-        """Return what an acknowledgement tells."""
+        """Return an acknowledgement."""
         receiver = self.receiver
         return receiver.run_id, receiver.next_number, receiver.limit, receiver.refused
 
     def _tick(self) -> None:
-        """Acknowledge when there is news, else now and then."""
+        """Acknowledge when something has changed, else at intervals."""
         if self._news() != self._told or time.monotonic() - self._told_at > HEARTBEAT:
             self.tell()
 
     def tell(self) -> None:
-        """Publish how far the stream has come and how far it may go."""
+        """Publish what was received and how far the sender may go."""
         receiver, run_id = self.receiver, self.receiver.run_id
         self._told, self._told_at = self._news(), time.monotonic()
         self._status.publish(

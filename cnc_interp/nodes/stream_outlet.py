@@ -58,7 +58,7 @@ class Outlet:
         )
 
     def _acknowledge(self, status: StreamStatus) -> None:
-        """Move the window on and use it."""
+        """Move the window forward and send."""
         if status.stream != self.stream:
             return
         if status.refusal_kind == Refusal.TOO_LATE:
@@ -68,7 +68,7 @@ class Outlet:
         run_id = run_id_of(status)
         told = run_id, status.next_sequence, status.window_limit, self.heard, status.gap
         self.sender.acknowledge(*told)
-        if self._before.run_id == run_id:  # the plan before counts until the new one has joined
+        if self._before.run_id == run_id:  # valid until the new plan has joined
             self._before.acknowledge(*told)
             self.sender.open(status.window_limit)
         self.pump()
@@ -83,12 +83,12 @@ class Outlet:
         self.sender.begin(run_id, first, self._before.limit)
 
     def take_back(self) -> None:
-        """Go on with the plan that was sent before the one that was to join."""
+        """Continue with the plan before the one that was to join."""
         self.sender, self.turned_away = self._before, False
 
     @property
     def refused(self) -> Refusal:
-        """Why the receiver takes no more of this run; NONE while it does."""
+        """Why the receiver refuses the run; NONE if it does not."""
         peer = self.peer
         if peer is None or run_id_of(peer) != self.sender.run_id:
             return Refusal.NONE
@@ -96,17 +96,17 @@ class Outlet:
 
     @property
     def refusal_text(self) -> str:
-        """The receiver's words for it."""
+        """The receiver's text for this reason."""
         return '' if self.peer is None else str(self.peer.refusal)
 
     def pump(self) -> None:
-        """Send what may be sent."""
+        """Send as much as the window allows."""
         if not self.sender.run_id or self.refused:
             return
         items = self.sender.due(time.monotonic())
         for done, item in enumerate(items):
             try:
                 self._publisher.publish(sealed(self._encode(item.item, item.first)))
-            except RCLError:  # the line is busy: the rest goes with the next call
+            except RCLError:  # publishing failed: the rest is sent at the next call
                 self.sender.take_back(len(items) - done)
                 return

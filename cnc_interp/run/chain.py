@@ -28,13 +28,13 @@ from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
-#: Stages whose time is told, in their order.
+#: Stages whose time is reported, in order.
 STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A planned program: everything from blocks to setpoints, and how long planning took."""
+    """A planned program: everything from blocks to setpoints, and the time that planning took."""
 
     program: Program
     machine: Machine
@@ -83,7 +83,7 @@ class Chain:
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        """What the operator should know of the path: source line and text."""
+        """Notices about the path for the operator: source line and text."""
         return self._path.notice
 
     def push(self, blocks: Blocks) -> None:
@@ -97,7 +97,7 @@ class Chain:
         self._finished = True
 
     def drain(self, writer: PlanWriter) -> None:
-        """Write what has come out so far, and forget it."""
+        """Write the results so far, and drop them."""
         for segments in self.segments:
             writer.segments(segments)
         for piece in self.pieces:
@@ -123,7 +123,7 @@ class Chain:
             self._keep(self._watch.timed('feedrate', self._planner.push, part.path))
 
     def _keep(self, pieces: list[PlannedPiece]) -> None:
-        """Keep what the planner committed."""
+        """Store what the planner committed."""
         self.moved = self.moved or bool(pieces)
         self.pieces += pieces
         self._unsampled += pieces

@@ -101,7 +101,7 @@ class PathChain:
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        """What the operator should know of the path: source line and text."""
+        """Notices about the path for the operator: source line and text."""
         return self._builder.passages.notice
 
     def push(self, blocks: Blocks) -> PathPart:

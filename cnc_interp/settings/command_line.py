@@ -38,7 +38,7 @@ def _add(parser: argparse.ArgumentParser, choice: Choice) -> None:
 
 
 def _reader(choice: Choice) -> Callable[[str], Any]:
-    """Return what turns a word of the command line into a value."""
+    """Return the function that converts a word of the command line to a value."""
 
     def read(text: str) -> Any:
         try:
@@ -50,7 +50,7 @@ def _reader(choice: Choice) -> Callable[[str], Any]:
 
 
 def settings_from(options: argparse.Namespace) -> Settings:
-    """Return what was chosen on the command line."""
+    """Return the settings given on the command line."""
     return Settings(**{choice.name: getattr(options, choice.name) for choice in choices(Settings)})
 
 

@@ -16,13 +16,13 @@ def offered() -> tuple[Choice, ...]:
 
 
 def filled_in(settings: Settings) -> dict[str, str]:
-    """Return what stands in the fields, in units of the shop floor."""
+    """Return the contents of the fields, in shop units."""
     return {choice.name: choice.shop_text(getattr(settings, choice.name)) for choice in offered()}
 
 
 def settings_filled_in(settings: Settings, texts: Mapping[str, str]) -> Settings:
     """
-    Return settings with what was filled in.
+    Return settings with the contents of the fields.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ def chunk_message(
     joins: bool = False,
 ) -> SetpointChunk:
     """
-    Turn a chunk into a message.
+    Convert a chunk to a message.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ class JoinGate:
 
     def passed(self, chunk: SetpointChunk, current: RunId, limit: int) -> list[SetpointChunk]:
         """
-        Take a chunk and return those that may go on, in order.
+        Take a chunk and return the chunks that may pass, in order.
 
         Parameters
         ----------

@@ -27,7 +27,7 @@ UNIT = 1e-9
 
 
 def check_block(message: G1Block, extra_count: int = 0) -> None:
-    """Refuse a block with values that no program can mean; the machine has so many extra axes."""
+    """Refuse a block with values that no program can mean, or for another number of extra axes."""
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
     _check_interpolation(name, message)

@@ -28,7 +28,7 @@ def block_messages(
     blocks: Blocks, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[G1Block]:
     """
-    Turn rows of a program into messages.
+    Convert rows of a program to messages.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
 def segment_messages(
     segments: PathSegments, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[PathSegment]:
-    """Turn consecutive segments into messages; ``end`` marks the last one of the program."""
+    """Convert consecutive segments to messages; ``end`` marks the last one of the program."""
     last = len(segments) - 1
     return [
         _segment_message(segments, i, run_id, first_sequence + i, flank_height, end and i == last)
@@ -117,7 +117,7 @@ def segment_messages(
 def _segment_message(
     segments: PathSegments, i: int, run_id: RunId, sequence: int, height: float, end: bool
 ) -> PathSegment:
-    """Turn one segment into a message."""
+    """Convert one segment to a message."""
     kind = int(segments.kind[i])
     message = PathSegment(
         program_id=run_id.program_id,

@@ -73,7 +73,7 @@ class SmoothingRun:
 
     def end(self) -> tuple[list[PathSegment], str]:
         """
-        Bring the path to rest at the last sound block.
+        End the path at rest with the last valid block.
 
         Returns
         -------
@@ -98,7 +98,7 @@ class SmoothingRun:
         return messages, problem
 
     def _complete(self, segments: PathSegments) -> list[PathSegment]:
-        """Make messages of all segments but the newest."""
+        """Convert all segments but the newest to messages."""
         if not len(segments):
             return []
         if self._newest is not None:
@@ -107,7 +107,7 @@ class SmoothingRun:
         return self._messages(segments[:-1], end=False)
 
     def _messages(self, segments: PathSegments, end: bool) -> list[PathSegment]:
-        """Make messages of consecutive segments."""
+        """Convert consecutive segments to messages."""
         messages = segment_messages(segments, self.run_id, self._sequence, self._flank_height, end)
         self._sequence += len(messages)
         for message in messages:

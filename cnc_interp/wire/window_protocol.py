@@ -20,7 +20,7 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 Item = TypeVar('Item')
 #: Programs whose late messages are recognised as such.
 REMEMBERED = 64
-#: Time that a repetition asked for may take to arrive [s].
+#: Time after which a requested repetition is requested again [s].
 SETTLE = 0.05
 #: Longest time before a repetition, as a multiple of the first one.
 MOST_PATIENT = 16.0
@@ -28,7 +28,7 @@ MOST_PATIENT = 16.0
 
 @dataclass(frozen=True)
 class Numbered(Generic[Item]):
-    """An item with the number of its first element and how many it has."""
+    """An item with the number of its first element and the count of its elements."""
 
     first: int
     count: int
@@ -111,7 +111,7 @@ class WindowedSender(Generic[Item]):
         return found
 
     def take_back(self, items: int) -> None:
-        """Count the last items returned by ``due`` as not sent, because publishing failed."""
+        """Mark the last items returned by ``due`` as not sent, because publishing failed."""
         self._in_flight = max(0, self._in_flight - items)
 
     def acknowledge(
@@ -134,7 +134,7 @@ class WindowedSender(Generic[Item]):
         self.open(window_limit)
 
     def open(self, window_limit: int) -> None:
-        """Move the window on."""
+        """Move the window forward."""
         self.limit = max(self.limit, window_limit)
 
 
@@ -239,13 +239,13 @@ class WindowedReceiver:
         self.complete, self.refused, self.refusal_text, self._closed = False, Refusal.NONE, '', ''
 
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
-        """Take nothing more of a run; kind and reason as in ``StreamStatus``."""
+        """Accept nothing more of a run; kind and reason as in ``StreamStatus``."""
         if run_id != self.run_id:
             self._begin(run_id)
         self.refused, self.refusal_text = kind, reason
 
     def close(self, reason: str) -> None:
-        """Expect nothing more of this plan; messages on their way are ignored."""
+        """Accept nothing more of this plan; messages on their way are ignored."""
         self.complete, self._closed = True, reason
 
     def consume(self, count: int) -> None:
@@ -265,7 +265,7 @@ class Silence:
         self._waits_since = math.inf
 
     def hear(self, now: float) -> None:
-        """Note that the other node was heard."""
+        """Record that the other node was heard."""
         self._heard = now
 
     def waited(self, waits: bool, now: float) -> float:

@@ -14,7 +14,7 @@ from cnc_interp.core.units import MM_PER_MIN
 
 INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
-#: Colours of the axes in their order; a machine with more axes begins again.
+#: Colours of the axes in order. They repeat if a machine has more axes.
 AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0', '#c9b458')
 #: The charts show values as shares of their limit.
 KINDS = ('velocity', 'acceleration', 'jerk')
@@ -86,7 +86,7 @@ def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> 
 
 
 def draw(one: Any, moments: list[Moment], now: float, columns: list[list[float]]) -> None:
-    """Send the points of all curves; what is not a number leaves a gap."""
+    """Send the points of all curves. NaN leaves a gap."""
     times = [round(m.time - now, 1) for m in moments]
     series = [
         {

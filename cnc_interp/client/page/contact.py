@@ -32,7 +32,7 @@ REMEMBERED = round(2 * LATE / BEAT)
 
 class Contact:
     """
-    The server's end, for one page.
+    The server's side of the connection to one page.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Contact:
 
     @staticmethod
     def script() -> str:
-        """Return the page's end, for its head."""
+        """Return the script of the page's side, for the head of the page."""
         return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
 
     @property

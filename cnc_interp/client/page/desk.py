@@ -97,12 +97,12 @@ class Desk:
         self._tasks: set[asyncio.Task[None]] = set()
         self._peak = np.zeros((3, 0))
         self.nodes = OperatorClient('panel', namespace, domain, self._see_state)
-        self.nodes.start()  # what it hears is told to this desk, which is complete now
+        self.nodes.start()  # its thread calls this desk, so the desk must be complete
 
     # The machine --------------------------------------------------------------------------------
 
     def _see_state(self, state: MachineState) -> None:
-        """Keep what counts, and a point for the charts; in the thread of ROS."""
+        """Store the state and a point of the charts. The thread of ROS calls this."""
         self.single_block = state.single_block
         now = time.monotonic()
         use = np.array(
@@ -151,7 +151,7 @@ class Desk:
     # The program --------------------------------------------------------------------------------
 
     def load(self, name: str, text: str) -> Answer:
-        """Lay a program on the desk and plan it; not while another one runs."""
+        """Load a program and plan it, unless another one runs."""
         if self._planner is None:
             return Answer(False, 'the nodes do not answer yet: wait, then press again')
         state = self.nodes.state
@@ -172,7 +172,7 @@ class Desk:
         return await asyncio.wrap_future(self.nodes.start_program(job.goal()))
 
     def empty_queue(self) -> Answer:
-        """Let the programs go that wait."""
+        """Remove the waiting programs from the queue."""
         count = self.nodes.cancel_waiting()
         return Answer(
             count > 0,
@@ -180,7 +180,7 @@ class Desk:
         )
 
     def choose(self, settings: Settings) -> Answer:
-        """Take the settings of the next run; a loaded program is planned again."""
+        """Set the settings of the next run. A loaded program is planned again."""
         if in_program(self.nodes.state):
             return Answer(False, 'a program is running: change the settings when it has ended')
         self.settings = settings
@@ -200,7 +200,7 @@ class Desk:
         return self._set_job(planner, Job(path.name, text.splitlines(), path, settings))
 
     def _set_job(self, planner: Planner, job: Job) -> Job:
-        """Make a job the one on the desk and plan it."""
+        """Make a job the loaded one and plan it."""
         job.status, job.proven = 'planning', None
         self.job = job
         self._begin(self._plan(planner, job))
@@ -276,7 +276,7 @@ class Desk:
         return answer
 
     def close(self) -> None:
-        """End; what the machine does is not touched."""
+        """Close. The machine continues."""
         if self._planner is not None:
             self._planner.close()
         self.nodes.close()

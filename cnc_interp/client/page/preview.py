@@ -23,7 +23,7 @@ from cnc_interp.core.temporary_folder import TemporaryFolder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import command_words
 
-#: Points that are drawn at most.
+#: Largest number of points drawn.
 DRAWN = 20000
 #: Niceness of the planning process: lower priority than the nodes.
 NICENESS = 5
@@ -32,7 +32,7 @@ NICENESS = 5
 @dataclass(frozen=True)
 class Preview:
     """
-    What planning found out.
+    What the page shows of a planned program.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def thinned(tip: FloatArray, axis: FloatArray) -> Any:
 
 class Planner:
     """
-    Plans and proves programs, one at a time; a new one ends the one before.
+    Plans and proves one program at a time. A new program ends the work on the one before.
 
     Parameters
     ----------
@@ -175,5 +175,5 @@ class Planner:
 
 
 def be_last() -> None:
-    """Step behind the nodes."""
+    """Give the nodes priority over this process."""
     os.nice(NICENESS)

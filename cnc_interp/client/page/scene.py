@@ -54,7 +54,7 @@ class MachineView:
         self._look(np.zeros(3), 0.25)
 
     def _build(self, link: str) -> None:
-        """Add a link's shapes, then what hangs on it."""
+        """Add the shapes of a link, then the links attached to it."""
         for shape in self._description.links[link]:
             found = self._add(shape)
             if link in MACHINE_LINKS:
@@ -72,7 +72,7 @@ class MachineView:
                     self._build(joint.child)
 
     def _add(self, shape: Shape) -> Any:
-        """Add one shape where it belongs."""
+        """Add one shape at its place in the link."""
         if shape.is_box:
             found = self._scene.box(*shape.size)
             turn = np.eye(3)
@@ -115,7 +115,7 @@ class MachineView:
         self.look_at_part(self._of_part)
 
     def look_at_part(self, of_part: bool) -> None:
-        """Look at the part, which then stands still, or at the whole machine."""
+        """Show the part at rest, or the whole machine."""
         self._of_part = of_part
         for shape in self._hidden:
             shape.visible(not of_part)
@@ -126,7 +126,7 @@ class MachineView:
             self._look((low + high) / 2, max(0.03, float(np.linalg.norm(high - low)) * 0.62))
 
     def _look(self, centre: FloatArray, radius: float) -> None:
-        """Put the camera so that a ball fills the view."""
+        """Place the camera so that a sphere fills the view."""
         distance = radius / np.sin(np.radians(FOV / 2))
         place = centre + distance * np.array([0.55, -0.70, 0.46])
         self._scene.move_camera(
@@ -135,5 +135,5 @@ class MachineView:
 
 
 def css(colour: Colour) -> str:
-    """Write a colour for the browser."""
+    """Return a colour as the browser writes it."""
     return '#' + ''.join(f'{round(255 * x):02x}' for x in colour[:3])

@@ -314,7 +314,7 @@ class Page:
         return True
 
     def _show(self) -> None:
-        """Bring the page up to date; only what has changed is sent, and what it can take."""
+        """Update the page. Only changes are sent, and only while the browser keeps up."""
         if not self._contact.is_followed:
             return
         desk = self._desk
@@ -345,7 +345,7 @@ class Page:
             self._charts.show(desk)
 
     def _show_rights(self) -> None:
-        """Show who commands, and what others have set."""
+        """Show which page has control, and what others have set."""
         rights = 'in charge' if self._in_charge else 'view only'
         if self._changed('rights', rights):
             self._labels['rights'].set_text(rights)

@@ -134,7 +134,7 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
 
     """
     linear = np.flatnonzero(blocks.by_rotary)
-    if not len(linear) or blocks.extra.any():
+    if not len(linear):
         return blocks
     in_axes = blocks.interpolation == AXES_LINEAR
     first, last = blocks.rotary_from, blocks.rotary
@@ -142,6 +142,7 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
     own = in_axes[linear]
     start[own] = transform.linear(start[own], first[linear[own]]).reshape(-1, 3)
     end[own] = transform.linear(end[own], last[linear[own]]).reshape(-1, 3)
+    # X Y Z plus the extra axes along their directions: the sum runs linearly, too.
     ends = [np.hstack([start, first[linear]]), np.hstack([end, last[linear]])]
 
     def poses(row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -165,6 +166,8 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
     columns['tip'][between], columns['axis'][between] = poses(place, u[between])
     way = (last - first)[row[between]]
     columns['rotary'][between] = first[row[between]] + u[between, None] * way
+    left = (1.0 - u[between, None]) * (blocks.extra[row[between]] - blocks.extra[row[between] - 1])
+    columns['extra'][between] -= left
     columns['duration'] /= counts[row]
     columns['exact_stop'] &= final
     columns['program_stop'] = np.where(final, columns['program_stop'], GO_ON)

@@ -9,6 +9,7 @@ import numpy as np
 from cnc_interp.cam.classical import ClassicalPaths
 from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
+from cnc_interp.cam.pole_turn import PoleTurn
 from cnc_interp.cam.simulation import Section
 from cnc_interp.core.units import DEG, MM, UM
 
@@ -103,6 +104,8 @@ def describe(summary: dict[str, Any]) -> str:
             f'program        {summary["program"]}, {summary["blocks"]} blocks; passes of '
             f'{summary["length"] / MM:.0f} mm'
         )
+    if 'pole' in summary:
+        lines.append(f'pole           {PoleTurn(**summary["pole"]).text}')
     if 'cycle_time' in summary:
         lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
     for name in ('programmed', 'planned', 'executed'):

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
+from cnc_interp.cam.pole_turn import pole_turn
 from cnc_interp.cam.program_text import write_tool_path
 from cnc_interp.cam.simulation import (
     Motion,
@@ -67,10 +69,9 @@ def make_program(options: argparse.Namespace) -> int:
     clock = time.perf_counter() - clock
     axis = unit(_mean_normal(surface)) if cutter.is_ball else None
     curves = [SplinePass.of(p, options.overrun * MM, axis) for p in paths.passes]
-    steps = link(
-        [c for c in curves if c], surface, cutter,
-        LinkOptions(options.linking, options.clearance * MM),
-    )  # fmt: skip
+    passes = [curve for curve in curves if curve]
+    links = LinkOptions(options.linking, options.clearance * MM)
+    steps = link(passes, surface, cutter, links)
     machine = Machine.load(options.machine)
     tolerance = SMOOTHING * options.scallop * UM
     reading = Settings(contour_tolerance=tolerance, orientation_tolerance=tolerance)
@@ -85,6 +86,11 @@ def make_program(options: argparse.Namespace) -> int:
         'surface': str(options.surface), **facts_of(paths, clock), 'program': str(file),
         'blocks': len(program.blocks) - 1,
     }  # fmt: skip
+    beside = pole_turn(
+        passes, options.feed * MM_PER_MIN, tolerance / reading.flank_height, machine
+    )
+    if beside:
+        summary['pole'] = asdict(beside)
     motions = []
     if options.run or options.simulate:
         motions.append(programmed(program))

@@ -17,12 +17,14 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cnc_interp.convert import with_poses
 from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS
+from cnc_interp.wire.path_messages import blocks_from
 
 #: The frame of programs, see the machines' URDF.
 FRAME = 'workpiece'
@@ -100,6 +102,7 @@ class MarkersNode(Node):
         self._programmed = Strip('programmed', PROGRAMMED, 0.3 * MM, spacing)
         self._executed = Strip('executed', EXECUTED, 0.6 * MM, spacing)
         self._program_id, self._sequence = '', -1
+        self._block: G1Block | None = None
         self._cleared, self._viewers = False, 0
         self._publisher = self.create_publisher(MarkerArray, 'markers', MARKERS)
         self.create_subscription(G1Block, 'blocks', self._see_block, LISTENING)
@@ -117,9 +120,17 @@ class MarkersNode(Node):
 
     def _see_block(self, block: G1Block) -> None:
         self._begin(block.program_id)
-        if block.sequence > self._sequence:  # a repeated block is drawn already
-            self._sequence = block.sequence
-            self._programmed.add(block.tip)
+        if block.sequence <= self._sequence:  # a repeated block is drawn already
+            return
+        tips = [block.tip]
+        follows = 0 < block.sequence == self._sequence + 1
+        if follows and block.interpolation == G1Block.AXES_LINEAR:
+            # The axes run linearly, so the tip runs on a curve.
+            pair = blocks_from([self._block, block])
+            tips = list(with_poses(pair, self._transform, block.flank_height).tip[1:])
+        for tip in tips:
+            self._programmed.add(tip)
+        self._sequence, self._block = block.sequence, block
 
     def _see_setpoints(self, chunk: SetpointChunk) -> None:
         """Add the last setpoint of the message that belongs to the program."""

@@ -51,8 +51,10 @@ SLACK = 1e-9
 # Largest accepted distance between an exact stop and its vertex [m].
 STOP_DISTANCE = 1e-6
 # A search is widened by this number of tolerances where blocks are tiny. There one path segment
-# covers many rows, but names only the middle row of each of its halves.
-REACH = 50.0
+# covers many rows, but each of its halves names one row: the middle one, or the first or last row
+# of a curve. A half is 50 tolerances long at most, counted as the root mean square of tip and
+# point at flank height. Way of the tip plus rotation at flank height is up to sqrt(8) times that.
+REACH = 142.0
 # Where the plan does not say which blocks may become curves: those up to this length [m].
 LONGEST_BLOCK = 5e-3
 # Rotary words are met within this at an exact stop [rad].

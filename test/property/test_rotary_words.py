@@ -148,3 +148,76 @@ def test_an_axis_beside_its_line_is_found_where_the_tool_does_not_show_it():
     other.blocks['rotary'][-1, 1] += 360.0 * DEG
     failures = verify(other, machine).failures
     assert any('rotary word missed' in failure for failure in failures)
+
+
+def planned_words(name, tcp):
+    """A plan whose last two blocks end on rotary words away from the pole, and its machine."""
+    machine = Machine.load(name)
+    outer = Transform.of(machine).outer
+    ends = {3 + outer: (5, 40), 4 - outer: (12, 25)}
+    words = [
+        ' '.join(
+            f'{machine.axis_names[k]}{end[i]}'
+            for k, end in ends.items()
+            if np.ptp(machine.travel[k]) > 1e-6
+        )
+        for i in range(2)
+    ]
+    text = '\n'.join([
+        'G21 G90 G94', *(['M428'] if tcp else []), f'G0 X0 Y0 Z0 {words[0]}',
+        f'G1 X8 Y5 {words[1]} F1500', 'X16 Y0', 'M30',
+    ])  # fmt: skip
+    transform = Transform.of(machine)
+    program = read_text(text, 't.ngc', transform, Settings())
+    return machine, transform, rotary_words.files_of(plan_program(program, machine))
+
+
+def with_positions(files, position):
+    return replace(files, setpoints={**files.setpoints, 'position': position})
+
+
+def other_branch(transform, q):
+    """The same poses with the other solution of the rotary axes, without jumps."""
+    tip, axis = transform.forward(q)
+    rotary = []
+    for pair, o in zip(q[:, 3:5], axis, strict=True):
+        far = max(transform.rotary_solutions(o),
+                  key=lambda found: np.abs(np.sin(0.5 * (found - pair))).max())  # fmt: skip
+        rotary.append(far)
+    other = q.copy()
+    other[:, 3:5] = np.unwrap(rotary, axis=0)
+    other[:, :3] = transform.linear(tip, other[:, 3:5])
+    if q.shape[1] > 5:
+        other[:, :3] -= q[:, 5:] @ transform.extra_direction
+    return other
+
+
+@pytest.mark.parametrize('tcp', [False, True])
+@pytest.mark.parametrize('name', MACHINES)
+def test_check_finds_the_wrong_branch_and_the_wrong_turn(name, tcp):
+    """The poses are right at every moment; only axes and words differ."""
+    machine, transform, files = planned_words(name, tcp)
+    assert verify(files, machine).ok
+    outer = 3 + transform.outer
+    turned = files.position.copy()
+    turned[:, outer] += 2.0 * np.pi
+    for position in (other_branch(transform, files.position), turned):
+        for mine, theirs in zip(
+            transform.forward(position), transform.forward(files.position), strict=True
+        ):
+            assert np.abs(mine - theirs).max() < 1e-9
+        failures = verify(with_positions(files, position), machine).failures
+        assert any('rotary word missed' in failure for failure in failures), failures
+
+
+@pytest.mark.parametrize('name', MACHINES)
+def test_check_finds_each_axis_beside_its_line(name):
+    """With TCP off every axis is compared, also where the others hide it from the tool."""
+    machine, _, files = planned_words(name, tcp=False)
+    share = np.linspace(0.0, 1.0, len(files.position))
+    for k, axis in enumerate(machine.axis_names):
+        position = files.position.copy()
+        size = 0.1 * MM if machine.is_linear[k] else 0.1 * MM / HEIGHT
+        position[:, k] += size * np.sin(np.pi * share) ** 4
+        failures = verify(with_positions(files, position), machine).failures
+        assert any('axes beside their line' in failure for failure in failures), (axis, failures)

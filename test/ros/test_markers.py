@@ -85,10 +85,10 @@ class Viewer:
             self.executor.spin_once(timeout_sec=0.05)
         return done()
 
-    def stream(self, run):
+    def stream(self, run, attempt=0):
         """Send the blocks of the program, one of them twice, and setpoints along them."""
         blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, Settings()).blocks
-        messages = block_messages(blocks, RunId(run), 0, 0.03, end=True)
+        messages = block_messages(blocks, RunId(run, attempt), 0, 0.03, end=True)
         for message in [*messages, messages[1]]:
             self.blocks.publish(message)
         share = np.linspace(0.0, len(CORNERS) - 1, 3001)
@@ -131,7 +131,24 @@ def test_programmed_and_executed_path_are_drawn(viewer):
     viewer.markers.clear()
     viewer.look()
     assert viewer.seen(lambda: len(viewer.points('executed')) == len(tips))
-    viewer.stream('one+1')
+    viewer.stream('one', attempt=1)
     assert viewer.seen(lambda: len(viewer.points('executed')) == 2 * len(tips))
     viewer.stream('two')
     assert viewer.seen(lambda: len(viewer.points('executed')) == len(tips))
+
+
+def test_axes_that_run_linearly_are_drawn_where_the_tool_goes(viewer):
+    """C turns by 90 deg with tool-tip control off: the tip runs on an arc about the C axis."""
+    text = 'G21 G90\nG0 X0 Y0 Z0 A0 C0\nG1 C90 F3000\nG1 X10 C100\nM30\n'
+    blocks = read_text(text, 'turn.ngc', TRANSFORM, Settings()).blocks
+    for message in block_messages(blocks, RunId('turn'), 0, 0.03, end=True):
+        viewer.blocks.publish(message)
+    assert viewer.seen(lambda: len(viewer.points('programmed')) > 100)
+    centre = -Machine.load('xyzac').offsets[0, :2]  # of the C axis, from the workpiece zero
+    apart = np.linalg.norm(viewer.points('programmed')[:, :2] - centre, axis=1)
+    radius, points = np.linalg.norm(centre), viewer.points('programmed')
+    on_arc = np.abs(apart - radius) < 1e-9
+    assert on_arc.sum() > 50 and on_arc[:50].all()
+    steps = np.linalg.norm(np.diff(points[on_arc], axis=0), axis=1)
+    assert (steps**2 / (8.0 * radius)).max() < 0.02e-3  # chords stay within the tolerance
+    assert np.abs(points[-1] - blocks.tip[-1]).max() < 1e-12

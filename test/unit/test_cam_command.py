@@ -1,6 +1,7 @@
 """The cam commands: from a surface to executed motion, and one line for what does not fit."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from cnc_interp.program import read_program
 from cnc_interp.settings.choices import Settings
 
 thorough = pytest.mark.thorough
+EXAMPLES = Path(__file__).parents[2] / 'examples'
 
 SURFACE = {
     'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],
@@ -92,6 +94,42 @@ def test_classical_strategy_makes_a_program_too(mill, surface, tmp_path, capsys)
     summary = json.loads(capsys.readouterr().out)
     assert summary['programmed']['ridge_50'] == pytest.approx(10e-6, rel=0.05)
     assert summary['programmed']['uncut'] == 0.0 and 'tilt' not in summary
+
+
+def rates_about_the_pole(program):
+    """Speed of C along the cutting moves of a program at the programmed feed, over its largest."""
+    machine = Machine.load('xyzac')
+    motion = programmed(read_program(program, Transform.of(machine), Settings()))
+    azimuth = np.arctan2(motion.axis[:, 0], motion.axis[:, 1])
+    turned = np.abs((np.diff(azimuth) + np.pi) % (2.0 * np.pi) - np.pi)
+    way = np.linalg.norm(np.diff(motion.tip, axis=0), axis=1)
+    tilted = np.hypot(motion.axis[:, 0], motion.axis[:, 1]) > 1e-3
+    moves = tilted[1:] & tilted[:-1] & (way > 1e-6) & (way < 0.5 * MM)  # links are longer
+    return turned[moves] / (way[moves] / (50 * MM)) / machine.max_velocity[4]
+
+
+def test_passes_beside_the_pole_are_told_with_the_turn_that_avoids_it(tmp_path, capsys):
+    """The face of examples/bumps.json lies flat here; then it is turned as told."""
+    face = json.loads((EXAMPLES / 'bumps.json').read_text())
+
+    def made(turn):
+        face['placement'] = {'rotation_deg': turn}
+        (tmp_path / 'face.json').write_text(json.dumps(face))
+        out = tmp_path / f'{sum(turn):g}'
+        command = ['cam', 'iso-scallop', str(tmp_path / 'face.json'), '--stepover', '2']
+        assert main([*command, '--format', 'cl', '--out', str(out)]) == FINE
+        summary = json.loads((out / 'summary.json').read_text())
+        return rates_about_the_pole(out / 'program.apt').max(), summary, capsys.readouterr().out
+
+    fastest, summary, said = made([0.0, 0.0, 0.0])
+    told = summary['pole']
+    assert told['axis'] == 'C' and told['passes'] >= 10 and told['rate'] > 100.0
+    assert fastest > 20.0
+    angle = round(np.degrees(told['angle']))
+    assert f'turn the workpiece by {angle} deg about {told["about"]}' in said
+    assert 1 <= abs(angle) <= 15
+    fastest, summary, said = made([angle * (told['about'] == name) for name in 'XYZ'])
+    assert fastest <= 1.02 and 'pole' not in summary and 'near the pole' not in said
 
 
 @pytest.mark.parametrize(

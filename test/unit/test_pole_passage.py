@@ -112,6 +112,28 @@ def test_tip_stays_on_its_line_and_the_poses_are_those_of_the_axes(share):
     assert np.abs(tip[:, 1:]).max() < 1e-9
 
 
+@pytest.mark.parametrize('count', [113, 1121])
+def test_short_blocks_past_the_pole_are_proven(count, tmp_path, capsys):
+    """1,120 blocks of 0.05 mm, which become a few spans; `check` said "wrong row number"."""
+    lines = [
+        f'GOTO/{x:.9f},0,0,{i:.12f},{j:.12f},{k:.12f}'
+        for x, (i, j, k) in zip(
+            np.linspace(0, 56, count),
+            tools_past(MACHINES[0], 0.01 * DEG, np.linspace(-20, 20, count) * DEG),
+        )
+    ]
+    (tmp_path / 'pass.apt').write_text('\n'.join([lines[0], 'FEDRAT/3000', *lines[1:]]))
+    assert main(['plan', str(tmp_path / 'pass.apt'), '--out', str(tmp_path / 'plan')]) == 0
+    assert main(['check', str(tmp_path / 'plan')]) == 0, capsys.readouterr().out
+
+
+def test_the_axes_do_not_jump_where_segments_join():
+    """C turns by 5,000 rad/m here. Lengths were exact to 1e-14 m, and the jumps showed as jerk."""
+    path, _, _ = path_of(wandering(6), MACHINES[0])
+    jump = np.abs(path.cell_right[0, :-1] - path.cell_left[0, 1:])
+    assert jump[:, :3].max() < 3e-14 and jump[:, 3:].max() < 3e-13
+
+
 def test_line_out_of_reach_of_the_pole_passes_beside_it():
     machine = MACHINES[0]
     path, segments, _ = path_of(line_past(machine, 1.1 * TOLERANCE / HEIGHT), machine)

@@ -1,0 +1,167 @@
+"""
+Passes beside the pole, and the turn of the workpiece that keeps them away from it.
+
+Where the tool axis o passes the pole u at the angle d, the outer rotary axis has to turn at the
+rate ``|(o x o') . u| / sin(d)^2``. That is slow only if o' points at the pole. Between two poses o
+turns on a great circle, so ``o x o'`` is constant, and the rate is largest where d is smallest. A
+pass is near the pole if the outer axis would have to turn twice as fast as it can at the
+programmed feed. A pass within the orientation tolerance is not: the interpolator moves it through
+the pole. The turned workpiece is one on which the outer axis can follow everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.cam.spline_pass import SPACING, SplinePass
+from cnc_interp.cam.vectors import cross, dot, norm
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+
+#: Turns of the workpiece that are tried, in this order [deg].
+TURNS = range(1, 61)
+#: A pass is near the pole where the outer axis is asked for more of its largest velocity [-].
+NEAR = 2.0
+#: A path is moved through the pole if it is nearer than this share of its tolerance [-].
+THROUGH = 0.5
+
+
+@dataclass(frozen=True)
+class PoleTurn:
+    """
+    How passes come near the pole, and what avoids it.
+
+    Parameters
+    ----------
+    axis : str
+        Name of the outer rotary axis.
+    passes : int
+        Number of passes that are near the pole.
+    distance : float
+        Smallest angle between tool axis and pole in these passes [rad].
+    rate : float
+        Largest rate of the axis at the programmed feed over its largest velocity [-].
+    about : str
+        X or Y, the workpiece axis to turn about; empty if no turn helps.
+    angle : float
+        Smallest turn of the workpiece with which this axis can follow, in whole degrees [rad].
+
+    """
+
+    axis: str
+    passes: int
+    distance: float
+    rate: float
+    about: str
+    angle: float
+
+    @property
+    def text(self) -> str:
+        """Return a sentence for the user."""
+        said = (
+            f'passes that come near the pole: {self.passes}, to {self.distance / DEG:.2f} deg, '
+            f'where {self.axis} would have to turn {self.rate:.3g} times as fast as it can'
+        )
+        if not self.about:
+            return f'{said}; no turn of the workpiece about X or Y avoids it'
+        return f'{said}; turn the workpiece by {self.angle / DEG:.0f} deg about {self.about}'
+
+
+def pole_turn(
+    passes: Sequence[SplinePass], feedrate: float, tolerance: float, machine: Machine
+) -> PoleTurn | None:
+    """
+    Find out whether passes come near the pole, and how to turn the workpiece.
+
+    Parameters
+    ----------
+    passes : sequence of SplinePass
+        Passes in the workpiece frame.
+    feedrate : float
+        Feedrate of the passes [m/s].
+    tolerance : float
+        Orientation tolerance as an angle [rad].
+    machine : Machine
+        The machine.
+
+    Returns
+    -------
+    PoleTurn or None
+        None if no pass is near the pole.
+
+    """
+    if not machine.has_rotary or not passes:
+        return None
+    transform = Transform.of(machine)
+    outer, limit = machine.axis_names[3 + transform.outer], THROUGH * tolerance
+    fastest = float(machine.max_velocity[3 + transform.outer])
+    legs = [_Legs.of(one, feedrate) for one in passes]
+    found = [leg.nearest(transform.pole, limit, fastest) for leg in legs]
+    near = [one for one in found if one[1] > NEAR]
+    if not near:
+        return None
+    together = _Legs(*(np.concatenate(columns) for columns in zip(*(
+        (leg.start, leg.end, leg.rate) for leg in legs), strict=True)))  # fmt: skip
+    about, angle = '', 0.0
+    for size, name, sign in (
+        (size, name, sign) for size in TURNS for name in 'XY' for sign in (1, -1)
+    ):
+        turned = together.turned(Rotation.from_euler(name.lower(), sign * size, degrees=True))
+        if turned.nearest(transform.pole, limit, fastest)[1] <= 1.0 and turned.reached(transform):
+            about, angle = name, sign * size * DEG
+            break
+    return PoleTurn(
+        outer, len(near), min(one[0] for one in near), max(one[1] for one in near), about, angle
+    )
+
+
+@dataclass(frozen=True)
+class _Legs:
+    """Tool axes at both ends of short legs, and how fast each is passed [1/s]."""
+
+    start: FloatArray
+    end: FloatArray
+    rate: FloatArray
+
+    @staticmethod
+    def of(one: SplinePass, feedrate: float) -> _Legs:
+        """Sample a pass."""
+        first, last = one.ends
+        tip, axis = one.poses(np.linspace(first, last, max(9, int((last - first) / SPACING))))
+        return _Legs(axis[:-1], axis[1:], feedrate / norm(np.diff(tip, axis=0)))
+
+    def turned(self, rotation: Rotation) -> _Legs:
+        """Return the legs of the turned workpiece."""
+        return _Legs(rotation.apply(self.start), rotation.apply(self.end), self.rate)
+
+    def nearest(self, pole: FloatArray, limit: float, fastest: float) -> tuple[float, float]:
+        """Return the smallest angle to the pole [rad], and the outer axis' rate over its limit."""
+        normal = cross(self.start, self.end)
+        theta = np.arctan2(norm(normal), dot(self.start, self.end))
+        normal = normal / np.maximum(norm(normal), 1e-15)[:, None]
+        # The foot of the pole on each great circle, if it lies on the leg; both poles count alike.
+        side = cross(normal, self.start)
+        foot = np.arctan2(side @ pole, self.start @ pole)
+        foot = np.where(self.start @ pole < 0.0, foot - np.pi * np.sign(foot), foot)
+        foot = np.clip(foot, 0.0, theta)[:, None]
+        sine = norm(cross(np.cos(foot) * self.start + np.sin(foot) * side, pole))
+        rate = theta * self.rate * np.abs(normal @ pole) / np.maximum(sine, 1e-12) ** 2
+        rate = np.where(sine < limit, 0.0, rate)
+        return float(np.arcsin(min(sine.min(), 1.0))), float(rate.max()) / fastest
+
+    def reached(self, transform: Transform) -> bool:
+        """Tell whether the travel of the tilt contains the largest angles from the pole."""
+        inner = 1 - transform.outer
+        low, high = transform.machine.travel[3 + inner]
+        along = self.start @ transform.pole
+        for k in (int(along.argmin()), int(along.argmax())):
+            tilts = [pair[inner] for pair in transform.rotary_solutions(self.start[k])]
+            if not any(low <= tilt <= high for tilt in tilts):
+                return False
+        return True

@@ -101,7 +101,7 @@ class FeedrateNode(LifecycleNode):
         self._moves = report.moves
         self._session.see_machine(report)
         if self._inputs.see(state):
-            self._work()  # single block also affects motion that is planned already
+            self._work()  # settings also affect motion that is planned already
 
     def _check(self, segment: PathSegment) -> None:
         """Accept segments while the node is active."""

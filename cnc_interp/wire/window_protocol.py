@@ -20,7 +20,7 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 Item = TypeVar('Item')
 #: Programs whose late messages are recognised as such.
 REMEMBERED = 64
-#: Time after which a requested repetition is requested again [s].
+#: Time that repeated items are given to arrive, before they are repeated again [s].
 SETTLE = 0.05
 #: Longest time before a repetition, as a multiple of the first one.
 MOST_PATIENT = 16.0

@@ -40,7 +40,7 @@ setup(
     zip_safe=False,
     entry_points={
         'console_scripts': [
-            'cnc-interp = cnc_interp.cli:main',
+            'cnc-interp = cnc_interp.__main__:main',
             *(f'{node}_node = cnc_interp.nodes.{node}_node:main' for node in NODES),
         ]
     },

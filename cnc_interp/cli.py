@@ -31,8 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 fine, 1 a failed run or an unproven plan, 2 bad input.
 
     """
-    options = parser().parse_args(arguments)
     try:
+        options = parser().parse_args(arguments)
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is signal.SIG_DFL:
                 signal.signal(number, interrupt)

@@ -59,18 +59,22 @@ def begin_loading() -> None:
     """
     Start the fork server, which takes seconds to load; returns at once.
 
-    It and its helper outlive a closed terminal: the run ends its nodes in order then.
+    It and its helper outlive Ctrl-C and a closed terminal: the run ends its nodes in order then.
     """
     multiprocessing.set_forkserver_preload(PRELOADED)
     if _sockets is None:
         _keep_sockets()
-    hangup = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # they inherit it
+    ignored = (signal.SIGINT, signal.SIGHUP)
+    before = [signal.signal(number, signal.SIG_IGN) for number in ignored]  # they inherit it
     forkserver.ensure_running()
-    signal.signal(signal.SIGHUP, hangup)
+    for number, handler in zip(ignored, before, strict=True):
+        signal.signal(number, handler)
 
 
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
     """Run a node in a forked process, until it ends."""
+    if not log.parent.is_dir():
+        return  # the run was interrupted before the fork server was ready
     os.setsid()  # the run receives Ctrl-C and ends the nodes in order
     os.environ.update(environment)
     with log.open('wb') as output, open(os.devnull, 'rb') as nothing:
@@ -118,8 +122,15 @@ class Children:
         begin_loading()
         slow = threading.Timer(SLOW_START, print, [COMPILING], {'file': sys.stderr})
         slow.start()
-        self._nodes = {node: self._start(node) for node in NODES}
-        slow.cancel()
+        self._nodes: dict[str, Started] = {}
+        try:
+            for node in NODES:
+                self._nodes[node] = self._start(node)
+        except BaseException:
+            self.end()
+            raise
+        finally:
+            slow.cancel()
 
     def _start(self, node: str) -> Started:
         """Start one node; its output goes to a file."""

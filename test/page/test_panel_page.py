@@ -36,6 +36,18 @@ def zigzag(name, lines, after_first=''):
     return f'({name} <of lines>)\nG21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n{"".join(moves)}M30\n'
 
 
+#: Sends a program to the server past the buttons of the page; returns the status.
+UPLOAD = """(() => {
+  const url = Object.values(mounted_app.elements).map(e => e.props?.url).find(u => u);
+  const form = new FormData();
+  form.append('file', new Blob(['G1 X10 F600']), 'sent.ngc');
+  const request = new XMLHttpRequest();
+  request.open('POST', url, false);
+  request.send(form);
+  return request.status;
+})()"""
+
+
 @pytest.fixture(scope='module')
 def running():
     panel = PanelUnderTest()
@@ -258,7 +270,7 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
     stranger.show()
     stranger.click('take over')
     stranger.wait(
-        lambda: 'open the page with the token' in stranger.run('document.body.innerText')
+        lambda: 'open the page with the address' in stranger.run('document.body.innerText')
     )
     second.show()
     second.click('take over')
@@ -269,6 +281,8 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
     assert stranger.text('rights') == 'view only'
 
     # What a page without the token sends by other means is refused by the server.
+    assert (stranger.run(UPLOAD), second.run(UPLOAD)) == (403, 200)
+    second.wait(lambda: second.text('program') == 'sent.ngc')
     second.show()
     panel.load(second, short_program)
     panel.begin(second)

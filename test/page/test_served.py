@@ -1,0 +1,61 @@
+"""The page on other addresses than the usual one, and what it refuses over the wire."""
+
+import http.client
+import re
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+pytest.importorskip(
+    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
+)
+
+from page_under_test import clean_environment
+
+from cnc_interp.client.page.access import TRIES
+
+
+@pytest.fixture(params=['::1', '0.0.0.0'])
+def served(request, tmp_path):
+    """A page without nodes on an address; host and port where it can be reached, and its words."""
+    (tmp_path / 'token').write_text('a secret & more\n')
+    page = subprocess.Popen(
+        [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--host', request.param]
+        + ['--port', '0', '--token-file', tmp_path / 'token'],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean_environment(),
+    )  # fmt: skip
+    line = page.stdout.readline()
+    if not line and 'cannot be used' in (said := page.stderr.read()):
+        pytest.skip(said)
+    yield page, re.search(r'http://(\S+):(\d+)/\?token=(\S+)', line)
+    page.terminate()
+    page.communicate()
+
+
+def status(place, path, **headers):
+    connection = http.client.HTTPConnection(place[1].strip('[]'), int(place[2]))
+    connection.putrequest('POST' if 'content_length' in headers else 'GET', path, skip_host=True)
+    for name, value in ({'host': f'{place[1]}:{place[2]}'} | headers).items():
+        connection.putheader(name.replace('_', '-'), value)
+    connection.endheaders()
+    found = connection.getresponse().status
+    connection.close()
+    return found
+
+
+def test_it_is_served_under_its_address_and_not_to_who_guesses(served):
+    page, place = served
+    command = subprocess.run(
+        ['ps', '-o', 'args=', '-p', str(page.pid)], capture_output=True, text=True
+    ).stdout
+    assert 'panel' in command and 'secret' not in command
+    assert status(place, '/') == 200
+    assert status(place, f'/?token={place[3]}') == 200
+    assert status(place, '/', host='attacker.example') == 400
+    assert status(place, '/', content_length=str(1 << 30)) == 413
+    for k in range(TRIES):
+        assert status(place, f'/?token=guess{k}') == 200
+    assert status(place, '/?token=another') == status(place, f'/?token={place[3]}') == 429
+    assert status(place, '/') == 200

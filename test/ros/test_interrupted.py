@@ -1,0 +1,55 @@
+"""Ctrl-C while a command still loads its libraries: one line, exit code 130, nothing left."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from nodes_under_test import PATIENCE
+
+PROGRAM = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX100\nM2\n'
+IMPORT = b'import time:'
+
+
+def hear_ctrl_c():
+    """As in a terminal: what is started in the background does not hear it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.mark.parametrize('words', [['run'], ['plan', '--out', 'out'], ['panel', '--port', '0']])
+@pytest.mark.parametrize(
+    'module',
+    [
+        'numpy.core.multiarray', 'numba', 'cnc_interp.cli', 'rclpy', 'cnc_interp.client.session',
+        'cnc_interp.client.operator_client', 'cnc_interp.nodes.preloaded',
+    ],
+)  # fmt: skip
+@pytest.mark.thorough
+def test_ctrl_c_during_imports(module, words):
+    if words[0] == 'plan' and ('rclpy' in module or 'client' in module or 'nodes' in module):
+        pytest.skip('plan does not load it')
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / 'a.ngc').write_text(PROGRAM)
+        (folder / 'tmp').mkdir()
+        python = [sys.executable, '-X', 'importtime']
+        run = subprocess.Popen(
+            [*python, '-m', 'cnc_interp', words[0], 'a.ngc', *words[1:]],
+            cwd=folder, env=os.environ | {'TMPDIR': str(folder / 'tmp')}, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c,
+        )  # fmt: skip
+        for line in run.stderr:
+            if line.startswith(IMPORT) and line.split()[-1].decode() == module:
+                break
+        os.killpg(run.pid, signal.SIGINT)
+        out, errors = run.communicate(timeout=PATIENCE)
+        said = [line for line in errors.splitlines() if IMPORT not in line]
+        assert (run.returncode, out) == (130, b''), (out, said)
+        assert said in ([], [b'cnc-interp: interrupted']), b'\n'.join(said).decode()
+        assert list((folder / 'tmp').iterdir()) == []

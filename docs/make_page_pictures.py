@@ -74,7 +74,7 @@ def frames_of(tab: Tab, folder: Path) -> list[Image.Image]:
     tab.press_key('override slider', 'ArrowLeft', times=STEPS_DOWN)
     start(tab)
     seen = []
-    while tab.text('state') == 'running' and len(seen) < FRAMES:
+    while tab.text('state') in ('running', 'filling') and len(seen) < FRAMES:
         seen.append(seen_on(tab, folder))
         time.sleep(STEP)
     tab.wait(lambda: tab.text('state') == 'idle')

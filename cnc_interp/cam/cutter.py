@@ -102,31 +102,6 @@ class Cutter:
         """
         return np.asarray(centre - self.corner_radius * axis)
 
-    def implicit(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """
-        Return F of the corner torus [TL2008, Eq. 3.2]: zero on it, negative inside.
-
-        The square of the paper's last bracket is one too many. With rho, the distance from the
-        axis, ``F = (v.v + R^2 - r_c^2)^2 - 4 R^2 rho^2`` and ``rho^2 = v.v - (v.u)^2``.
-
-        Parameters
-        ----------
-        points : ndarray, shape (..., 3)
-            Points P [m].
-        centre, axis : ndarray, shape (..., 3)
-            Centres C_L [m] and unit tool axes u [-].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            F [m^4].
-
-        """
-        v = points - centre
-        square, along = dot(v, v), dot(v, axis)
-        R, r = self.tool_radius, self.corner_radius
-        return np.asarray((square + R**2 - r**2) ** 2 - 4.0 * R**2 * (square - along**2))
-
     def distance(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
         """
         Return the distance of points from the mill.
@@ -150,45 +125,14 @@ class Cutter:
         beyond = np.maximum(across - self.tool_radius, 0.0)
         return np.hypot(np.minimum(along, 0.0), beyond) - self.corner_radius
 
-    def envelope_condition(
-        self, points: FloatArray, velocity: FloatArray, centre: FloatArray, axis: FloatArray
-    ) -> FloatArray:
+    def effective_radius(self, tilt: float) -> float:
         """
-        Return V_P . n_tool [TL2008, Eq. 3.3]: zero where the envelope touches the corner torus.
+        Return the radius of the swept profile at the contact point on a plane [TL2008, Eq. 3.17].
 
         Parameters
         ----------
-        points : ndarray, shape (..., 3)
-            Points P of the torus [m].
-        velocity : ndarray, shape (..., 3)
-            Their velocities V_P [m/s, or - per path length].
-        centre, axis : ndarray, shape (..., 3)
-            Centres C_L [m] and unit tool axes u [-].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Velocity along the tool normal [unit of ``velocity``].
-
-        """
-        v = points - centre
-        across = v - scaled(dot(v, axis), axis)
-        nearest = scaled(self.tool_radius / norm(across), across)
-        away = v - nearest
-        return dot(velocity, scaled(1.0 / norm(away), away))
-
-    def effective_radius(self, tilt: float, yaw: float = 0.0) -> float:
-        """
-        Return the radius of the swept profile at the contact point on a plane.
-
-        With R_T = (R + r_c sin(tilt)) / sin(tilt), Eq. 3.17, the profile seen along the feed has
-        the radius ``R_T cos^2(yaw) + r_c sin^2(yaw)``. Eq. 3.16 is the radius of the tool's normal
-        section across the feed instead. Both agree without yaw.
-
-        Parameters
-        ----------
-        tilt, yaw : float
-            Angles of the posture [rad].
+        tilt : float
+            Tilt angle of the posture, which has no yaw [rad].
 
         Returns
         -------
@@ -197,5 +141,4 @@ class Cutter:
 
         """
         sine = np.sin(tilt)
-        across = (self.tool_radius + self.corner_radius * sine) / sine
-        return float(across * np.cos(yaw) ** 2 + self.corner_radius * np.sin(yaw) ** 2)
+        return float((self.tool_radius + self.corner_radius * sine) / sine)

@@ -24,6 +24,8 @@ Domain = tuple[tuple[float, float], tuple[float, float]]
 
 #: Largest error of foot points [m].
 FOOT = 1e-13
+#: Largest number of Newton steps to a foot point.
+MOST_STEPS = 30
 #: Samples per direction in the checks of the whole surface.
 SAMPLES = 121
 
@@ -93,7 +95,7 @@ class Surface(ABC):
         return SurfacePoint(s, s_u, s_v, n, n_u, n_v)
 
     def project(
-        self, points: FloatArray, u: FloatArray, v: FloatArray, sweeps: int = 30
+        self, points: FloatArray, u: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """
         Find the foot points of points near the surface by Newton's method.
@@ -104,8 +106,6 @@ class Surface(ABC):
             Points [m].
         u, v : ndarray, shape (...)
             First guesses [units of u and v].
-        sweeps : int
-            Largest number of iterations.
 
         Returns
         -------
@@ -118,7 +118,7 @@ class Surface(ABC):
         u, v = np.array(u, float), np.array(v, float)
         longest = 0.25 * np.array([high - low for low, high in self.domain])
         moved = np.full(u.shape, np.inf)
-        for _ in range(sweeps):
+        for _ in range(MOST_STEPS):
             s, s_u, s_v, s_uu, s_uv, s_vv = self.derivatives(u, v)
             away = s - points
             a, b, c = dot(s_u, s_u), dot(s_u, s_v), dot(s_v, s_v)

@@ -92,8 +92,6 @@ class AxisPathBuilder:
         Height h that measures inserted rotations [m].
     period : float
         Interpolation period T, within which a kink shows as jerk [s].
-    start_near : ndarray, shape (2,), optional
-        Rotary positions near which the first pose is solved where the program names none [rad].
 
     """
 
@@ -102,11 +100,9 @@ class AxisPathBuilder:
         transform: Transform,
         flank_height: float,
         period: float,
-        start_near: FloatArray | None = None,
     ):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
-        self._start_near = np.zeros(2) if start_near is None else np.asarray(start_near, float)
         self._rotary: FloatArray | None = None
         self._branch = 1.0
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
@@ -144,7 +140,7 @@ class AxisPathBuilder:
 
         """
         self._rotary, self._branch = start_positions(
-            self.transform, axis, rotary, self._start_near, line_number
+            self.transform, axis, rotary, np.zeros(2), line_number
         )
         self._may_turn_at_once = not np.isfinite(rotary).all()
         self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)

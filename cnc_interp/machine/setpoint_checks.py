@@ -39,7 +39,7 @@ def beyond_travel(machine: Machine, positions: FloatArray) -> str:
 
 
 def refuse_setpoints(
-    machine: Machine, period: float, before: FloatArray, positions: FloatArray, at_rest: bool
+    machine: Machine, period: float, before: FloatArray, positions: FloatArray
 ) -> None:
     """
     Refuse setpoints that leave the travel or break a limit, before they are executed.
@@ -53,9 +53,7 @@ def refuse_setpoints(
     before : ndarray, shape (3, n_axes)
         Setpoints before them [m, rad].
     positions : ndarray, shape (K, n_axes)
-        The setpoints [m, rad].
-    at_rest : bool
-        True when they must end at rest.
+        The setpoints, which must end at rest [m, rad].
 
     Raises
     ------
@@ -66,7 +64,7 @@ def refuse_setpoints(
     beyond = beyond_travel(machine, positions)
     if beyond:
         raise StreamError(f'{beyond}; move the workpiece or the program')
-    parts = [before, positions] + ([np.tile(positions[-1:], (3, 1))] if at_rest else [])
+    parts = [before, positions, np.tile(positions[-1:], (3, 1))]
     course = np.concatenate(parts)
     largest = largest_differences(machine.limits, period)
     shares = np.abs(limit_shares(course, largest))

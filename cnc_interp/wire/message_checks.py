@@ -214,7 +214,7 @@ def check_chunk(
         [np.frombuffer(message.positions), np.frombuffer(message.tail_positions)]
     ).reshape(-1, axis_count)
     try:
-        refuse_setpoints(machine, period, before, rows, at_rest=True)
+        refuse_setpoints(machine, period, before, rows)
     except StreamError as fault:
         raise StreamError(f'{name}: {fault}') from None
 

@@ -100,11 +100,18 @@ def test_scallop_points_satisfy_the_three_equations_of_the_paper():
     _, _, p = one_pass(BUMPS, 4 * DEG)
     found = scallop_points(BUMPS, p, HEIGHT)
     R, r = MILL.tool_radius, MILL.corner_radius
+    # Eq. 3.2: F = (v.v + R^2 - r^2)^2 - 4 R^2 rho^2 is zero on the torus; rho across the axis.
+    v = found.position - p.centre
+    across = v - np.sum(v * p.axis, axis=-1, keepdims=True) * p.axis
+    bracket = np.sum(v * v, axis=-1, keepdims=True) + R**2 - r**2
+    implicit = bracket[..., 0] ** 2 - 4 * R**2 * np.sum(across**2, axis=-1)
     scale = 8 * R * R * r  # dF/d(distance) on the torus, about
-    assert np.abs(MILL.implicit(found.position, p.centre, p.axis)).max() / scale < 1e-12
+    assert np.abs(implicit).max() / scale < 1e-12
     assert np.abs(MILL.distance(found.position, p.centre, p.axis)).max() < 1e-12
     moved = p.velocity(found.position)
-    assert np.abs(MILL.envelope_condition(found.position, moved, p.centre, p.axis)).max() < 1e-9
+    normal = bracket * v - 2 * R**2 * across  # the gradient of F, over 4
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    assert np.abs(np.sum(moved * normal, axis=-1)).max() < 1e-9  # Eq. 3.3
     _, _, height = BUMPS.project(found.position, p.frames.u, p.frames.v)
     np.testing.assert_allclose(height, HEIGHT, atol=2e-11)
 

@@ -418,10 +418,10 @@ def test_figures_of_the_program_leave_the_approach_out():
 def test_setpoints_that_cannot_be_are_refused_before_they_are_executed(row, value, words):
     positions = samples_to([0.1, 0.0, 0.0, 0.0, 0.0]).position.copy()
     before = np.zeros((3, 5))
-    refuse_setpoints(MACHINE, T, before, positions, at_rest=True)
+    refuse_setpoints(MACHINE, T, before, positions)
     positions[row, 0] += value
     with pytest.raises(StreamError, match=words):
-        refuse_setpoints(MACHINE, T, before, positions, at_rest=True)
+        refuse_setpoints(MACHINE, T, before, positions)
 
 
 def slow_line():

@@ -11,8 +11,8 @@ def share_directory(package: str) -> Path:
     """
     Return the folder of the data files of an installed package.
 
-    Without ``AMENT_PREFIX_PATH`` it is looked for where Python is installed: a command of a
-    virtual environment works without anything being sourced.
+    Without ``AMENT_PREFIX_PATH`` it is searched beside Python. So a command of a virtual
+    environment works without sourcing a script.
 
     Raises
     ------

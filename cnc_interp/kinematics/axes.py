@@ -55,10 +55,10 @@ class Axis:
         return MM if self.linear else DEG
 
     def position_text(self, position: float) -> str:
-        """Write a position [m or rad] as a read-out, in mm or deg without the unit."""
+        """Return a position [m or rad] as text for a display, in mm or deg without the unit."""
         return f'{position / MM:.3f}' if self.linear else f'{position / DEG:.4f}'
 
 
 def error_text(error: float, unit: str) -> str:
-    """Write a small difference of positions, given in m or rad, with its unit."""
+    """Return a small difference of positions [m or rad] as text with its unit."""
     return f'{error / UM:.1f} um' if unit == 'm' else f'{error / DEG:.4f} deg'

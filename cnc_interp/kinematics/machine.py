@@ -150,7 +150,7 @@ class Machine:
 
 
 def one_line(problem: Exception) -> str:
-    """Fold the text of an exception into one line."""
+    """Return the text of an exception in one line."""
     return ' '.join(str(problem).split())
 
 

@@ -25,7 +25,7 @@ ROTARY_KEYS = {
 }
 #: Letters that an extra axis may have.
 EXTRA_LETTERS = ('U', 'V', 'W')
-#: Limits of a locked axis, which nothing ever reaches, and its travel [rad, s].
+#: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
 #: Plausible size of velocity, acceleration and jerk limits in SI; beyond them a unit is wrong.
 PLAUSIBLE = ((1e-6, 1e3), (1e-4, 1e5), (1e-3, 1e7))
@@ -48,13 +48,13 @@ def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
 
 
 def is_locked(rotary: dict[str, Any], name: str) -> bool:
-    """Tell whether a rotary axis stands still for ever, as the second one of a 4-axis machine."""
+    """Tell whether a rotary axis is locked, as the second one of a 4-axis machine."""
     axes = (rotary[key] for key in ('primary', 'secondary'))
     return any(axis.get('name') == name and axis.get('locked') is True for axis in axes)
 
 
 def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
-    """Return one value of a rotary axis, or say which is missing."""
+    """Return one value of a rotary axis; raise an error that names it if it is missing."""
     if not isinstance(rotary.get(axis), dict) or key not in rotary[axis]:
         raise MachineError('missing', f'{where}.{axis}.{key}')
     return rotary[axis][key]

@@ -48,9 +48,9 @@ from cnc_interp.smoothing.segments import (
 SAME_ANGLE = 1e-8
 #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
 SAME_TOOL = 1e-12
-#: Rotary words may lie this far from positions that follow the tool axis [rad].
+#: Largest difference of rotary words from positions that follow the tool axis [rad].
 OFF_WORDS = 15.0 * DEG
-#: A kink that asks for more than this share of a jerk limit within one period makes a stop [-].
+#: Share of a jerk limit above which a kink, taken in one period, becomes a stop [-].
 KINK_JERK = 0.02
 
 
@@ -205,7 +205,7 @@ class AxisPathBuilder:
 
     def _motions(self, segments: PathSegments) -> IntArray:
         """
-        Say how the rotary axes move on each segment, shape (n,).
+        Return how the rotary axes move on each segment, shape (n,).
 
         LINEAR are rotations that the program gives as rotary positions, and segments with rotary
         axes as coordinates, where ALL_AXES says that X Y Z are such coordinates, too. The others
@@ -270,10 +270,10 @@ class AxisPathBuilder:
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
         """
-        Compare the positions with the start of coordinates; whole turns are made up for.
+        Compare the positions with the start of coordinates, and insert missing whole turns.
 
         Rotary axes that have followed the tool axis may have come to another whole turn than the
-        words say. On the other branch they stand where no word says.
+        words say. On the other branch they stand at positions that no word names.
         """
         assert self._rotary is not None
         start = run.rotary[0, 0]
@@ -297,7 +297,7 @@ class AxisPathBuilder:
         return parts
 
     def _check_words(self, run: PathSegments, cells: Cells) -> None:
-        """Refuse lines that follow the tool axis to another place than their rotary words."""
+        """Refuse lines on which the tool axis leads the rotary axes away from their words."""
         words = run.rotary[:, :2]
         lines = np.flatnonzero((run.kind == LINE) & np.isfinite(words).all(axis=(1, 2)))
         if not len(lines) or not self.machine.has_rotary:
@@ -312,7 +312,7 @@ class AxisPathBuilder:
             raise self._off_words(line, words[row, 1], reached[row])
 
     def _off_words(self, line: int, words: FloatArray, reached: FloatArray) -> BlockError:
-        """Return the error for rotary axes that come to another place than their words."""
+        """Return the error for rotary axes that do not reach their words."""
         names = self.machine.axis_names[3:5]
         said, found = (
             ' '.join(f'{name}{value / DEG:.3f}' for name, value in zip(names, place, strict=True))
@@ -327,7 +327,7 @@ class AxisPathBuilder:
     def _cells(
         self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
     ) -> Cells:
-        """Cut segments into cells and check what came out."""
+        """Cut segments into cells and check the result."""
         guides = np.tile(NO_GUIDE, (len(segments), 1)) if guides is None else guides
         rotary = np.array([0.0, 0.0, self._branch, self.flank_height])
         if self._rotary is not None:
@@ -371,7 +371,7 @@ class AxisPathBuilder:
         )  # fmt: skip
 
     def _join(self, parts: list[Cells]) -> AxisPath:
-        """Put parts together into a piece of path that begins where the last one ended."""
+        """Join parts into a piece of path that begins at the end of the last one."""
         steps = np.concatenate([part.steps for part in parts])
         # Added one by one: the same bits however the segments arrive.
         s = np.cumsum(np.concatenate([[self._s], steps]))
@@ -423,7 +423,7 @@ class AxisPathBuilder:
             )
 
     def _refuse(self, status: int, line: int) -> None:
-        """Say why a segment cannot be followed."""
+        """Raise the error for a segment that cannot be followed."""
         if status == SINGULAR:
             name = self.machine.axis_names[3 + self.transform.outer]
             raise SingularityError(

@@ -174,11 +174,11 @@ class FeedrateNode(LifecycleNode):
         return segments_from(segments), self._inputs.pauses_after(segments)
 
     def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan from a number on, which joins the plan that is being sent."""
+        """Send a plan that joins the plan being sent, from a number on."""
         self._outlet.join(run_id, first)
 
     def take_back(self) -> None:
-        """Go on with the plan before the one that was to join."""
+        """Continue with the plan before the one that was to join."""
         self._outlet.take_back()
 
     def consumed(self, count: int) -> None:
@@ -186,7 +186,7 @@ class FeedrateNode(LifecycleNode):
         self._inlet.receiver.consume(count)
 
     def refuse(self, kind: Refusal, reason: str) -> None:
-        """Tell the sender of the segments that the run is over."""
+        """Inform the sender of the segments that the run is over."""
         receiver = self._inlet.receiver
         if not receiver.refused:
             self._inlet.refuse(receiver.run_id, kind, reason)

@@ -50,7 +50,7 @@ class ProgramRun:
         self._known_by: set[str] = set()
 
     def _change(self, step: Step, now: float) -> None:
-        """Go on to the next phase of the table."""
+        """Change to the next phase of the table."""
         self.phase, self._since = TABLE[self.phase, step], now
 
     def take_turn(self, now: float) -> None:

@@ -91,7 +91,7 @@ class Chain:
         self._plan(self._path.push(blocks))
 
     def finish(self) -> None:
-        """Bring the motion to its end."""
+        """Plan the motion to its end."""
         self._plan(self._path.finish())
         self._keep(self._watch.timed('feedrate', self._planner.finish))
         self._finished = True

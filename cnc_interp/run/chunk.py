@@ -41,12 +41,12 @@ class Chunk:
 
     @property
     def ends_approach(self) -> bool:
-        """Tell whether the machine rests at the start pose after it; the program comes next."""
+        """Tell whether the machine rests at the start pose after the chunk, before the program."""
         return not len(self.tail) and self.samples.block[-1] == 0
 
     @property
     def rests(self) -> bool:
-        """Tell whether the machine rests after it and goes on only when it is told to."""
+        """Tell whether the machine rests after the chunk until an operator continues."""
         return self.wait is not Wait.NOTHING or self.ends_approach
 
     def head(self, count: int) -> Chunk:

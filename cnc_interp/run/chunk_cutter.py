@@ -12,8 +12,8 @@ class ChunkCutter:
     """
     Cut the setpoints of one plan into chunks.
 
-    The tail of a chunk goes on as planned to the next setpoint with a known stop and stops from
-    there. Setpoints after the last known stop are kept until a further stop is known.
+    The tail of a chunk follows the plan to the next setpoint with a known stop, then that stop.
+    Setpoints after the last known stop are kept until a further stop is known.
 
     Parameters
     ----------
@@ -32,17 +32,17 @@ class ChunkCutter:
         self._waits: dict[int, Wait] = {}
 
     def take(self, samples: Setpoints) -> None:
-        """Take further setpoints."""
+        """Add further setpoints."""
         if len(samples):
             self._kept.append(samples)
             self.next_number += len(samples)
 
     def add_stop(self, number: int, stop: Setpoints) -> None:
-        """Note the setpoints after a setpoint that bring the machine to rest."""
+        """Store the stop that begins after a setpoint."""
         self._stops.append((number, stop))
 
     def end_leg(self, wait: Wait) -> None:
-        """Note that the last setpoint taken is at rest, and what the machine waits for there."""
+        """Record that the last setpoint is at rest, and what the machine waits for there."""
         self._stops.append((self.next_number - 1, None))
         self._waits[self.next_number - 1] = wait
 

@@ -48,7 +48,7 @@ class Course:
         self.items: deque[AxisPath | LegEnd] = deque()
 
     def push(self, path: AxisPath) -> list[AxisPath]:
-        """Take a part of the path and return it in portions."""
+        """Add a part of the path and return it in portions."""
         portions = portions_of(path, PORTION)
         self.items.extend(portions)
         return portions
@@ -60,7 +60,7 @@ class Course:
         return end
 
     def release(self, s: float) -> None:
-        """Forget the path before a place [m]."""
+        """Drop the path before a place [m]."""
         while len(self.items) > 1:
             first = self.items[0]
             if isinstance(first, AxisPath) and first.s[-1] >= s:
@@ -94,7 +94,7 @@ class Course:
         return AxisPath.join(parts)
 
     def rest_at(self, s: float) -> Setpoints | None:
-        """Return the setpoint of a machine that rests at a place [m]; None if it is forgotten."""
+        """Return the setpoint of a machine that rests at a place [m]; None if it was dropped."""
         parts = (item for item in self.items if isinstance(item, AxisPath))
         path = next((p for p in parts if p.s[0] - SAME <= s <= p.s[-1] + SAME), None)
         if path is None:
@@ -157,7 +157,7 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
 
 def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> AxisPath:
     """
-    Scale the programmed feed of a part; on the way down the feed lies above the stop.
+    Scale the programmed feed of a part. During a stop the feed is at least the speed of the stop.
 
     Parameters
     ----------

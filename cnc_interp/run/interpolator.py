@@ -55,7 +55,7 @@ class Setpoints:
 
 class Interpolator:
     """
-    Sample planned pieces as they come; sample k lies at k times the period.
+    Samples planned pieces as they arrive; sample k lies at k times the period.
 
     Parameters
     ----------

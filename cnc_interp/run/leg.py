@@ -38,12 +38,12 @@ def sliced(piece: PlannedPiece, length: float = SLICE) -> list[PlannedPiece]:
 
 
 def rows_of(law: MotionLaw, rows: IntArray) -> MotionLaw:
-    """Take some rows of a motion law."""
+    """Return some rows of a motion law."""
     return MotionLaw(*(getattr(law, field.name)[rows] for field in fields(MotionLaw)))
 
 
 def without_long_rows(law: MotionLaw, length: float) -> MotionLaw:
-    """Cut rows that are longer than a slice: a slow line is one row of many minutes."""
+    """Divide rows that are longer than a slice; a slow line may be one row of many minutes."""
     parts = np.maximum(1, np.ceil(law.duration / length - 1.0)).astype(np.int64)
     if (parts == 1).all():
         return law
@@ -110,7 +110,7 @@ class Leg:
         self.wait = wait
 
     def drive(self, piece: PlannedPiece, wait: Wait) -> None:
-        """Take a known law down to rest instead of planning."""
+        """Use a known law down to rest instead of planning one."""
         self.slices.extend(sliced(piece, self._slice))
         self.moves, self.wait = True, wait
 

@@ -13,7 +13,7 @@ SETTLED = 0.1
 
 class LossRecovery:
     """
-    Watch a machine after a node was restarted.
+    Watches a machine after a node was restarted.
 
     A machine that still has setpoints starts at once on cycle_start. The rest of the program is
     sent again only where the machine goes on resting: it must not move meanwhile.
@@ -38,12 +38,12 @@ class LossRecovery:
 
     @property
     def is_due(self) -> bool:
-        """Tell whether the program is to be sent again now."""
+        """Tell whether the program must be sent again now."""
         report = self._report
         rests = report is not None and report.rests_on_path
         return bool(self.node) and rests and self._waits >= SETTLED
 
     def begin_again(self) -> None:
-        """Forget the loss."""
+        """Reset after a loss."""
         self.node, self._restarted = '', False
         self._wants_since, self._waits = math.inf, -math.inf

@@ -1,4 +1,4 @@
-"""What the sending side of a run must know of the machine."""
+"""What the sender of a run must know about the machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cnc_interp.run.run_state import State
 @dataclass(frozen=True)
 class MachineReport:
     """
-    What the machine said last.
+    The last report of the machine.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class MachineReport:
     def takes(self, run_id: RunId) -> bool:
         """Tell whether the machine would take the first plan of a run."""
         if self.state is State.HELD:
-            # With cycle_start pressed and enough of the old plan it would have left the hold.
+            # With cycle_start and enough setpoints of the old plan it would have left the hold.
             return run_id.attempt > 0 and (self.plan_over or self.start_wanted)
         # A machine whose drives are off refuses the plan itself.
         return self.is_free or self.state is State.INACTIVE

@@ -50,7 +50,7 @@ class OperatorSettings:
 @dataclass(frozen=True)
 class PlanContext:
     """
-    What all plans of one run share.
+    The data that all plans of one run share.
 
     Parameters
     ----------
@@ -127,11 +127,11 @@ class MotionPlan:
         self._block_before = -1
 
     def extend(self, items: Iterable[AxisPath | LegEnd]) -> None:
-        """Take further items of the course."""
+        """Add further items of the course."""
         self._todo.extend(items)
 
     def release(self, s: float) -> None:
-        """Forget the motion before a place on the path [m]."""
+        """Drop the motion before a place on the path [m]."""
         while len(self._history) > 1 and self._history[1][1].law.s[0] < s:
             self._history.popleft()
 
@@ -181,7 +181,7 @@ class MotionPlan:
         return self._legs[-1]
 
     def _until_pause(self, part: AxisPath) -> AxisPath | LegEnd:
-        """Cut a part where cycle_start is waited for; the rest goes back to the path to plan."""
+        """Cut a part where the machine waits for cycle_start. The rest is planned later."""
         found = self._pause(part)
         if found is None:
             return part
@@ -234,7 +234,7 @@ class MotionPlan:
         return cutter.cut()
 
     def _append(self, samples: Setpoints) -> None:
-        """Take sampled setpoints."""
+        """Store sampled setpoints."""
         self._cutter.take(samples)
         if len(samples):
             self._last = part_of(samples, len(samples) - 1, len(samples))
@@ -263,7 +263,7 @@ class MotionPlan:
 
     def way_down(self, number: int) -> PlannedPiece | None:
         """
-        Return a way to rest: on as planned until there is a stop, then the stop.
+        Return a path to rest: as planned until a setpoint with a known stop, then the stop.
 
         Parameters
         ----------

@@ -19,8 +19,8 @@ from cnc_interp.run.course import finely
 from cnc_interp.run.leg import Leg
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings, PlanContext
 
-#: No revision begins so near to rest, but a moment later [s]: the path of a few periods is shorter
-#: than what the jerk stage can resolve.
+#: No revision begins within this time before rest [s]. It waits, because the jerk stage cannot
+#: resolve the path of a few periods.
 BRIEF = 0.01
 
 
@@ -56,19 +56,19 @@ class MotionStream:
         self._plan = MotionPlan(self._context, settings or OperatorSettings(), deque())
 
     def push(self, path: AxisPath) -> None:
-        """Take the next part of the path; nothing is planned yet."""
+        """Add the next part of the path; nothing is planned yet."""
         self._plan.extend(self._course.push(path))
 
     def pause_after(self, blocks: dict[int, Wait]) -> None:
-        """Take the blocks after which the machine waits for cycle_start, with the reason."""
+        """Add blocks after which the machine waits for cycle_start, with the reason."""
         self._context.pause_blocks.update(blocks)
 
     def end_leg(self, wait: Wait) -> None:
-        """Let the motion rest at the end of the path pushed so far."""
+        """End the motion at rest at the end of the path pushed so far."""
         self._plan.extend([self._course.end_leg(wait)])
 
     def release(self, s: float) -> None:
-        """Forget the path before a place that was executed [m]."""
+        """Drop the path before a place that was executed [m]."""
         self._course.release(s)
         self._plan.release(s)
 
@@ -79,7 +79,7 @@ class MotionStream:
 
     @property
     def first_block(self) -> int:
-        """The block in which the path that is kept begins; 0 before there is any."""
+        """The first block of the path that is kept; 0 before there is any."""
         return self._course.first_block
 
     @property
@@ -170,7 +170,7 @@ class MotionStream:
         return None if new.planner.stuck else plan
 
     def adopt(self, revision: MotionPlan) -> MotionPlan:
-        """Put a revision in the place of the current plan; return that one."""
+        """Replace the current plan by a revision, and return the replaced plan."""
         before, self._plan = self._plan, revision
         return before
 

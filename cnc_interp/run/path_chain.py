@@ -51,7 +51,7 @@ class Stopwatch:
         *arguments: Arguments.args,
         **named: Arguments.kwargs,
     ) -> Made:
-        """Do the work of a stage and add up its time."""
+        """Call the function of a stage and add up its time."""
         start = self._clock()
         try:
             return work(*arguments, **named)
@@ -62,7 +62,7 @@ class Stopwatch:
 @dataclass(frozen=True)
 class PathPart:
     """
-    What became final with some blocks.
+    The part of the path that became final with some blocks.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class PathChain:
 
     def push(self, blocks: Blocks) -> PathPart:
         """
-        Take further blocks.
+        Add further blocks.
 
         Raises
         ------

@@ -24,7 +24,7 @@ from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 class PlanFigures:
     """
-    What ``summary.json`` tells, brought up to date by every batch.
+    The figures of ``summary.json``, updated by every batch.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class PlanFigures:
         self._last_row = int(segments.block[-1, 1])
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Take note of how long the motion is by now."""
+        """Record the duration of the motion so far."""
         self._planned = piece.law.end_time
 
     def setpoints(self, samples: Setpoints) -> None:
@@ -93,7 +93,7 @@ class PlanFigures:
 
     @property
     def cycle_time(self) -> float:
-        """Time of the motion [s]; an executed one with holds or overrides is not the planned."""
+        """Time of the motion [s], with holds and overrides if it was executed."""
         as_planned = abs(self._spanned - self._planned) <= self._period
         return self._planned if as_planned else self._spanned
 

@@ -43,7 +43,7 @@ class PlanWriter:
     """
     Writes the plan files of one program (README, "Plan files"); everything in SI.
 
-    Used as a context: what has been spooled is removed when it is left without ``finish``.
+    Used as a context manager. Leaving it without ``finish`` removes what was written.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class PlanWriter:
     def segments(self, segments: PathSegments) -> None:
         """Write further segments."""
         self.figures.segments(segments)
-        if len(segments):  # an empty batch does not know how many extra axes there are
+        if len(segments):  # an empty batch has no columns of extra axes
             columns = {field.name: getattr(segments, field.name) for field in fields(segments)}
             self._archives['segments'].append(columns)
 

@@ -42,7 +42,7 @@ MARGIN = 0.04
 @dataclass(frozen=True)
 class Received:
     """
-    What the machine told of the setpoints it receives.
+    What the machine reported about the setpoints it receives.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Received:
 
 @dataclass(frozen=True)
 class Kept:
-    """The plan before the one that is to join."""
+    """The plan that counts until another one has joined."""
 
     run_id: RunId
     joins_at: int
@@ -72,7 +72,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Task:
-    """Something to be done, and what takes its result."""
+    """A task, and the function that receives its result."""
 
     work: Callable[[], Any]
     then: Callable[[Any, float], None]
@@ -113,12 +113,12 @@ class PlanningSession:
         self._joins_at = self._plans = 0
 
     def _change(self, step: Step) -> None:
-        """Go on to the next activity of the table."""
+        """Change to the next activity of the table."""
         self.activity = TABLE[self.activity, step]
 
     def begin(self, run_id: RunId, continue_at: float) -> None:
         """
-        Begin a run; a task of the run before it is void.
+        Begin a run; the result of a task of an earlier run is dropped.
 
         Parameters
         ----------
@@ -147,20 +147,20 @@ class PlanningSession:
         self.path_end = max(self.path_end, PathEnd.KNOWN)
 
     def see_machine(self, report: MachineReport) -> None:
-        """Keep what the machine said last."""
+        """Store the last report of the machine."""
         self._machine = report
         if self.run_id and report.run_id.same_attempt(self.run_id):
             self._executing = not report.completed
 
     def give_up(self, kind: Refusal, reason: str) -> None:
-        """End the run for good; what is on its way is not sent again."""
+        """End the run for good; lost messages are not sent again."""
         if self.activity not in (Activity.NONE, Activity.ENDED):
             self._end()
             self._port.sender.begin(NO_RUN)
             self._port.refuse(kind, reason)
 
     def _end(self) -> None:
-        """End the run; a task that is under way is void."""
+        """End the run; the result of a running task is dropped."""
         self._change(Step.END)
         self._segments.clear()
         self.task, self.wants_segments = None, False
@@ -172,7 +172,7 @@ class PlanningSession:
 
     def step(self, now: float, received: Received) -> Task | None:
         """
-        Decide what is done next.
+        Decide what to do next.
 
         Parameters
         ----------
@@ -209,12 +209,12 @@ class PlanningSession:
         return self._executing and left
 
     def _find_place(self) -> None:
-        """Begin to plan once the machine has said where it rests."""
+        """Begin to plan when the machine has reported where it rests."""
         report = self._machine
         if not self._segments or report is None or not report.takes(self.run_id):
             return
         goes_on = self.run_id.attempt > 0 and report.run_id.program_id == self.run_id.program_id
-        # The machine may have executed something since the rest of the program was asked for.
+        # The machine may have executed more since the rest of the program was requested.
         place = report.path_position if goes_on else self._continue_at
         self.planner = self._port.make_planner(
             self._segments[0], report.stands, place, self.settings
@@ -242,7 +242,7 @@ class PlanningSession:
         return Task(lambda: planner.resume(s, settings), self._resumed)
 
     def _begin_plan(self, joins_at: int) -> None:
-        """Give the next plan its identity; no two plans of an attempt have the same."""
+        """Set the identity of the next plan, which is unique within an attempt."""
         self._plans += 1
         self.run_id, self._joins_at = replace(self.run_id, plan=self._plans), joins_at
         self.path_end = min(self.path_end, PathEnd.PLANNED)
@@ -272,13 +272,13 @@ class PlanningSession:
         return min(max(math.ceil(ahead), self._joins_at), self._port.sender.sent - 1)
 
     def _revise(self, planner: RunPlanner) -> Task:
-        """Plan anew after a setpoint a little ahead of the machine; the old plan goes on."""
+        """Plan again from a setpoint a little ahead of the machine; the old plan continues."""
         self._change(Step.REVISE)
         number, settings = self._join_after(), self.settings
         return Task(lambda: planner.revise(number, settings), self._revised)
 
     def _revised(self, revision: Revision | None, now: float) -> None:
-        """Send a revision that came in time; a late one is dropped."""
+        """Send a revision that is ready in time; a late one is dropped."""
         self._revised_at = now
         planner = self.planner
         if revision is None or planner is None or self._is_late(revision.number):
@@ -301,7 +301,7 @@ class PlanningSession:
         return late
 
     def _see_join(self) -> None:
-        """Go on when the machine has answered; where it has passed, with the plan before."""
+        """Continue when the machine has answered; with the plan before if it has passed there."""
         kept, planner = self._kept, self.planner
         if self._received.turned_away and kept is not None and planner is not None:
             planner.stream.adopt(kept.plan)
@@ -315,7 +315,7 @@ class PlanningSession:
         self._change(Step.DONE)
 
     def _plan_ahead_task(self, planner: RunPlanner, report: MachineReport | None) -> Task | None:
-        """Sample and plan ahead; take segments when little is left to plan."""
+        """Sample and plan ahead; read segments when little is left to plan."""
         stream = planner.stream
         unsent = self._port.sender.unsent * self._period
         sample = unsent < SAMPLED_AHEAD and stream.can_sample
@@ -328,7 +328,7 @@ class PlanningSession:
             executed = report.path_position if report is not None and mine else -math.inf
             return Task(lambda: planner.work(sample, executed), self._planned)
         if self.activity is Activity.JOINING:
-            return None  # more path goes to the plan that stays, once it is known which one
+            return None  # more path is added when it is known which plan remains
         if wants and self._segments:
             count = min(SEGMENTS_PER_TASK, len(self._segments))
             segments, pauses = self._port.read([self._segments.popleft() for _ in range(count)])
@@ -346,7 +346,7 @@ class PlanningSession:
         self._put(chunks)
 
     def _put(self, chunks: list[Chunk]) -> None:
-        """Give chunks to the sender."""
+        """Queue chunks in the sender."""
         for chunk in chunks:
             self._port.sender.put(chunk, len(chunk.samples))
             if chunk.wait is Wait.END:
@@ -354,7 +354,7 @@ class PlanningSession:
 
     def finish(self, task: Task, outcome: Callable[[], Any], now: float) -> None:
         """
-        Take over the result of a task.
+        Store the result of a task.
 
         Parameters
         ----------

@@ -44,7 +44,7 @@ TABLE: dict[tuple[Activity, Step], Activity] = {
 
 
 class PathEnd(IntEnum):
-    """How far the end of the path has come."""
+    """How far the end of the path has got through planning."""
 
     OPEN = 0  # further segments come
     KNOWN = 1  # the last segment is there

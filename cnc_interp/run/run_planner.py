@@ -21,9 +21,9 @@ from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.smoothing.segments import PathSegments
 
-#: A machine farther from the path than this does not stand on it [m, rad].
+#: Largest distance of a machine that stands on the path [m, rad].
 ON_PATH = 1e-8
-#: Source lines that are kept before those of executed blocks are looked for and forgotten.
+#: Number of stored source lines above which those of executed blocks are dropped.
 LINES_KEPT = 4096
 
 #: Motion that a plan brings before it joins another one in motion [s]. So a planner that is late
@@ -116,7 +116,7 @@ class RunPlanner:
         self.stream.push(path)
 
     def _begin(self, path: AxisPath) -> AxisPath | None:
-        """Put the approach before the program, or skip the part executed before a loss."""
+        """Add the approach before the program, or skip the part executed before a loss."""
         if self._continue_at is None:
             start = np.array(path.cell_left[0, 0])
             way = approach(self._transform, self._flank_height, self._stands, start)
@@ -140,7 +140,7 @@ class RunPlanner:
 
     def finish(self) -> None:
         """
-        Let the path end here.
+        End the path here.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class RunPlanner:
         return Revision(number, plan, chunks) if enough else None
 
     def _note_lines(self, segments: PathSegments) -> None:
-        """Keep the source line of each block on the path that is kept."""
+        """Store the source line of each block on the path that is kept."""
         lines = self._lines
         if len(lines) > LINES_KEPT + 2 * self._lines_left:
             first = self.stream.first_block

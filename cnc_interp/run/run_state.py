@@ -78,7 +78,7 @@ class WaitsFor(IntEnum):
     RESET = 5
 
 
-#: Sentences for the operator; ``{}`` is the detail.
+#: Texts for the operator; ``{}`` is the detail.
 TEXTS = {
     Reason.NONE: '',
     Reason.FEED_HOLD: 'feed hold; cycle_start to continue',
@@ -277,7 +277,7 @@ class RunState:
         )  # fmt: skip
 
     def _refused(self, event: Event) -> str:
-        """Say why an event is not possible now."""
+        """Return why an event is not possible now."""
         if self.state is State.INACTIVE:
             return f'{event.value} is not possible: the drives are off; activate machine_node'
         text = _REFUSALS.get(event, f'{event.value} is not possible while {self.state.value}')

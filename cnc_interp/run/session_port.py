@@ -14,7 +14,7 @@ from cnc_interp.smoothing.segments import PathSegments
 
 
 class ChunkSender(Protocol):
-    """The sending end of the setpoints, as far as planning depends on it."""
+    """The sender of the setpoints, as far as planning depends on it."""
 
     sent: int
     """Number after the last setpoint that was sent."""
@@ -47,13 +47,13 @@ class SessionPort(Protocol):
         """Read segment messages; returns also the blocks after which cycle_start is waited for."""
 
     def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan from a number on, which joins the plan that is being sent."""
+        """Send a plan that joins the plan being sent, from a number on."""
 
     def take_back(self) -> None:
-        """Go on with the plan before the one that was to join."""
+        """Continue with the plan before the one that was to join."""
 
     def consumed(self, count: int) -> None:
         """Open the window of the segments."""
 
     def refuse(self, kind: Refusal, reason: str) -> None:
-        """Tell the sender of the segments that the run is over."""
+        """Inform the sender of the segments that the run is over."""

@@ -27,7 +27,7 @@ class ToleranceUse:
         self.largest = np.zeros(2)
 
     def blocks(self, blocks: Blocks) -> None:
-        """Take further rows of the program."""
+        """Add further rows of the program."""
         rows = self._rows + np.arange(len(blocks))
         told = np.column_stack(
             [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
@@ -40,7 +40,7 @@ class ToleranceUse:
 
     def segments(self, segments: PathSegments) -> BoolArray:
         """
-        Judge further segments. Their blocks must be known: call ``blocks`` first.
+        Check further segments. Their blocks must be known: call ``blocks`` first.
 
         Returns
         -------
@@ -59,7 +59,7 @@ class ToleranceUse:
 
     def require(self, segments: PathSegments) -> None:
         """
-        Take further segments as ``segments`` does, and refuse one that leaves its tolerances.
+        Check further segments as ``segments`` does, and refuse one that leaves its tolerances.
 
         Raises
         ------

@@ -30,11 +30,11 @@ from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import PlanningSession, Received
+from cnc_interp.run.planning_session import PlanningSession
 from cnc_interp.run.planning_states import Activity
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
-from cnc_interp.run.session_port import ChunkSender
+from cnc_interp.run.session_port import ChunkSender, Received
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
 from cnc_interp.wire.machine_report import machine_report

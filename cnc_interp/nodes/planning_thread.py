@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import import_module
 from typing import Any
 
-from cnc_interp.run.planning_session import Task
+from cnc_interp.run.session_port import Task
 
 #: Longest time that the sending thread waits for the planning thread [s].
 SWITCH = 5e-4

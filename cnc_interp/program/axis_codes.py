@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.units import DEG
-from cnc_interp.program.motion import FARTHEST, Mover
+from cnc_interp.program.modal_state import FARTHEST
+from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
 
 

@@ -53,20 +53,7 @@ class _Circle:
     pitch: float = 0.0
 
     def across(self, point: FloatArray) -> FloatArray:
-        """
-        Return the vector from the circle axis to a point.
-
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            The point [m].
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            Vector normal to the axis [m].
-
-        """
+        """Return the vector from the circle axis to a point, shape (3,) [m]."""
         arm = point - self.centre
         return np.asarray(arm - (arm @ self.normal) * self.normal)
 

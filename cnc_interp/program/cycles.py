@@ -16,7 +16,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
-from cnc_interp.program.motion import FARTHEST, Mover
+from cnc_interp.program.modal_state import FARTHEST
+from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
 
 #: Clearance above the last peck, and retract distance of G73 [m].

@@ -22,8 +22,9 @@ from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import G65_ARGUMENTS, Flow
 from cnc_interp.program.job import JobSetup
+from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
-from cnc_interp.program.motion import FARTHEST, Mover
+from cnc_interp.program.motion import Mover
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along

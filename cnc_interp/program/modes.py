@@ -6,7 +6,8 @@ import numpy as np
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
-from cnc_interp.program.motion import FARTHEST, LENGTH_WITH_TCP, Mover
+from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
+from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
 
 

@@ -1,5 +1,5 @@
 """
-The modal state of a program: position, feed, frames; and the targets of single blocks.
+The targets of single blocks, from their words and the modal state.
 
 ``runs.py`` does the same for many plain lines at once.
 """
@@ -12,151 +12,19 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
-from cnc_interp.program.columns import NO_ARC, TargetColumns
-from cnc_interp.program.flow import Flow
-from cnc_interp.program.frames import Frames
-from cnc_interp.program.job import JobSetup
+from cnc_interp.program.columns import NO_ARC
+from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
-from cnc_interp.program.notices import Notices
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.words import BlockWords
-from cnc_interp.settings.choices import Settings
 
-FARTHEST = 1e5 * MM
 MOST_TURN = 1e3 * 360.0 * DEG
-#: A larger turn of a rotary axis in one cutting block gives a notice [rad].
-LONG_WAY = 180.0 * DEG + 1e-9
-LENGTH_WITH_TCP = (
-    'with tool-tip programming the tool length belongs in the machine file '
-    '(tip_to_secondary_pivot_mm); set the length in the setup to 0'
-)
-_NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
-_NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
 
 
-class Mover:
-    """
-    The position and the modal settings of a program.
-
-    Parameters
-    ----------
-    geometry : RotaryGeometry
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the program does not give, and choices of the user.
-    setup : JobSetup
-        Work offsets, tool lengths and reference points.
-    flow : Flow
-        Position of the reader, for line numbers and errors.
-    notices : Notices
-        Collects notices about harmless words.
-
-    """
-
-    def __init__(
-        self,
-        geometry: RotaryGeometry,
-        settings: Settings,
-        setup: JobSetup,
-        flow: Flow,
-        notices: Notices,
-    ):
-        self.geometry, self.settings, self.setup = geometry, settings, setup
-        self.flow, self.notices = flow, notices
-        self.targets = TargetColumns(geometry, settings, flow.main.name)
-        self.extra_letters = tuple(geometry.extra_names)
-        own = len(geometry.axis_names) - len(self.extra_letters)
-        self.rotary_letters = tuple(geometry.axis_names[3:own])
-        # Modal settings, with the names of codes.SETTINGS.
-        self.motion: int | None = None
-        self.plane, self.unit, self.incremental, self.centre_absolute = 'G17', MM, False, False
-        self.feed_mode, self.retract_to_start = 'G94', True
-        self.stop_always = self.stop_once = False
-        self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
-        self.tcp = ''
-        self.feedrate = settings.feedrate
-        self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
-        self.blocks_per_minute: float | None = None
-        self.feed_changed = False  # whether the feed mode changed after the last F
-        self.spindle_speed = 0.0
-        self.contour = settings.contour_tolerance
-        self.orientation = settings.orientation_tolerance
-        # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
-        self.zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
-        self.frames = Frames(setup, self.zero, self.rotary_letters)
-        self.point = np.zeros(3)
-        self.rotary = np.zeros(2) if self.rotary_letters else np.full(2, nan)
-        self.named = 0.0
-        #: Positions of the extra axes U V W, which count from their machine zero [m].
-        self.extra = np.zeros(3)
-        self._along = np.zeros((3, 3))
-        for letter, direction in zip(geometry.extra_names, geometry.extra_direction, strict=True):
-            self._along[EXTRA_LETTERS.index(letter)] = direction
-        #: Tool axis from direction words; None if rotary words were the last ones.
-        self.vector: FloatArray | None = None
-
-    def fault(self, message: str, word: str = '') -> ProgramError:
-        """Return an error for the present line."""
-        return self.flow.fault(message, word)
-
-    def notice(self, key: str, text: str) -> None:
-        """Record a notice about something harmless, once."""
-        self.notices.once(key, self.flow.line_number, f'{key}: {text}')
-
-    # --- position ------------------------------------------------------------------------------
-
-    @property
-    def by_axes(self) -> bool:
-        """True where axis words are axis positions: with rotary or extra axes, without TCP."""
-        return bool(self.rotary_letters or self.extra_letters) and not self.tcp
-
-    @property
-    def on_great_circle(self) -> bool:
-        """True where the tool axis turns on a great circle, or cannot turn."""
-        return self.great_circle and not (self.by_axes and self.rotary_letters)
-
-    def here(self) -> FloatArray:
-        """Return the position in program coordinates, shape (5,) [m, rad]."""
-        rotary = self.rotary - self.frames.rotary_origin
-        return np.concatenate([self.frames.program(self.point), rotary])
-
-    def switch_tcp(self, word: str) -> None:
-        """Switch tool-tip programming on (by a word) or off (empty); the axes do not move."""
-        if bool(word) == bool(self.tcp):
-            self.tcp = word
-            return
-        if word:
-            if self.frames.length:
-                raise self.fault(LENGTH_WITH_TCP, word)
-            if self.rotary.any() or self.extra.any():
-                stands = self.point + self.zero + self.extra @ self._along
-                q = np.concatenate([stands, self.rotary])[None]
-                self.point = self.geometry.forward(q)[0][0]
-        else:
-            self._rotary_of_vector()
-            if self.rotary.any() or self.extra.any():
-                linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
-                self.point = linear - self.zero - self.extra @ self._along
-        self.tcp = word
-
-    def _rotary_of_vector(self) -> None:
-        """Compute the rotary positions after direction words, nearest to the last rotary words."""
-        if self.vector is None:
-            return
-        solutions = self.geometry.rotary_solutions(self.vector)
-        if not solutions:
-            raise self.fault(
-                'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
-            )
-        near = [
-            pair + 2.0 * pi * np.round((self.rotary - pair) / (2.0 * pi)) for pair in solutions
-        ]
-        self.rotary = min(near, key=lambda pair: float(np.abs(pair - self.rotary).sum()))
-        self.targets.stand_at(self.rotary)
-        self.vector = None
+class Mover(ModalState):
+    """The motions of a program: executes the words of a block that move the tool."""
 
     # --- one block -----------------------------------------------------------------------------
 
@@ -364,73 +232,6 @@ class Mover:
                 self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
             )
         )  # fmt: skip
-
-    def check_point(self, point: FloatArray) -> None:
-        """
-        Raise ProgramError for a point that no machine can reach.
-
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Target point [m].
-
-        """
-        farthest = int(np.argmax(np.abs(point)))
-        if not abs(point[farthest]) <= FARTHEST:
-            raise self.fault(
-                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
-                f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}',
-            )
-
-    def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
-        """
-        Give a notice if rotary words turn an axis by more than 180 deg while cutting.
-
-        Parameters
-        ----------
-        turned : ndarray, shape (2,)
-            Turn of each rotary axis in the block [rad].
-        rapid : bool
-            Whether the motion is a rapid.
-
-        """
-        if rapid or not self.rotary_letters or self.targets.empty:
-            return
-        which = int(np.argmax(turned))
-        if turned[which] > LONG_WAY and self.settings.rotary_sense == 'programmed':
-            self.notice(
-                f'{self.rotary_letters[which]} turns by more than 180 deg in a cutting block',
-                'done as programmed; --rotary-sense shortest takes the short way',
-            )
-
-    def feed(self, given: bool) -> tuple[float, float, float]:
-        """Return feedrate [m/s], duration [s] and turn rate [rad/s] of a cutting block."""
-        if self.targets.empty:
-            return inf, nan, inf
-        if self.feed_mode != 'G93':
-            if self.feedrate is None:
-                raise self.fault(_NO_NEW_F if self.feed_changed else _NO_F)
-            if self.feed_mode == 'G94':
-                return self.feedrate, nan, self.turn_rate
-            if not self.spindle_speed > 0.0:
-                raise self.fault(
-                    'feed per revolution (G95) without a spindle speed; write S first', 'G95'
-                )
-            return self.feedrate * self.spindle_speed, nan, self.turn_rate * self.spindle_speed
-        if self.blocks_per_minute is None:
-            raise self.fault('no F in inverse-time feed (G93); give F in 1/min in each G1 block')
-        if not given:
-            self.notice('G93', 'a block without F keeps the last one')
-        return nan, MINUTE / self.blocks_per_minute, nan
-
-    def set_feed(self, value: float, word: str) -> None:
-        """Set the feed from an F word."""
-        if not 0.0 < value < inf:
-            raise self.fault('the feedrate must be greater than zero', word)
-        if self.feed_mode == 'G93':
-            self.blocks_per_minute = value
-        else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
-            self.feedrate, self.turn_rate = value * self.unit / MINUTE, value * DEG / MINUTE
 
     # --- arcs and tool vectors -----------------------------------------------------------------
 

@@ -11,7 +11,8 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MINUTE
 from cnc_interp.program import scan
 from cnc_interp.program.arcs import PLANES, arcs_of
-from cnc_interp.program.motion import FARTHEST, LONG_WAY, MOST_TURN, Mover
+from cnc_interp.program.modal_state import FARTHEST, LONG_WAY
+from cnc_interp.program.motion import MOST_TURN, Mover
 from cnc_interp.program.moves import (
     AXES,
     AXIS,

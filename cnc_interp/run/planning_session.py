@@ -21,7 +21,7 @@ from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision, RunPlanner
-from cnc_interp.run.session_port import SessionPort
+from cnc_interp.run.session_port import Received, SessionPort, Task
 
 SEGMENTS_PER_TASK = 64
 """Segments taken over together."""
@@ -40,27 +40,6 @@ MARGIN = 0.04
 
 
 @dataclass(frozen=True)
-class Received:
-    """
-    What the machine reported about the setpoints it receives.
-
-    Parameters
-    ----------
-    run_id : RunId
-        The plan that it receives.
-    executed : float
-        Number of the next setpoint that it executes, by now.
-    turned_away : bool
-        The plan sent last was to join where the machine has passed.
-
-    """
-
-    run_id: RunId = NO_RUN
-    executed: float = -math.inf
-    turned_away: bool = False
-
-
-@dataclass(frozen=True)
 class Kept:
     """The plan that counts until another one has joined."""
 
@@ -68,14 +47,6 @@ class Kept:
     joins_at: int
     plan: MotionPlan
     path_end: PathEnd
-
-
-@dataclass(frozen=True)
-class Task:
-    """A task, and the function that receives its result."""
-
-    work: Callable[[], Any]
-    then: Callable[[Any, float], None]
 
 
 class PlanningSession:

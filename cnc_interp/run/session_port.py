@@ -1,14 +1,17 @@
-"""What a planning session asks of the node around it."""
+"""The border of a planning session: what it asks of the node around it, and what it gets."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -57,3 +60,32 @@ class SessionPort(Protocol):
 
     def refuse(self, kind: Refusal, reason: str) -> None:
         """Inform the sender of the segments that the run is over."""
+
+
+@dataclass(frozen=True)
+class Received:
+    """
+    What the machine reported about the setpoints it receives.
+
+    Parameters
+    ----------
+    run_id : RunId
+        The plan that it receives.
+    executed : float
+        Number of the next setpoint that it executes, by now.
+    turned_away : bool
+        The plan sent last was to join where the machine has passed.
+
+    """
+
+    run_id: RunId = NO_RUN
+    executed: float = -math.inf
+    turned_away: bool = False
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task, and the function that receives its result."""
+
+    work: Callable[[], Any]
+    then: Callable[[Any, float], None]

@@ -10,7 +10,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.smoothing.corners import corner
-from cnc_interp.smoothing.corners.axis_corner import EXTRA, POINT, TURN
+from cnc_interp.smoothing.corners.axis_legs import EXTRA, POINT, TURN
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.corners.vertices import (
     ROUND,
@@ -330,20 +330,7 @@ class Emission:
 
 
 def no_segments(style: Style) -> PathSegments:
-    """
-    Return an empty batch of segments.
-
-    Parameters
-    ----------
-    style : Style
-        The construction of corners, which fixes the shapes of the arrays.
-
-    Returns
-    -------
-    PathSegments
-        No segments.
-
-    """
+    """Return no segments, in arrays of the shapes that the construction of corners needs."""
     curves = style.empty_curves(0)
     return PathSegments(
         kind=np.zeros(0, dtype=np.int64),

@@ -9,11 +9,12 @@ from cnc_interp.core.errors import PlanningError, Refusal
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import LEAD, MARGIN, PlanningSession, Received
+from cnc_interp.run.planning_session import LEAD, MARGIN, PlanningSession
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import State
+from cnc_interp.run.session_port import Received
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')

@@ -9,7 +9,8 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
+from cnc_interp.smoothing.corners.axis_corner import AxisCorners
+from cnc_interp.smoothing.corners.axis_legs import AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import STANDSTILL

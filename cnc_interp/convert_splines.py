@@ -180,15 +180,7 @@ class SplineMoves:
         self.bend_jump = max(self.bend_jump, jumps[1])
 
     def losses(self) -> list[str]:
-        """
-        List the effects on a control that uses one parameter for both curves and joins none.
-
-        Returns
-        -------
-        list of str
-            One sentence per effect.
-
-        """
+        """List the effects on a control that uses one parameter for both curves and joins none."""
         rate, bend = self.rate_jump / DEG * MM, self.bend_jump / DEG * MM**2
         notes = [
             'a control with u_top = u_bottom that does not connect curves sees jumps of the '

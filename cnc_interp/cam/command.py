@@ -10,15 +10,7 @@ from cnc_interp.command_options import command, machine_option, number, positive
 
 
 def add_cam_commands(commands: Any) -> None:
-    """
-    Declare `cam` and its commands.
-
-    Parameters
-    ----------
-    commands : subparsers of argparse
-        Where the commands are added.
-
-    """
+    """Declare `cam` and its commands."""
     cam = commands.add_parser(
         'cam',
         help='5-axis iso-scallop programs from surfaces, and the simulated surface',

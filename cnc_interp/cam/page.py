@@ -152,19 +152,7 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
 
 
 def path_figure(paths: IsoScallopPaths | ClassicalPaths) -> Any:
-    """
-    Draw contact lines and tool axes of the passes in space.
-
-    Parameters
-    ----------
-    paths : IsoScallopPaths or ClassicalPaths
-        The passes.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw contact lines and tool axes of the passes in space."""
     figure = go.Figure()
     gap = np.full((1, 3), np.nan)
     lines, axes = [], []

@@ -88,58 +88,18 @@ def thinned(motion: Motion) -> Motion:
 
 
 def programmed(program: Program) -> Motion:
-    """
-    Return the motion of a part program; native splines become chords.
-
-    Parameters
-    ----------
-    program : Program
-        The program.
-
-    Returns
-    -------
-    Motion
-
-    """
+    """Return the motion of a part program; native splines become chords."""
     blocks = with_chords(program.blocks, ARM)
     return Motion('programmed', np.asarray(blocks.tip), np.asarray(blocks.axis))
 
 
 def planned(plan: PlanFiles, machine: Machine) -> Motion:
-    """
-    Return the motion that the setpoints of a plan command.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        Its machine.
-
-    Returns
-    -------
-    Motion
-
-    """
+    """Return the motion that the setpoints of a plan command."""
     return thinned(Motion('planned', *Transform.of(machine).forward(plan.position)))
 
 
 def executed(plan: PlanFiles, machine: Machine) -> Motion:
-    """
-    Return the motion of the simulated machine's drives for the setpoints of a plan.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        Its machine.
-
-    Returns
-    -------
-    Motion
-
-    """
+    """Return the motion of the simulated machine's drives for the setpoints of a plan."""
     recording = simulate(machine, plan.period, plan.position, plan.setpoints['velocity'])
     return thinned(Motion('executed', recording.tip, recording.axis))
 

@@ -233,19 +233,7 @@ def _patch(geometry: Any, flip: bool) -> Surface:
 
 
 def extent(surface: Surface) -> str:
-    """
-    Return the lengths of the middle lines of a surface as text.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the lengths of the middle lines of a surface as text."""
     s = surface.at(*surface.grid(101, 101)).position
     along = norm(np.diff(s[:, 50], axis=0)).sum(), norm(np.diff(s[50], axis=0)).sum()
     return f'{along[0] / MM:.4g} x {along[1] / MM:.4g} mm'

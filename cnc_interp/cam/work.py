@@ -47,20 +47,7 @@ SMOOTHING = 0.2
 
 
 def make_program(options: argparse.Namespace) -> int:
-    """
-    Make the program of a surface, simulate it if requested, and write all files.
-
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Arguments of ``cam iso-scallop``.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
+    """Make the program of a surface, simulate it if requested, and write all files."""
     surface = read_surface(options.surface, options.face, _note)
     cutter = _cutter(options)
     normal = across(surface, options.direction * DEG)
@@ -143,20 +130,7 @@ def _followed(
 
 
 def simulate_motion(options: argparse.Namespace) -> int:
-    """
-    Cut a surface with the motion of a program or a plan.
-
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Arguments of ``cam simulate``.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
+    """Cut a surface with the motion of a program or a plan."""
     surface = read_surface(options.surface, options.face, _note)
     cutter = _cutter(options)
     machine = Machine.load(options.machine)

@@ -191,14 +191,6 @@ class OperatorClient:
         Send a program; it starts when those before it have ended.
 
         To be called in the thread that serves the node.
-
-        Parameters
-        ----------
-        goal : RunProgram.Goal
-            Program and choices.
-        on_result : callable, optional
-            Called once with the result.
-
         """
         sent = SentProgram(self._action, goal, len(self._sent))
         self._sent.append(sent)

@@ -113,15 +113,7 @@ class Recorder:
         return sorted(n for n in self._known if n not in self._last or not self._last[n].done())
 
     def finish(self, client: OperatorClient) -> None:
-        """
-        Write the last messages of all nodes, then close the bag.
-
-        Parameters
-        ----------
-        client : OperatorClient
-            Serves the node that listens.
-
-        """
+        """Write the last messages of all nodes, then close the bag."""
         until = time.monotonic() + LAST_WAIT
         while not self.complete() and time.monotonic() < until:
             client.serve()

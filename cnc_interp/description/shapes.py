@@ -96,19 +96,7 @@ def table_radius(machine: Machine) -> float:
 
 
 def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """
-    Draw the fixed parts: rails of the bridge on posts, and the support of the table.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    tuple of Shape
-
-    """
+    """Draw the fixed parts: rails of the bridge on posts, and the support of the table."""
     rail, reach = 0.06, 0.62
     shapes = [Shape((1.6, 1.6, 0.04), (0.0, 0.0, -0.36), IRON)]
     for side in (-HALF_WIDTH, HALF_WIDTH):
@@ -143,19 +131,7 @@ def slide_shapes() -> tuple[tuple[Shape, ...], ...]:
 
 
 def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """
-    Draw the primary table axis: a shaft with a block that carries the table.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    tuple of Shape
-
-    """
+    """Draw the primary table axis: a shaft with a block that carries the table."""
     along = vector(machine.rotary_direction[0])
     radius = table_radius(machine)
     shaft = Shape((0.035, 2 * radius + 0.10), ZERO, TURNING, along)
@@ -168,19 +144,7 @@ def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:
 
 
 def disc_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """
-    Draw the rotary table with its top in the origin; a slot shows the rotation.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    tuple of Shape
-
-    """
+    """Draw the rotary table with its top in the origin; a slot shows the rotation."""
     radius = table_radius(machine)
     disc = Shape((radius, 0.025), (0.0, 0.0, -0.0125), STEEL)
     slot = Shape((0.85 * radius, 0.012, 0.003), (0.5 * radius, 0.0, 0.0), IRON)
@@ -222,19 +186,7 @@ def tool_shapes() -> tuple[Shape, ...]:
 
 
 def stock_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """
-    Draw the stock between the table and the workpiece zero.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    tuple of Shape
-
-    """
+    """Draw the stock between the table and the workpiece zero."""
     height = abs(float(machine.offsets[0, 2]))
     if height < 1e-3:
         return (Shape((0.2, 0.2, 0.02), (0.0, 0.0, -0.01), STOCK),)

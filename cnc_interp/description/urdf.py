@@ -15,20 +15,7 @@ UNKNOWN_EFFORT = 0.0
 
 
 def urdf_of(machine: Machine) -> str:
-    """
-    Return the URDF of a machine, with its axis names as joints and its limits.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    str
-        XML.
-
-    """
+    """Return the URDF of a machine, with its axis names as joints and its limits."""
     description = describe_machine(machine)
     robot = ElementTree.Element('robot', name=description.name)
     add_links(robot, description)

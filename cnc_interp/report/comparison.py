@@ -48,20 +48,7 @@ Figure = Callable[[Run], float]
 
 
 def comparison_table(first: Run, second: Run) -> str:
-    """
-    Write cycle times, path and deviations of both runs as a table.
-
-    Parameters
-    ----------
-    first, second : Run
-        The runs.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write cycle times, path and deviations of both runs as a table."""
     proven = ['yes' if run.proof.ok else 'no' for run in (first, second)]
     lines = [_row('proven', proven[0], proven[1], '')]
     for label, unit, pattern, figure in rows_of():
@@ -97,20 +84,7 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
 
 
 def use_table(first: Run, second: Run) -> str:
-    """
-    Write the largest use of every axis limit in both runs as a table.
-
-    Parameters
-    ----------
-    first, second : Run
-        The runs.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write the largest use of every axis limit in both runs as a table."""
     kinds = [kind for kind, _ in DIFFERENCES]
     names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
     head = ''.join(f'<th colspan="2">{kind}</th>' for kind in kinds)
@@ -150,19 +124,7 @@ def use_of(run: Run, kind: str, axis: str) -> float:
 
 
 def comparison_figure(first: Run, second: Run) -> Any:
-    """
-    Draw both feeds over path length and over time.
-
-    Parameters
-    ----------
-    first, second : Run
-        The runs.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw both feeds over path length and over time."""
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
     runs = ((first, {'color': BLUE, 'width': 1.6}), (second, {'color': ORANGE, 'width': 1.6}))
     for run, line in runs:
@@ -214,20 +176,7 @@ def _error(what: str) -> Figure:
 
 
 def comparison_section(first: Run, second: Run) -> str:
-    """
-    Write the section that compares two runs.
-
-    Parameters
-    ----------
-    first, second : Run
-        The runs.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write the section that compares two runs."""
     text = (
         f'{escape(first.name)} and {escape(second.name)}; the rest of the page is about the '
         'first. The left number of each limit is that of the first run, the right one that of '

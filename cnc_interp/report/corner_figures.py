@@ -53,19 +53,7 @@ CHOOSER = """
 
 
 def space_figure(view: CornerView) -> Any:
-    """
-    Draw both curves with control polygons, the programmed corner and tool axes.
-
-    Parameters
-    ----------
-    view : CornerView
-        The corner.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw both curves with control polygons, the programmed corner and tool axes."""
     lowering = shift(view)
     moved = f', moved down {np.linalg.norm(lowering):.3g} mm' if lowering.any() else ''
     size = _size(view)
@@ -140,19 +128,7 @@ def shift(view: CornerView) -> FloatArray:
 
 
 def profile_figure(view: CornerView) -> Any:
-    """
-    Draw parametrization, third derivative of the tool axis and feed along the corner.
-
-    Parameters
-    ----------
-    view : CornerView
-        The corner.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw parametrization, third derivative of the tool axis and feed along the corner."""
     figure = make_subplots(
         rows=3, cols=1, vertical_spacing=0.13, row_heights=[0.26, 0.3, 0.44],
         subplot_titles=(
@@ -202,19 +178,7 @@ def profile_figure(view: CornerView) -> Any:
 
 
 def asked_of(view: CornerView) -> str:
-    """
-    Return the programmed feed of a corner as text.
-
-    Parameters
-    ----------
-    view : CornerView
-        The corner.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the programmed feed of a corner as text."""
     return f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
 
 
@@ -273,20 +237,7 @@ def _height(view: CornerView) -> float:
 
 
 def corner_section(views: list[CornerView]) -> str:
-    """
-    Write the section of the corners; the page draws a corner when it is chosen.
-
-    Parameters
-    ----------
-    views : list of CornerView
-        The corners.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write the section of the corners; the page draws a corner when it is chosen."""
     shown = [{'space': space_figure(v), 'profile': profile_figure(v)} for v in views]
     figures = [{part: json.loads(f.to_json()) for part, f in both.items()} for both in shown]
     # No text inside may look like the end of the script element.

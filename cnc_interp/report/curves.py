@@ -131,19 +131,7 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
 
 
 def bounds_figure(view: CurvesView) -> Any:
-    """
-    Draw the bounds along the path.
-
-    Parameters
-    ----------
-    view : CurvesView
-        The curves.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw the bounds along the path."""
     figure = go.Figure()
     for k, (name, colour) in enumerate((('contour', BLUE), ('orientation', ORANGE))):
         figure.add_scatter(
@@ -159,19 +147,7 @@ def bounds_figure(view: CurvesView) -> Any:
 
 
 def close_figure(view: CurvesView) -> Any:
-    """
-    Draw the curve and the blocks that it replaces.
-
-    Parameters
-    ----------
-    view : CurvesView
-        The curves.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw the curve and the blocks that it replaces."""
     figure = go.Figure()
     figure.add_scatter(
         x=view.polyline[:, 0], y=view.polyline[:, 1], name='programmed', mode='lines+markers',

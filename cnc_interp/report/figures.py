@@ -33,19 +33,7 @@ TOOL_LINES = 160
 
 
 def path_figure(series: Series) -> Any:
-    """
-    Draw the tool path in space, coloured by feedrate, with some tool axes.
-
-    Parameters
-    ----------
-    series : Series
-        Values to draw.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw the tool path in space, coloured by feedrate, with some tool axes."""
     kept = extremes(series.feed, SPACE_BUCKETS)
     tip, feed = series.tip[kept], series.feed[kept]
     figure = go.Figure()
@@ -116,19 +104,7 @@ def feed_span(series: Series) -> tuple[float, str]:
 
 
 def feed_figure(series: Series) -> Any:
-    """
-    Draw feed, programmed feed and Eq. 10, over path length and over time.
-
-    Parameters
-    ----------
-    series : Series
-        Values to draw.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw feed, programmed feed and Eq. 10, over path length and over time."""
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
     ceiling = feed_ceiling(series)
     limit = np.minimum(series.feed_limit, ceiling)
@@ -180,19 +156,7 @@ def feed_ceiling(series: Series) -> float:
 
 
 def axes_figure(series: Series) -> Any:
-    """
-    Draw velocity, acceleration and jerk of every axis in percent of their limits.
-
-    Parameters
-    ----------
-    series : Series
-        Values to draw.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw velocity, acceleration and jerk of every axis in percent of their limits."""
     names = series.axis_names
     figure = make_subplots(
         rows=len(names), cols=3, shared_xaxes=True, shared_yaxes=True,
@@ -235,19 +199,7 @@ def axes_figure(series: Series) -> Any:
 
 
 def error_figure(series: Series) -> Any:
-    """
-    Draw contour and orientation error along the path against their tolerances.
-
-    Parameters
-    ----------
-    series : Series
-        Values to draw.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw contour and orientation error along the path against their tolerances."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
     for row, name, error, tolerance in (
         (1, 'contour', series.contour_error, series.contour_tolerance),

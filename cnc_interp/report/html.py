@@ -66,20 +66,7 @@ def section(heading: str, text: str, content: str) -> str:
 
 
 def drawing(figure: Any) -> str:
-    """
-    Write a plotly figure as HTML; the page must contain plotly.js.
-
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write a plotly figure as HTML; the page must contain plotly.js."""
     drawing: str = figure.to_html(
         full_html=False, include_plotlyjs=False, default_width='100%', config=CONTROLS
     )

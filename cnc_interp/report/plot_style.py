@@ -46,20 +46,7 @@ def base_layout(height: int) -> dict[str, Any]:
 
 
 def with_axes(figure: Any) -> Any:
-    """
-    Give a flat figure the axes that all figures share.
-
-    Parameters
-    ----------
-    figure : Figure
-        The figure, which is changed.
-
-    Returns
-    -------
-    Figure
-        The same figure.
-
-    """
+    """Give a flat figure the axes that all figures share."""
     quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
     figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
     figure.update_yaxes(**quiet, title_standoff=8)

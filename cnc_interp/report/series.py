@@ -75,21 +75,7 @@ class Series:
 
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
-    """
-    Compute the values to draw from the files of a plan.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        Its machine.
-
-    Returns
-    -------
-    Series
-
-    """
+    """Compute the values to draw from the files of a plan."""
     plan = with_chords(plan, machine)
     tip, axis = Transform.of(machine).forward(plan.position)
     deviation = measure(plan, machine, tip, axis)

@@ -322,7 +322,11 @@ def _deviation(
             if distance < best:
                 best, best_row, best_part = distance, k, foot
             if not by_axes[k]:
-                top_best = min(top_best, _locus_distance(
+                # The foot of the tip is one start more: near a cusp of T the others may miss it.
+                square = _distance_slopes(
+                    top, start[k], chord[k], first[k], sideways[k], turn[k], h, foot
+                )[0]
+                top_best = min(top_best, np.sqrt(square), _locus_distance(
                     top, start[k], chord[k], first[k], sideways[k], turn[k], h))  # fmt: skip
         for k in range(low[i], high[i] + 1):
             foot = _foot(tip[i], start[k], chord[k])

@@ -66,6 +66,8 @@ class Moves:
         What runs linearly in each motion, as in ``Blocks``.
     dense : int
         The same number before the next motion.
+    beside : ndarray of bool, shape (n,)
+        Motions of axes in which extra axes move and rotary axes do not.
     rests : ndarray of bool, shape (n,)
         Motions with tool-tip programming in which words turn the rotary axes about a resting tip.
 
@@ -100,11 +102,14 @@ class Moves:
         """
         Say what runs linearly; without tool-tip programming, the axes where one turns.
 
+        So do extra axes with rotary axes beside them: both are coordinates of the same corners.
         Short blocks whose poses run linearly as well become curves with their neighbours.
         """
         rows = self.rows
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & (rows[:, GREAT_CIRCLE] == 0.0)
-        kind = np.where(turns & (rows[:, AXES] != 0.0), AXES_LINEAR, POSES)
+        self.beside = (np.abs(self._extra_step()) > SAME).any(axis=1) & (rows[:, AXES] != 0.0)
+        self.beside &= np.isfinite(rows[:, ROTARY]).all(axis=1) & ~turns
+        kind = np.where(turns & (rows[:, AXES] != 0.0) | self.beside, AXES_LINEAR, POSES)
         # With tool-tip programming, directions give the rotary axes unless the pole is near.
         self.rests = turns & (kind == POSES) & ~self._travels()
         words = np.flatnonzero(turns & (kind == POSES) & ~self.rests)
@@ -134,7 +139,7 @@ class Moves:
         (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
         way, turn = np.linalg.norm(tip - tip_from, axis=1), height * angle_between(o_from, o)
         fits = (way <= settings.longest_block) & (way > SLOW_TIP * turn)
-        fits &= ~self._near_pole(row, height)
+        fits &= self.beside[row] | ~self._near_pole(row, height)
         some = row[fits]
         if len(some):
             fits[fits] = (
@@ -172,6 +177,10 @@ class Moves:
         if np.isnan(rotary).all():  # a machine without rotary axes
             return np.asarray(stands)
         return self._geometry.forward(np.concatenate([stands + self._zero, rotary], axis=1))[0]
+
+    def _extra_step(self) -> FloatArray:
+        """Return what U V W move by in each motion, shape (n, 3) [m]."""
+        return np.asarray(self.rows[:, EXTRA] - self._before[:, EXTRA])
 
     def extra(self, row: IntArray, u: FloatArray) -> FloatArray:
         """Return positions of U V W at shares of motions, shape (m, 3) [m]."""
@@ -271,7 +280,8 @@ class Moves:
 
         If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
         rotary axes turn alone, F is their speed. The duration follows from it. Where the rotary
-        axes run linearly beside the tip, the duration follows from its speed.
+        axes run linearly beside the tip, the duration follows from its speed. So it does where
+        extra axes move; F is the speed of the faster one of tip and extra axis.
 
         Returns
         -------
@@ -281,7 +291,7 @@ class Moves:
         """
         feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
         turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
-        turning |= self.interpolation == ROTARY_LINEAR
+        turning |= (self.interpolation == ROTARY_LINEAR) | self.beside
         row = np.flatnonzero(turning & np.isfinite(feedrate))
         if len(row):
             way = np.linalg.norm(self.rows[row, POINT] - self._start[row], axis=1)
@@ -290,6 +300,10 @@ class Moves:
             way[self._arc[row]] = arcs.lengths(
                 self._start[arc], rows[:, POINT], rows[:, CENTRE], rows[:, NORMAL], rows[:, SWEEP]
             )
+            more = np.flatnonzero(self.beside[row] & ~self._arc[row])
+            step = self._extra_step()[row[more]]
+            tip = self.rows[row[more], POINT] - self._start[row[more]] + step @ self._along
+            way[more] = np.maximum(np.linalg.norm(tip, axis=1), np.linalg.norm(step, axis=1))
             angle = np.linalg.norm(self.sweep[row], axis=1)
             alone = way <= SAME
             duration[row] = np.where(alone, angle / self.rows[row, TURN_RATE], way / feedrate[row])

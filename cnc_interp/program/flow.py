@@ -9,10 +9,12 @@ and IF.
 from __future__ import annotations
 
 import re
+from math import floor, inf
 
 from cnc_interp.program.cursor import Cursor, Loop
 from cnc_interp.program.expressions import ExpressionError, evaluate, parse
 from cnc_interp.program.source import Place
+from cnc_interp.program.words import BlockWords
 
 _O_WORD = re.compile(
     r'O\s*(\d+|<[^<>]+>)\s*'
@@ -267,3 +269,25 @@ class Flow(Cursor):
         """Process M98 and G65: run the subprogram that begins with an O number."""
         pattern = rb'[O:]\s*0*%d(?!\d)' % number
         self.call(f'O{number:04d}', pattern, rounds, arguments or {}, arguments is not None)
+
+    def call_of(self, words: BlockWords) -> tuple[int, int, dict[int, float] | None] | None:
+        """Return number, rounds and arguments of a subprogram call (M98 P, G65 P), or None."""
+        values = words.values
+        if 'G65' not in words.g and 'M98' not in words.m:
+            return None
+        word = 'G65' if 'G65' in words.g else 'M98'
+        number, rounds = values.pop('P', inf), values.pop('L', None)
+        if not 0 <= number < 1e8 or number != floor(number):
+            raise self.fault('the number of the subprogram is missing; write P1000', word)
+        if rounds is None:  # Fanuc: P21000 calls O1000 twice
+            rounds, number = divmod(number, 10000) if number > 9999 else (1, number)
+        if not 0 <= rounds <= 9999:
+            raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
+        arguments = None
+        if word == 'G65':
+            arguments = {
+                G65_ARGUMENTS[letter]: values.pop(letter)
+                for letter in list(values)
+                if letter in G65_ARGUMENTS
+            }
+        return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from math import inf
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import AT_M0, AT_M1
 from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
-from cnc_interp.program.flow import G65_ARGUMENTS, Flow
+from cnc_interp.program.flow import Flow
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
@@ -68,7 +67,7 @@ class GcodeReader:
         notices: Notices,
     ):
         self.settings, self.notices = settings, notices
-        self.variables = ProgramVariables(self._system_variables)
+        self.variables = ProgramVariables(lambda: self.mover.system_variables(self._tool))
         self.flow = Flow(source, self.variables, settings.most_jumps)
         self.mover = Mover(geometry, settings, setup, self.flow, notices)
         self.splines = Splines(self.mover)
@@ -163,7 +162,7 @@ class GcodeReader:
         taking = [code for code in words.g if code in codes.TAKE_AXES]
         if len(taking) > 1:
             raise self.fault(f'{taking[0]} is in the same block; keep one of them', taking[1])
-        calling = self._calling(words)
+        calling = self.flow.call_of(words)
         if 'G4' in taking:
             self._dwell(words)
         elif taking and 'G65' not in taking:
@@ -306,30 +305,12 @@ class GcodeReader:
                 raise self.fault('this word is not supported; give the end point and I, J, K',
                                  str(name))  # fmt: skip
             elif isinstance(name, int):
-                self._set_number(name, value)
+                try:
+                    self.variables.set_number(name, value)
+                except ExpressionError as problem:
+                    raise self.fault(str(problem), f'#{name}') from None
             else:
                 self.variables.set_name(name, value)
-
-    def _set_number(self, index: int, value: float) -> None:
-        """Set a numbered parameter."""
-        try:
-            self.variables.set_number(index, value)
-        except ExpressionError as problem:
-            raise self.fault(str(problem), f'#{index}') from None
-
-    def _system_variables(self) -> dict[int, float]:
-        """Return positions and the work offset: LinuxCNC #5420 ..., Fanuc #5001 ..., #5041 ..."""
-        mover = self.mover
-        found = {5400: float(self._tool), 5220: 1.0}
-        if mover.frames.work_offset:
-            found[5220] = 1.0 + sorted(codes.WORK_OFFSETS).index(mover.frames.work_offset)
-        letters = ('X', 'Y', 'Z', *mover.rotary_letters)
-        for letter, value in zip(letters, mover.here().tolist(), strict=False):
-            number = 'XYZABC'.index(letter)
-            shown = value / (mover.unit if number < 3 else DEG)
-            for base in (5420, 5001, 5041):
-                found[base + number] = shown
-        return found
 
     # --- motion --------------------------------------------------------------------------------
 
@@ -348,7 +329,7 @@ class GcodeReader:
             if letter in 'STDH':
                 self.notice(letter, 'no effect, it does not move the tool')
             elif letter in 'ABCUVW':
-                raise self.fault(self._why_not(letter), words.texts[letter])
+                raise self.fault(mover.why_not(letter), words.texts[letter])
             elif letter == 'L' and len(values) == 1:
                 raise self.fault(
                     f'the subprogram L{values[letter]:g} is not supported; put it into this file',
@@ -356,12 +337,6 @@ class GcodeReader:
                 )
             elif self._cycle is None or letter not in 'QRPKL':
                 raise self.fault('this word has no meaning here', words.texts[letter])
-
-    def _why_not(self, letter: str) -> str:
-        """Say why an axis word cannot be obeyed."""
-        if letter in self.mover.extra_letters:
-            return f'{letter} moves in G0 and G1 blocks only; give it a block of its own'
-        return f'the machine has no axis {letter}; remove the word'
 
     def _dwell(self, words: BlockWords) -> None:
         """Process G4: its P, X, F, S or U is a time."""
@@ -373,28 +348,6 @@ class GcodeReader:
         self.splines.stop_here()
 
     # --- subprograms ---------------------------------------------------------------------------
-
-    def _calling(self, words: BlockWords) -> tuple[int, int, dict[int, float] | None] | None:
-        """Return number, rounds and arguments of a subprogram call (M98 P, G65 P), or None."""
-        values = words.values
-        if 'G65' not in words.g and 'M98' not in words.m:
-            return None
-        word = 'G65' if 'G65' in words.g else 'M98'
-        number, rounds = values.pop('P', inf), values.pop('L', None)
-        if number != np.floor(number) or not 0 <= number < 1e8:
-            raise self.fault('the number of the subprogram is missing; write P1000', word)
-        if rounds is None:  # Fanuc: P21000 calls O1000 twice
-            rounds, number = divmod(number, 10000) if number > 9999 else (1, number)
-        if not 0 <= rounds <= 9999:
-            raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
-        arguments = None
-        if word == 'G65':
-            arguments = {
-                G65_ARGUMENTS[letter]: values.pop(letter)
-                for letter in list(values)
-                if letter in G65_ARGUMENTS
-            }
-        return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
     def _return(self) -> None:
         """Process M99: return from a subprogram; in the main program, end it."""

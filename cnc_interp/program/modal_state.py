@@ -9,6 +9,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.program import codes
 from cnc_interp.program.columns import TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
@@ -216,3 +217,22 @@ class ModalState:
             self.blocks_per_minute = value
         else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
             self.feedrate, self.turn_rate = value * self.unit / MINUTE, value * DEG / MINUTE
+
+    def system_variables(self, tool: int) -> dict[int, float]:
+        """Return positions and the work offset: LinuxCNC #5420 ..., Fanuc #5001 ..., #5041 ..."""
+        found = {5400: float(tool), 5220: 1.0}
+        if self.frames.work_offset:
+            found[5220] = 1.0 + sorted(codes.WORK_OFFSETS).index(self.frames.work_offset)
+        letters = ('X', 'Y', 'Z', *self.rotary_letters)
+        for letter, value in zip(letters, self.here().tolist(), strict=False):
+            number = 'XYZABC'.index(letter)
+            shown = value / (self.unit if number < 3 else DEG)
+            for base in (5420, 5001, 5041):
+                found[base + number] = shown
+        return found
+
+    def why_not(self, letter: str) -> str:
+        """Return why an axis word cannot be executed."""
+        if letter in self.extra_letters:
+            return f'{letter} moves in G0 and G1 blocks only; give it a block of its own'
+        return f'the machine has no axis {letter}; remove the word'

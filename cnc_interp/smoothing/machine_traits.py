@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
 from cnc_interp.smoothing.axis_geometry import AxisGeometry
 from cnc_interp.smoothing.corners.ratio import AxisRates
+from cnc_interp.smoothing.orientation import angles_between
 
 
 @dataclass(frozen=True)
@@ -42,3 +45,10 @@ class MachineTraits:
     sharpest_swing: float = 176.0 * DEG
     geometry: AxisGeometry | None = None
     max_jerk: FloatArray | None = None
+
+    def keeps_tool(self, axis: FloatArray) -> bool:
+        """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""
+        if self.pole is None:
+            return True
+        angle = float(angles_between(axis, np.asarray(self.pole)))
+        return min(angle, np.pi - angle) < self.pole_cone

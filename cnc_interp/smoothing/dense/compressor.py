@@ -11,8 +11,6 @@ the motion of the line: the tip moves straight and the tool axis on the great ci
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
@@ -28,9 +26,9 @@ from cnc_interp.smoothing.dense.end_lines import (
 )
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.polyline import Polyline
+from cnc_interp.smoothing.dense.run_rows import curve_row, line_row
 from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
 from cnc_interp.smoothing.machine_traits import MachineTraits
-from cnc_interp.smoothing.orientation import angles_between
 
 #: Smallest number of blocks in a run.
 FEWEST_BLOCKS = 3
@@ -58,15 +56,11 @@ class Compressor:
     """
 
     def __init__(
-        self,
-        settings: Settings,
-        machine: MachineTraits,
-        row: int = 0,
-        joined: bool = False,
+        self, settings: Settings, machine: MachineTraits, row: int = 0, joined: bool = False
     ):
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
-        self._pole, self._pole_cone = machine.pole, machine.pole_cone
+        self._machine = machine
         self._builder = SkeletonBuilder(settings, row, joined)
         self._corners = CornerSearch(settings.corner_angle)
         self._first = row
@@ -169,15 +163,8 @@ class Compressor:
         """
         Find the end of a run that begins at a vertex.
 
-        Returns
-        -------
-        last : int
-            Last known vertex of the run.
-        ended : bool
-            Whether the run ends there.
-        ready : bool
-            Whether enough is known to decide if there is a run.
-
+        Returns the last known vertex of the run, whether the run ends there, and whether enough
+        is known to decide if there is a run.
         """
         skeleton, stop = self._skeleton, self._corners.decided
         if start + 1 < len(skeleton) and skeleton.kind[start + 1] != SHORT:
@@ -199,33 +186,8 @@ class Compressor:
         leads: bool = False,
         off: FloatArray | None = None,
     ) -> None:
-        """
-        Send the line to vertex k.
-
-        With ``leg``, the line is an end line of a curve. With ``leads``, it ends where the curve
-        begins. ``off`` is its deviation from the program, shape (2,) [m].
-        """
-        skeleton = self._skeleton
-        block = replace(skeleton.blocks[k : k + 1], exact_stop=skeleton.stop[k : k + 1].copy())
-        tolerance = skeleton.tolerance[k]
-        if leg is not None:
-            off, tolerance = leg.used, leg.tolerance
-        elif off is None:
-            off = skeleton.used[k]
-        if leg is not None and not block.rapid[0]:
-            block = replace(block, feedrate=np.array([leg.feed]))
-        if leg is not None and leads:
-            block = replace(
-                block, tip=leg.pose[0][None].copy(), axis=leg.pose[1][None].copy(),
-                rotary=np.full((1, 2), np.nan), exact_stop=np.zeros(1, dtype=bool),
-            )  # fmt: skip
-        block = replace(
-            block,
-            contour_tolerance=tolerance[:1] - off[0],
-            orientation_tolerance=tolerance[1:] - off[1],
-        )
-        row = int(skeleton.row[k])
-        self._rows.append(Rows.line(block, row, off, smooth=self._after_curve, leads=leads))
+        """Send the line to vertex k; see ``line_row``."""
+        self._rows.append(line_row(self._skeleton, k, leg, leads, off, self._after_curve))
         self._after_curve = False
 
     def _begin(self, start: int, last: int, ended: bool) -> None:
@@ -235,7 +197,7 @@ class Compressor:
         near = skeleton.u[start] + AHEAD * longest_spacing(skeleton, start + 1)
         seen = min(last, int(np.searchsorted(skeleton.u, near)))
         turning = bool(skeleton.turning[start + 1 : seen + 1].any())
-        turning = turning or not self._fixed(axis[start])
+        turning = turning or not self._machine.keeps_tool(axis[start])
         if skeleton.stop[start]:
             jet = np.concatenate([tip[start], skeleton.top[start]])[None]
             self._lead = None
@@ -247,16 +209,9 @@ class Compressor:
             line, jet = with_end_line(line, leg, leg.goal, leg.vertex, skeleton, height)
             following = leg.vertex + 1
         longest = longest_spacing(skeleton, start + 1)
-        pole = None if self._pole is None else np.array(self._pole)
+        pole = None if self._machine.pole is None else np.array(self._machine.pole)
         self._run = Run(line, jet, turning, height, longest, self._share, pole)
         self._start, self._next = start, following
-
-    def _fixed(self, axis: FloatArray) -> bool:
-        """Tell whether a tool that does not turn now cannot turn later in the run."""
-        if self._pole is None:
-            return True
-        angle = float(angles_between(axis, np.asarray(self._pole)))
-        return min(angle, np.pi - angle) < self._pole_cone
 
     def _follow(self, run: Run) -> bool:
         """Process one window of the run; return False if more blocks are necessary."""
@@ -313,7 +268,10 @@ class Compressor:
             lead, self._lead = self._lead, None
             self._line(lead.segment, lead, leads=True)
         assert found.spans is not None
-        self._rows.append(self._curve(found, smooth=run.begun or not skeleton.stop[self._start]))
+        smooth = run.begun or not bool(skeleton.stop[self._start])
+        k = self._last if found.last else self._start + 1
+        stop = found.last and self._tail is None
+        self._rows.append(curve_row(skeleton, k, found, stop, smooth))
         run.begun = True
         self._after_curve = True
         if not found.last:
@@ -326,22 +284,6 @@ class Compressor:
             self._after_curve = False
         elif skeleton.ends[last]:
             self._line(last, tail)
-
-    def _curve(self, found: Window, smooth: bool) -> Rows:
-        """Return the row of the committed part of a curve."""
-        skeleton, spans = self._skeleton, found.spans
-        assert spans is not None
-        k = self._last if found.last else self._start + 1
-        block = skeleton.blocks[k : k + 1]
-        block = replace(
-            block,
-            tip=spans.bottom[-1:, 5].copy(),
-            axis=found.axis[None],
-            rotary=np.full((1, 2), np.nan),
-            line_number=spans.line_number[-1:].copy(),
-            exact_stop=np.array([found.last and self._tail is None]),
-        )
-        return Rows.curve(block, spans, smooth)
 
     def _retreat(self, run: Run, worst: float) -> None:
         """
@@ -404,8 +346,4 @@ class Compressor:
         self._last -= first
         if self._run is not None:
             self._run.shift(first)
-        for name in ('_lead', '_tail'):
-            leg = getattr(self, name)
-            if leg is not None:
-                moved = replace(leg, segment=leg.segment - first, vertex=leg.vertex - first)
-                setattr(self, name, moved)
+        self._lead, self._tail = (leg and leg.shifted(first) for leg in (self._lead, self._tail))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,10 @@ class EndLine:
     feed: float
     cuts: FloatArray
     pieces: IntArray
+
+    def shifted(self, first: int) -> EndLine:
+        """Return the line after the first vertices of the skeleton were dropped."""
+        return replace(self, segment=self.segment - first, vertex=self.vertex - first)
 
 
 def longest_spacing(skeleton: Skeleton, k: int) -> float:

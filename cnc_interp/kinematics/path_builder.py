@@ -15,12 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import BlockError, SingularityError, TravelError
-from cnc_interp.core.units import DEG
+from cnc_interp.core.errors import BlockError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.branch import branch_at, start_positions
+from cnc_interp.kinematics.path_checks import (
+    OFF_WORDS,
+    check_travel,
+    check_words,
+    off_words,
+    refuse,
+    refuse_tilt,
+)
 from cnc_interp.kinematics.pole_passage import PolePassages
-from cnc_interp.kinematics.sampling import FINE, SINGULAR, STANDSTILL, sample_segments
+from cnc_interp.kinematics.sampling import FINE, sample_segments
 from cnc_interp.kinematics.segment_axes import (
     ALL_AXES,
     FOLLOWING,
@@ -48,8 +55,6 @@ from cnc_interp.smoothing.segments import (
 SAME_ANGLE = 1e-8
 #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
 SAME_TOOL = 1e-12
-#: Largest difference of rotary words from positions that follow the tool axis [rad].
-OFF_WORDS = 15.0 * DEG
 #: Share of a jerk limit above which a kink, taken in one period, becomes a stop [-].
 KINK_JERK = 0.02
 
@@ -198,7 +203,7 @@ class AxisPathBuilder:
                 if own:
                     self._branch = branch_at(self.transform, self._rotary)
                 else:
-                    self._check_words(run, parts[-1])
+                    check_words(self.machine, run, parts[-1].right, parts[-1].counts)
                 first = last
             self._may_turn_at_once = False
         return self._join(parts) if parts else None
@@ -214,7 +219,7 @@ class AxisPathBuilder:
         n, kind = len(segments), segments.kind
         motion = np.full(n, RESTING)
         if not self.machine.has_rotary:
-            self._refuse_tilt(segments)
+            refuse_tilt(self.machine, segments)
             return motion
         tool = segments.top - segments.bottom
         for curve, points in ((CORNER, 5), (SPLINE, 6)):
@@ -282,7 +287,7 @@ class AxisPathBuilder:
             return []
         turns = gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
         if np.abs(turns).max() > OFF_WORDS and not self._may_turn_at_once:
-            raise self._off_words(int(run.line_number[0]), start, self._rotary)
+            raise off_words(self.machine, int(run.line_number[0]), start, self._rotary)
         parts = []
         if not self._may_turn_at_once:
             tip = run[:1]
@@ -295,34 +300,6 @@ class AxisPathBuilder:
             parts.append(self._turn_first(still, start))
         self._rotary = start.copy()
         return parts
-
-    def _check_words(self, run: PathSegments, cells: Cells) -> None:
-        """Refuse lines on which the tool axis leads the rotary axes away from their words."""
-        words = run.rotary[:, :2]
-        lines = np.flatnonzero((run.kind == LINE) & np.isfinite(words).all(axis=(1, 2)))
-        if not len(lines) or not self.machine.has_rotary:
-            return
-        reached = cells.right[np.cumsum(cells.counts)[lines] - 1, 0, 3:5]
-        words = words[lines]
-        low, high = words.min(axis=1) - OFF_WORDS, words.max(axis=1) + OFF_WORDS
-        off = np.flatnonzero(((reached < low) | (reached > high)).any(axis=1))
-        if len(off):
-            row = int(off[0])
-            line = int(run.line_number[lines[row]])
-            raise self._off_words(line, words[row, 1], reached[row])
-
-    def _off_words(self, line: int, words: FloatArray, reached: FloatArray) -> BlockError:
-        """Return the error for rotary axes that do not reach their words."""
-        names = self.machine.axis_names[3:5]
-        said, found = (
-            ' '.join(f'{name}{value / DEG:.3f}' for name, value in zip(names, place, strict=True))
-            for place in (words, reached)
-        )
-        return BlockError(
-            f'the rotary words lead to {said}, but along the tool directions the axes come to '
-            f'{found}; write the words of this position, or turn with the tool retracted',
-            line,
-        )
 
     def _cells(
         self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
@@ -348,10 +325,15 @@ class AxisPathBuilder:
         self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
-        self._check_travel(left[:, 0], segments.line_number[segment])
-        self._check_travel(right[:, 0], segments.line_number[segment])
+        check_travel(self.machine, left[:, 0], segments.line_number[segment])
+        check_travel(self.machine, right[:, 0], segments.line_number[segment])
         if status != FINE:
-            self._refuse(status, int(segments.line_number[len(counts) - 1]))
+            refuse(
+                self.machine,
+                self.transform.outer,
+                status,
+                int(segments.line_number[len(counts) - 1]),
+            )
         if motion[0] == LINEAR and segments.kind[0] == ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])
@@ -410,50 +392,3 @@ class AxisPathBuilder:
         jerk = np.abs(right[1] - left[1]) * speed / self.period**2
         jerk += np.abs(right[2] - left[2]) * speed**2 / self.period
         return np.asarray((jerk > KINK_JERK * self.machine.max_jerk).any(axis=1))
-
-    def _refuse_tilt(self, segments: PathSegments) -> None:
-        """Refuse a tilted tool on a machine without rotary axes."""
-        turned = np.abs(segments.rotation).max(axis=1, initial=0.0) > 1e-12
-        tilted = np.flatnonzero((segments.axis[:, 2] < 1.0 - 1e-12) | turned)
-        if len(tilted):
-            raise BlockError(
-                f'a tilted tool needs rotary axes, and machine {self.machine.name} has none; '
-                'choose a 5-axis machine',
-                int(segments.line_number[tilted[0]]),
-            )
-
-    def _refuse(self, status: int, line: int) -> None:
-        """Raise the error for a segment that cannot be followed."""
-        if status == SINGULAR:
-            name = self.machine.axis_names[3 + self.transform.outer]
-            raise SingularityError(
-                f'the turning tool axis comes closer than {self.machine.singular_cone / DEG:g} '
-                f'deg to the direction where axis {name} is undefined; tilt the workpiece or the '
-                'path',
-                line,
-                name,
-            )
-        if status == STANDSTILL:
-            raise BlockError(
-                'the tip rests on a curve while the tool axis turns; give the turn a block of '
-                'its own',
-                line,
-            )
-        raise BlockError(f'machine {self.machine.name} cannot reach the tool axis', line)
-
-    def _check_travel(self, q: FloatArray, lines: IntArray) -> None:
-        """Refuse positions outside the travel of an axis, shape (n, n_axes)."""
-        low, high = self.machine.travel.T
-        outside = np.argwhere((q < low) | (q > high))
-        if not len(outside):
-            return
-        row, axis = outside[0]
-        beyond, value = self.machine.axes[axis], float(q[row, axis])
-        unit, word = beyond.shown_size, beyond.shown_unit
-        raise TravelError(
-            f'axis {beyond.name} would have to go to {value / unit:.3f} {word}, outside its '
-            f'travel {low[axis] / unit:g} ... {high[axis] / unit:g} {word}; move the workpiece',
-            int(lines[row]),
-            beyond.name,
-            value,
-        )

@@ -74,6 +74,8 @@ def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
         path.open('rb').close()
     except OSError as error:
         raise SurfaceError(f'{path}: cannot be opened: {error.strerror}') from error
+    if not path.is_file():
+        raise SurfaceError(f'{path}: it is not a file')
     try:
         from OCP.collections import Sequence_TCollection_AsciiString as Names
         from OCP.IFSelect import IFSelect_ReturnStatus

@@ -28,12 +28,13 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.rosbag2.errors import ReaderError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 
+from cnc_interp.core.bounded_memory import BoundedMemory
 from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.core.ros_share import share_directory
+from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.message_seal import opened
 
@@ -136,6 +137,34 @@ class BagWriter:
         self._writer.close()
 
 
+def files_of(path: Path) -> list[Path]:
+    """
+    Return the files of a bag; all are files, and its metadata are YAML without references.
+
+    Raises
+    ------
+    OSError, UnreadableError
+        If they are not.
+
+    """
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = [file for file in files if file.suffix in ('.mcap', '.db3', '.yaml', '.zstd')]
+    for file in files:
+        file.stat()
+        if not file.is_file():
+            raise UnreadableError(f'{file.name} is not a file')
+        if file.suffix == '.yaml':
+            read_yaml(file)
+    return files
+
+
+def why(fault: Exception) -> str:
+    """Say in a line why a file cannot be read."""
+    if isinstance(fault, MemoryError):
+        return 'it needs more memory than its length explains'
+    return ' '.join(str(fault).split())[:200] or type(fault).__name__
+
+
 class Bag:
     """
     A bag being read.
@@ -154,28 +183,36 @@ class Bag:
 
     def __init__(self, path: Path):
         self.path = path
+        self._reader: Reader | None = None
+        self._bounds: BoundedMemory | None = None
         try:
+            self._bounds = BoundedMemory(*files_of(path))
             self._reader = Reader(path)
             self._reader.open()
-        except (ReaderError, OSError, ValueError, AssertionError) as fault:
-            raise InterpError(f'{path}: not a bag that can be read ({fault})') from None
-        custom = dict(self._reader.storage.metadata.custom or {})
-        self.parameters = {
-            key.removeprefix(PARAMETER): json.loads(value)
-            for key, value in custom.items()
-            if key.startswith(PARAMETER)
-        }
-        self.duration = self._reader.duration * 1e-9
+            custom = dict(self._reader.storage.metadata.custom or {})
+            self.parameters = {
+                key.removeprefix(PARAMETER): json.loads(value)
+                for key, value in custom.items()
+                if key.startswith(PARAMETER)
+            }
+            self.duration = self._reader.duration * 1e-9
+        except Exception as fault:  # an unsound file makes rosbags raise anything
+            self._release()
+            raise InterpError(f'{path}: not a bag that can be read ({why(fault)})') from None
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time [ns] and bytes of the messages of some topics in order of time."""
         names = {f'/{topic.removeprefix("/")}': topic for topic in topics}
-        wanted: list[Connection] = [c for c in self._reader.connections if c.topic in names]
+        reader = self._reader
+        assert reader is not None
+        wanted: list[Connection] = [c for c in reader.connections if c.topic in names]
         try:
-            for connection, stamp, data in self._reader.messages(wanted) if wanted else ():
+            found = reader.messages(wanted) if wanted else iter(())
+            while (message := next(found, None)) is not None:
+                connection, stamp, data = message
                 yield names[connection.topic], stamp, bytes(data)
-        except (ReaderError, OSError, ValueError) as fault:
-            raise InterpError(f'{self.path}: cannot be read to its end ({fault})') from None
+        except Exception as fault:
+            raise InterpError(f'{self.path}: cannot be read to its end ({why(fault)})') from None
 
     def read(self, topic: str) -> list[Any]:
         """Return all sound messages of a topic."""
@@ -187,11 +224,22 @@ class Bag:
                 found.append(opened(data, kind) if sealed else deserialize_message(data, kind))
             except StreamError:  # damaged on the wire; its receiver asked for it again
                 continue
+            except Exception as fault:
+                reason = f'a message of {topic} cannot be read ({why(fault)})'
+                raise InterpError(f'{self.path}: {reason}') from None
         return found
 
     def close(self) -> None:
         """Close the files."""
-        self._reader.close()
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()
+        self._release()
+
+    def _release(self) -> None:
+        """Lift the bounds on memory."""
+        if self._bounds is not None:
+            self._bounds.lift()
 
     def __enter__(self) -> Bag:
         return self

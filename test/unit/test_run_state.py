@@ -1,5 +1,6 @@
 """The state of a run: its table, what it waits for, and its copy in messages and docs."""
 
+import re
 from itertools import product
 from pathlib import Path
 
@@ -21,7 +22,9 @@ from cnc_interp.run.run_state import (
 from cnc_interp.wire.machine_report import NUMBERS, machine_report, state_of
 
 MOVING = set(State) - AT_REST
-OPERATION = Path(__file__).parents[2] / 'docs' / 'operate' / 'operation.md'
+ROOT = Path(__file__).parents[2]
+OPERATION = ROOT / 'docs' / 'operate' / 'operation.md'
+STYLE = ROOT / 'cnc_interp' / 'client' / 'page' / 'style.css'
 
 
 @pytest.mark.parametrize(('state', 'event'), list(product(State, Event)))
@@ -66,6 +69,11 @@ def test_what_fills_its_buffer_before_the_first_block_is_no_alarm():
     assert filling.waits_for is WaitsFor.SETPOINTS
     report = machine_report(MachineState(state=NUMBERS[filling.state], resting=True))
     assert report.moves and not report.is_free
+
+
+def test_the_page_has_a_colour_for_every_state_of_a_run():
+    coloured = set(re.findall(r'\.state\.(\w+)', STYLE.read_text(encoding='utf-8')))
+    assert coloured - {'silent'} == {s.value for s in State} - {'idle', 'inactive'}
 
 
 def test_the_table_by_its_meaning():

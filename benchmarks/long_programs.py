@@ -23,7 +23,7 @@ from pathlib import Path
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1Block, MachineState, StreamStatus
+from cnc_interp_msgs.msg import G1BlockBatch, MachineState, StreamStatus
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -63,21 +63,21 @@ class Taker:
         self._executor.add_node(self.node)
         self._status = self.node.create_publisher(StreamStatus, 'stream_status', qos.STATUS)
         self._state = self.node.create_publisher(MachineState, 'machine_state', qos.STATE)
-        self.node.create_subscription(G1Block, 'blocks', self._take, qos.STREAM)
+        self.node.create_subscription(G1BlockBatch, 'block_batches', self._take, qos.STREAM)
         self.node.create_timer(0.2, self._tell)
         self.action = ActionClient(self.node, RunProgram, 'run_program')
         self.taken, self.first, self.ended = 0, 0.0, False
         self._program = ''
 
-    def _take(self, block: G1Block) -> None:
-        if block.sequence == 0:
-            self._program, self.first = block.program_id, time.monotonic()
-            self.taken = 0
-        if block.sequence == self.taken:
-            self.taken += 1
-            self.ended = block.end_of_program
-        if self.taken % 64 == 0 or self.ended:
-            self._tell()
+    def _take(self, batch: G1BlockBatch) -> None:
+        for block in batch.blocks:
+            if block.sequence == 0:
+                self._program, self.first = block.program_id, time.monotonic()
+                self.taken = 0
+            if block.sequence == self.taken:
+                self.taken += 1
+                self.ended = block.end_of_program
+        self._tell()
 
     def _tell(self) -> None:
         for stream in ('blocks', 'segments', 'setpoints'):

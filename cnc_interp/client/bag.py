@@ -9,6 +9,7 @@ from typing import Any
 
 from cnc_interp_msgs.msg import (
     G1Block,
+    G1BlockBatch,
     LoadedProgram,
     MachineState,
     PathSegment,
@@ -42,6 +43,7 @@ from cnc_interp.nodes.message_seal import opened
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'loaded_program': (LoadedProgram, qos.LOADED),
     'blocks': (G1Block, qos.STREAM),
+    'block_batches': (G1BlockBatch, qos.STREAM),
     'segments': (PathSegment, qos.STREAM),
     'setpoints': (SetpointChunk, qos.STREAM),
     'executed_setpoints': (SetpointChunk, qos.STREAM),
@@ -51,7 +53,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }
 #: Topics whose messages end with a checksum.
-SEALED = ('blocks', 'segments', 'setpoints')
+SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
 #: Before the parameters of the nodes, in the custom data of a bag.
 PARAMETER = 'parameter.'
 ENDLESS = QosTime(2147483647, 4294967295)

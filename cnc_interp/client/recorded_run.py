@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
-from cnc_interp.wire.path_messages import blocks_from, segments_from
+from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
 
@@ -143,7 +144,7 @@ def recorded_run(bag: Bag) -> RecordedRun:
     )
 
 
-def stream_of(bag: Bag, topic: str, run_id: RunId) -> list[Any]:
+def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
     """
     Return the messages of an attempt at a run in order, each once.
 
@@ -151,7 +152,7 @@ def stream_of(bag: Bag, topic: str, run_id: RunId) -> list[Any]:
     ----------
     bag : Bag
         The bag.
-    topic : {'blocks', 'segments'}
+    stream : {'blocks', 'segments'}
         The stream.
     run_id : RunId
         The attempt.
@@ -162,11 +163,14 @@ def stream_of(bag: Bag, topic: str, run_id: RunId) -> list[Any]:
         If one is missing.
 
     """
-    found = {m.sequence: m for m in bag.read(topic) if run_id_of(m).same_attempt(run_id)}
+    messages: Iterable[Any] = bag.read(stream)
+    if stream == 'blocks':
+        messages = chain(messages, *map(blocks_of, bag.read('block_batches')))
+    found = {m.sequence: m for m in messages if run_id_of(m).same_attempt(run_id)}
     missing = next((k for k in range(len(found)) if k not in found), None)
     if missing is not None or not found:
         raise InterpError(
-            f'{bag.path}: {topic[:-1]} {missing or 0} of run {run_id.program_id} is not in the '
+            f'{bag.path}: {stream[:-1]} {missing or 0} of run {run_id.program_id} is not in the '
             'bag; record from before the start'
         )
     return [found[k] for k in range(len(found))]

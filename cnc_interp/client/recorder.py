@@ -30,7 +30,9 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
 
 #: Topics from which plan files are written.
-NEEDED = ('loaded_program', 'blocks', 'segments', 'executed_setpoints', 'machine_state')
+NEEDED = (
+    'loaded_program', 'blocks', 'block_batches', 'segments', 'executed_setpoints', 'machine_state',
+)  # fmt: skip
 #: Longest wait for the last messages [s].
 LAST_WAIT = 5.0
 

@@ -1,8 +1,8 @@
-"""The blocks of a run on their way to the look-ahead, a few at a time."""
+"""The blocks of a run on their way to the look-ahead, a batch at a time."""
 
 from __future__ import annotations
 
-from cnc_interp_msgs.msg import G1Block
+from cnc_interp_msgs.msg import G1BlockBatch
 
 from cnc_interp.core.errors import StreamError
 from cnc_interp.nodes.program_check import Prepared
@@ -13,8 +13,8 @@ from cnc_interp.wire.window_protocol import WindowedSender
 
 #: Blocks queued for sending at a time; not the whole program.
 MOST_QUEUED = 512
-#: Number of messages made together. Making them singly takes more than twice the time.
-MADE_TOGETHER = 64
+#: Most blocks in one message.
+MOST_TOGETHER = 64
 
 
 class BlockFeed:
@@ -24,10 +24,9 @@ class BlockFeed:
         self._prepared: Prepared | None = None
         self._run_id, self._continue_at = NO_RUN, 0.0
         self._queued = 0
-        self._made: list[G1Block] = []  # messages of consecutive rows
 
     def begin(
-        self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[int]
+        self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[slice]
     ) -> None:
         """
         Begin a run, or begin it again.
@@ -45,33 +44,33 @@ class BlockFeed:
 
         """
         self._prepared, self._run_id, self._continue_at = prepared, run_id, continue_at
-        self._queued, self._made = 0, []
+        self._queued = 0
         sender.begin(run_id)
 
-    def fill(self, sender: WindowedSender[int]) -> None:
+    def fill(self, sender: WindowedSender[slice]) -> None:
         """Queue the next rows."""
         rows = 0 if self._prepared is None else len(self._prepared.blocks)
         while self._queued < rows and sender.unsent < MOST_QUEUED:
-            sender.put(self._queued)
-            self._queued += 1
+            after = min(self._queued + MOST_TOGETHER, rows)
+            sender.put(slice(self._queued, after), after - self._queued)
+            self._queued = after
 
-    def end(self, sender: WindowedSender[int]) -> None:
+    def end(self, sender: WindowedSender[slice]) -> None:
         """Stop sending blocks of the run."""
         self._prepared = None
         sender.begin(NO_RUN)
 
-    def message(self, row: int, _sequence: int) -> G1Block:
-        """Make the message of one row, which is also its number in the stream."""
-        prepared, made = self._prepared, self._made
+    def message(self, rows: slice, first: int) -> G1BlockBatch:
+        """Make the message of some rows; ``first`` is their number in the stream, too."""
+        prepared = self._prepared
         if prepared is None:
             raise StreamError('a block was asked for after its run')
-        if not (made and made[0].sequence <= row <= made[-1].sequence):
-            blocks, after = prepared.blocks, row + MADE_TOGETHER
-            self._made = made = block_messages(
-                blocks[row:after], self._run_id, row, prepared.settings.flank_height,
-                end=after >= len(blocks),
-            )  # fmt: skip
-            if row == 0:
-                made[0].continue_at = self._continue_at
-                made[0].settings = pairs_of(prepared.settings)
-        return made[row - made[0].sequence]
+        blocks = prepared.blocks
+        made = block_messages(
+            blocks[rows], self._run_id, first, prepared.settings.flank_height,
+            end=rows.stop == len(blocks),
+        )  # fmt: skip
+        if first == 0:
+            made[0].continue_at = self._continue_at
+            made[0].settings = pairs_of(prepared.settings)
+        return G1BlockBatch(blocks=made)

@@ -78,8 +78,9 @@ class FeedrateNode(LifecycleNode):
         )
         self._session = PlanningSession(self, period, values['plan_ahead'])
         self._inlet = Inlet(
-            self, WindowedReceiver('segments', values['segment_window']), PathSegment,
-            self._check, self._take, self._session.end_path, self._diagnostics,
+            self, WindowedReceiver('segments', values['segment_window']),
+            {'segments': PathSegment}, self._check, self._take, self._session.end_path,
+            self._diagnostics,
         )  # fmt: skip
         self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
         self._inputs = OperatorInputs(self)

@@ -1,11 +1,11 @@
-"""The look-ahead node: ``blocks`` in, rounded ``segments`` out."""
+"""The look-ahead node: ``blocks`` or ``block_batches`` in, rounded ``segments`` out."""
 
 from __future__ import annotations
 
 import sys
 from functools import partial
 
-from cnc_interp_msgs.msg import G1Block, PathSegment
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment
 from rclpy.node import Node
 
 from cnc_interp.core.errors import InterpError, Refusal
@@ -20,6 +20,7 @@ from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.wire.message_checks import check_block
+from cnc_interp.wire.path_messages import blocks_of
 from cnc_interp.wire.settings_messages import settings_of_block
 from cnc_interp.wire.smoothing_run import BATCH, SmoothingRun
 from cnc_interp.wire.window_protocol import WindowedReceiver
@@ -47,8 +48,9 @@ class LookaheadNode(Node):
         )
         check = partial(check_block, extra_count=len(self._transform.extra_names))
         self._inlet = Inlet(
-            self, WindowedReceiver('blocks', values['block_window']), G1Block, check,
-            self._take, self._end, self._diagnostics,
+            self, WindowedReceiver('blocks', values['block_window']),
+            {'blocks': G1Block, 'block_batches': G1BlockBatch}, check,
+            self._take, self._end, self._diagnostics, gate=blocks_of,
         )  # fmt: skip
         self.create_timer(0.01, self._work)
 

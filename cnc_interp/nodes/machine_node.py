@@ -72,8 +72,9 @@ class MachineNode(LifecycleNode):
         self._diagnostics = Diagnostics(self)
         self._gate = JoinGate(round(JOIN_RESERVE / self._period))
         self._inlet = Inlet(
-            self, WindowedReceiver('setpoints', window), SetpointChunk, self._check, self._take,
-            self._see_refusal, self._diagnostics, status_period=0.01, gate=self._pass,
+            self, WindowedReceiver('setpoints', window), {'setpoints': SetpointChunk},
+            self._check, self._take, self._see_refusal, self._diagnostics,
+            status_period=0.01, gate=self._pass,
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
         self._override = FeedOverride(self, self._diagnostics)

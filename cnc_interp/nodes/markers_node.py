@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, SetpointChunk
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
@@ -24,7 +24,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS
-from cnc_interp.wire.path_messages import blocks_from
+from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
 #: The frame of programs, see the machines' URDF.
 FRAME = 'workpiece'
@@ -105,7 +105,8 @@ class MarkersNode(Node):
         self._block: G1Block | None = None
         self._cleared, self._viewers = False, 0
         self._publisher = self.create_publisher(MarkerArray, 'markers', MARKERS)
-        self.create_subscription(G1Block, 'blocks', self._see_block, LISTENING)
+        self.create_subscription(G1Block, 'blocks', self._see_blocks, LISTENING)
+        self.create_subscription(G1BlockBatch, 'block_batches', self._see_blocks, LISTENING)
         self.create_subscription(
             SetpointChunk, 'executed_setpoints', self._see_setpoints, LISTENING
         )
@@ -117,6 +118,10 @@ class MarkersNode(Node):
             self._program_id, self._sequence, self._cleared = program_id, -1, True
             self._programmed.clear()
             self._executed.clear()
+
+    def _see_blocks(self, message: G1Block | G1BlockBatch) -> None:
+        for block in blocks_of(message):
+            self._see_block(block)
 
     def _see_block(self, block: G1Block) -> None:
         self._begin(block.program_id)

@@ -1,4 +1,4 @@
-"""The program node: action ``run_program`` in, ``blocks`` out within the window."""
+"""The program node: action ``run_program`` in, ``block_batches`` out within the window."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1Block, LoadedProgram, MachineState
+from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -53,7 +53,12 @@ class ProgramNode(Node):
         self._peers = Peers(self)
         self._feed = BlockFeed()
         self._outlet = Outlet(
-            self, 'blocks', G1Block, self._values['resend_after'], self._feed.message
+            self,
+            'blocks',
+            G1BlockBatch,
+            self._values['resend_after'],
+            self._feed.message,
+            topic='block_batches',
         )
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
         self._state: MachineState | None = None  # the last one of the run

@@ -3,7 +3,7 @@ Quality of service of every topic, in one table.
 
 | topic | reliability | durability | history | why |
 |---|---|---|---|---|
-| ``blocks``, ``segments``, ``setpoints`` | reliable | volatile | last 4096 | deeper than any window, so nothing is overwritten; nothing old is replayed |
+| ``blocks``, ``block_batches``, ``segments``, ``setpoints`` | reliable | volatile | last 4096 | deeper than any window, so nothing is overwritten; nothing old is replayed |
 | ``stream_status`` | reliable | volatile | last 64 | an acknowledgement supersedes the one before |
 | ``machine_state`` | reliable | volatile | last 64 | changes of state must arrive |
 | ``loaded_program`` | reliable | transient local | last 1 | for those who join during a run |
@@ -12,7 +12,7 @@ Quality of service of every topic, in one table.
 | ``feed_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
 | trajectories | reliable | volatile | last 1 | each replaces the one before |
 | ``markers`` | reliable | volatile | last 16 | what RViz asks for; all are sent again to a new listener |
-| ``blocks``, ``executed_setpoints`` for those who only look | best effort | volatile | last 4096 | no sender waits for a viewer |
+| ``blocks``, ``block_batches``, ``executed_setpoints`` for those who only look | best effort | volatile | last 4096 | no sender waits for a viewer |
 | ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
 | ``run_program`` | rclpy's defaults for actions | | | |
 """  # noqa: E501

@@ -6,6 +6,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from cnc_interp_msgs.msg import SetpointChunk, StreamStatus
@@ -45,8 +46,8 @@ class Inlet:
         The node.
     receiver : WindowedReceiver
         Its bookkeeping.
-    kind : type
-        Message type.
+    kinds : dict
+        Message type of each topic on which the stream may come.
     check : callable
         Raises StreamError for a message that is not taken. Its kind LATE means that the stream
         was left; for any other kind the run is refused.
@@ -59,7 +60,7 @@ class Inlet:
     status_period : float
         Time between acknowledgements while a program is received [s].
     gate : callable
-        Takes a message and returns those that are received now, in order.
+        Takes a message of a topic and returns those that are received now, in order.
 
     """
 
@@ -67,7 +68,7 @@ class Inlet:
         self,
         node: Any,
         receiver: WindowedReceiver,
-        kind: Any,
+        kinds: dict[str, Any],
         check: Callable[[Any], None],
         on_message: Callable[[Any], None],
         on_refusal: Callable[[], None],
@@ -85,17 +86,18 @@ class Inlet:
         self._refused: Counter[Refusal] = Counter()
         self._named = (OK, '')
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
-        self._kind, self._gap = kind, False
-        self._subscription = node.create_subscription(
-            kind, receiver.stream, self._receive, STREAM, raw=True
-        )
+        self._gap = False
+        self._subscriptions = [
+            node.create_subscription(kind, topic, partial(self._receive, kind), STREAM, raw=True)
+            for topic, kind in kinds.items()
+        ]
         self._timer = node.create_timer(status_period, self._tick)
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
-    def _receive(self, data: bytes) -> None:
+    def _receive(self, kind: Any, data: bytes) -> None:
         """Read a message and accept those that the gate returns."""
         try:
-            message = opened(data, self._kind)
+            message = opened(data, kind)
         except StreamError as fault:
             self._ask_again(fault.kind, f'{self.receiver.stream}: {fault}')
             return

@@ -27,13 +27,15 @@ class Outlet:
     node : Node
         The node.
     stream : str
-        Name of the topic.
+        Name of the stream in acknowledgements.
     kind : type
         Message type.
     resend_after : float
         Time without acknowledgement after which sending starts again [s].
     encode : callable
         Makes the message of a queued item and its number.
+    topic : str
+        Name of the topic; that of the stream where it is empty.
 
     """
 
@@ -44,6 +46,7 @@ class Outlet:
         kind: Any,
         resend_after: float,
         encode: Callable[[Any, int], Any],
+        topic: str = '',
     ):
         self.sender: WindowedSender[Any] = WindowedSender(resend_after)
         self.stream = stream
@@ -52,7 +55,7 @@ class Outlet:
         self.turned_away = False  # the plan that was to join came too late
         self._before = self.sender
         self._encode = encode
-        self._publisher = node.create_publisher(kind, stream, STREAM)
+        self._publisher = node.create_publisher(kind, topic or stream, STREAM)
         self._subscription = node.create_subscription(
             StreamStatus, 'stream_status', self._acknowledge, STATUS
         )

@@ -6,7 +6,7 @@ from array import array
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment
+from cnc_interp_msgs.msg import BSpline, G1Block, G1BlockBatch, PathSegment
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program.blocks import Blocks
@@ -72,6 +72,11 @@ def block_messages(
         )
         for i in range(len(blocks))
     ]
+
+
+def blocks_of(message: G1Block | G1BlockBatch) -> list[G1Block]:
+    """Return the blocks of a message, one or a batch."""
+    return message.blocks if isinstance(message, G1BlockBatch) else [message]
 
 
 def blocks_from(messages: list[G1Block]) -> Blocks:

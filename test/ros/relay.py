@@ -3,15 +3,17 @@
 import threading
 
 import rclpy
-from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import G1BlockBatch, PathSegment, SetpointChunk
 from rclpy.executors import SingleThreadedExecutor
 
 from cnc_interp.nodes import qos
 
 KINDS = ('dropped', 'duplicated', 'reordered', 'corrupted')
-STREAMS = {'blocks': G1Block, 'segments': PathSegment, 'setpoints': SetpointChunk}
+STREAMS = {'block_batches': G1BlockBatch, 'segments': PathSegment, 'setpoints': SetpointChunk}
 #: Each stream with its sender; what it sends goes through the relay.
-SENDERS = {'blocks': 'program_node', 'segments': 'lookahead_node', 'setpoints': 'feedrate_node'}
+SENDERS = {
+    'block_batches': 'program_node', 'segments': 'lookahead_node', 'setpoints': 'feedrate_node',
+}  # fmt: skip
 SENT = 'sent/'
 
 #: ROS arguments of the nodes for which the relay stands in between.

@@ -45,7 +45,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'blocks': (G1Block, qos.STREAM),
     'block_batches': (G1BlockBatch, qos.STREAM),
     'segments': (PathSegment, qos.STREAM),
-    'setpoints': (SetpointChunk, qos.STREAM),
+    'setpoints': (SetpointChunk, qos.SETPOINTS),
     'executed_setpoints': (SetpointChunk, qos.STREAM),
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),

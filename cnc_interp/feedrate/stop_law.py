@@ -87,14 +87,17 @@ def _left_by_axes(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _jets_at(
-    left: FloatArray, right: FloatArray, cell: int, u: float, h: float, jet: FloatArray
-) -> None:
-    """Write q and its derivatives by s inside a cell, shape (n_axes, 4)."""
-    coefficients = np.empty(8)
+def _enter(left: FloatArray, right: FloatArray, cell: int, h: float, septics: FloatArray) -> None:
+    """Write the coefficients of a cell, shape (n_axes, 8)."""
     for i in range(left.shape[2]):
-        septic_coefficients(left[:, cell, i], right[:, cell, i], h, coefficients)
-        septic_value(coefficients, u, h, jet[i])
+        septic_coefficients(left[:, cell, i], right[:, cell, i], h, septics[i])
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _jets_at(septics: FloatArray, u: float, h: float, jet: FloatArray) -> None:
+    """Write q and its derivatives by s inside a cell, shape (n_axes, 4)."""
+    for i in range(len(septics)):
+        septic_value(septics[i], u, h, jet[i])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -110,34 +113,44 @@ def _time_to(distance: float, v: float, a: float, j: float, most: float) -> floa
     return high
 
 
+@numba.njit(cache=True, nogil=True)
+def _may_release(release: float, straight: float, v: float, a: float) -> bool:
+    """Tell whether j = a^2 / (2 v) is at least a part of the jerk on a straight line."""
+    return a < 0.0 and 2 * release * straight * v <= a * a
+
+
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _brake(
     s_grid: FloatArray,
     left: FloatArray,
     right: FloatArray,
     stop: BoolArray,
-    start: FloatArray,
     table: FloatArray,
     leeway: float,
     braking: float,
     release: float,
+    begin: int,
     steps: FloatArray,
 ) -> tuple[int, int]:
     """
-    Brake from ``start`` = (s, v, a) to rest; write duration, s, v, a, j and cell of each step.
+    Brake from s, v, a and cell of step ``begin`` to rest; write the columns of ``steps``.
 
-    Returns the number of steps, and FOUND or why there is no such stop.
+    These are duration, s, v, a, j and cell of each step, and the highest j on a straight line.
+    Returns FOUND and the number of steps, or why there is no such stop and the step that failed.
     """
-    jet = np.empty((left.shape[2], 4))
+    jet, septics = np.empty((left.shape[2], 4)), np.empty((left.shape[2], 8))
     now, halfway, then = np.empty(4), np.empty(4), np.empty(4)
-    s, v, a = start
-    cell = max(min(np.searchsorted(s_grid, s, side='right') - 1, len(s_grid) - 2), 0)
+    s, v, a = steps[begin, 1], steps[begin, 2], steps[begin, 3]
+    cell = int(steps[begin, 5])
     h = s_grid[cell + 1] - s_grid[cell]
-    _jets_at(left, right, cell, (s - s_grid[cell]) / h, h, jet)
+    _enter(left, right, cell, h, septics)
+    _jets_at(septics, (s - s_grid[cell]) / h, h, jet)
     _left_by_axes(jet, v, a, table, leeway, now)
     releasing = False
-    for k in range(len(steps)):
-        releasing = releasing or (a < 0.0 and 2 * release * now[3] * v <= a * a)
+    for k in range(begin, len(steps)):
+        steps[k, 1], steps[k, 2], steps[k, 3] = s, v, a
+        steps[k, 5], steps[k, 6] = cell, now[3]
+        releasing = releasing or _may_release(release, now[3], v, a)
         longest, to_rest = min(STEP, SHARE * np.sqrt(v / now[3])), 0.0
         if releasing:
             j, to_rest = a * a / (2 * v), -2 * v / a
@@ -168,9 +181,9 @@ def _brake(
             half = 0.5 * duration
             s_half = s + half * (v + half * (a / 2 + half * j / 6))
             v_half, a_half = v + half * (a + half * j / 2), a + half * j
-            _jets_at(left, right, cell, (s_half - s_grid[cell]) / h, h, jet)
+            _jets_at(septics, (s_half - s_grid[cell]) / h, h, jet)
             worst = _left_by_axes(jet, v_half, a_half, table, leeway, halfway)
-            _jets_at(left, right, cell, min((s_end - s_grid[cell]) / h, 1.0), h, jet)
+            _jets_at(septics, min((s_end - s_grid[cell]) / h, 1.0), h, jet)
             worst = max(worst, _left_by_axes(jet, v_end, a_end, table, leeway, then))
             least = max(now[0], halfway[0], then[0])
             most = min(now[1], halfway[1], then[1])
@@ -183,8 +196,7 @@ def _brake(
         rounding = 0.5 * LEEWAY * then[3]
         if worst > ACCEPTED or not least - rounding <= j <= most + rounding:
             return k, NO_RELEASE if releasing else NO_BRAKING
-        steps[k, 0], steps[k, 1], steps[k, 2] = duration, s, v
-        steps[k, 3], steps[k, 4], steps[k, 5] = a, j, cell
+        steps[k, 0], steps[k, 4] = duration, j
         if rests:
             return k + 1, FOUND
         s, v, a = s_end, v_end, a_end
@@ -194,9 +206,10 @@ def _brake(
             if cell + 1 == len(s_grid) or stop[cell]:
                 return k, NO_BRAKING
             s, h = s_grid[cell], s_grid[cell + 1] - s_grid[cell]
-            _jets_at(left, right, cell, 0.0, h, jet)
+            _enter(left, right, cell, h, septics)
+            _jets_at(septics, 0.0, h, jet)
             _left_by_axes(jet, v, a, table, leeway, now)
-    return len(steps), NO_RELEASE
+    return len(steps) - 1, NO_RELEASE
 
 
 @numba.njit(cache=True, nogil=True)
@@ -212,14 +225,27 @@ def _first_stop(
     releases: FloatArray,
     steps: FloatArray,
 ) -> int:
-    """Try all ways to brake in order; return the number of steps of the first stop, or 0."""
+    """
+    Try all ways to brake in order; return the number of steps of the first stop, or 0.
+
+    An earlier release shares all steps before it with the later one that failed.
+    """
+    cell = max(min(np.searchsorted(s_grid, start[0], side='right') - 1, len(s_grid) - 2), 0)
+    steps[0, 1:4], steps[0, 5] = start, cell
     for braking in brakings:
+        known = 0
         for release in releases:
-            count, outcome = _brake(
-                s_grid, left, right, stop, start, table, leeway, braking, release, steps
+            begin = 0
+            while begin < known:
+                _, _, v, a, _, _, straight = steps[begin]
+                if _may_release(release, straight, v, a):
+                    break
+                begin += 1
+            known, outcome = _brake(
+                s_grid, left, right, stop, table, leeway, braking, release, begin, steps
             )
             if outcome == FOUND:
-                return int(count)
+                return int(known)
             if outcome == NO_BRAKING:
                 break  # the release was not reached
     return 0
@@ -256,7 +282,7 @@ def stop_law(
     """
     if state[1] <= 0.0:
         return None
-    steps = np.empty((round(LONGEST_STOP / STEP), 6))
+    steps = np.empty((round(LONGEST_STOP / STEP), 7))
     begin = grid_place(path, state[0])
     count = _first_stop(
         path.s, path.cell_left, path.cell_right, path.stop, np.array([begin, *state[1:]]), table,
@@ -264,7 +290,7 @@ def stop_law(
     )  # fmt: skip
     if count == 0:
         return None
-    duration, s, v, a, j, cell = np.ascontiguousarray(steps[:count].T)
+    duration, s, v, a, j, cell, _ = np.ascontiguousarray(steps[:count].T)
     t = duration[-1]
     end = grid_place(path, float(s[-1] + t * (v[-1] + t * (a[-1] / 2 + t * j[-1] / 6))))
     if end == begin:

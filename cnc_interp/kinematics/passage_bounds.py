@@ -177,6 +177,9 @@ def near_pole(
         sine[0] = start[i] = pole_sine(packed, kind, shape, spans, 0.0)
         if sine[0] - turns[i] > limit:
             continue
+        if sine[0] + turns[i] <= limit:  # as with a tool that stays on the pole
+            near[i, 0], near[i, 1] = 0.0, 1.0
+            continue
         for k in range(1, LOOKS):
             sine[k] = pole_sine(packed, kind, shape, spans, u[k])
         step = turns[i] / (LOOKS - 1.0)

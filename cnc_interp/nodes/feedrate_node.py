@@ -25,7 +25,7 @@ from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.operator_settings import OperatorInputs
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.planning_thread import PlanningThread
-from cnc_interp.nodes.qos import STATE
+from cnc_interp.nodes.qos import SETPOINTS, STATE
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.chunk import Chunk, Wait
@@ -74,7 +74,12 @@ class FeedrateNode(LifecycleNode):
             heartbeat='blocks',
         )  # fmt: skip
         self._outlet = Outlet(
-            self, 'setpoints', SetpointChunk, values['resend_after'], self._encode
+            self,
+            'setpoints',
+            SetpointChunk,
+            values['resend_after'],
+            self._encode,
+            profile=SETPOINTS,
         )
         self._session = PlanningSession(self, period, values['plan_ahead'])
         self._inlet = Inlet(

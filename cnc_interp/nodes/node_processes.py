@@ -141,8 +141,9 @@ class Children:
         arguments += self._arguments.get(node, [])
         log = Path(self._folder.name) / f'{node}.txt'
         process = multiprocessing.get_context('forkserver').Process(
-            target=_live, args=(node, arguments, self._environment, log), name=node
-        )
+            target=_live, args=(node, arguments, self._environment, log), name=node,
+            daemon=True,  # whoever forgets to end the nodes can end all the same
+        )  # fmt: skip
         process.start()
         return Started(node, process, log)
 

@@ -3,7 +3,8 @@ Quality of service of every topic, in one table.
 
 | topic | reliability | durability | history | why |
 |---|---|---|---|---|
-| ``blocks``, ``block_batches``, ``segments``, ``setpoints`` | reliable | volatile | last 4096 | deeper than any window, so nothing is overwritten; nothing old is replayed |
+| ``blocks``, ``block_batches``, ``segments`` | reliable | volatile | last 4096 | deeper than any window, so nothing is overwritten; nothing old is replayed |
+| ``setpoints`` | reliable | volatile | last 1024 | 5 s with chunks of 5 ms; a stop tail may have 100 kB, and a slow recorder keeps all of them in memory |
 | ``stream_status`` | reliable | volatile | last 64 | an acknowledgement supersedes the one before |
 | ``machine_state`` | reliable | volatile | last 64 | changes of state must arrive |
 | ``loaded_program`` | reliable | transient local | last 1 | for those who join during a run |
@@ -45,6 +46,7 @@ def listening_to(profile: QoSProfile) -> QoSProfile:
 
 
 STREAM = _reliable(DEPTH)
+SETPOINTS = _reliable(1024)
 STATUS = _reliable(64)
 STATE = _reliable(64)
 MARKERS = _reliable(16)

@@ -87,6 +87,7 @@ class Inlet:
         self._named = (OK, '')
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
         self._gap = False
+        self._early: dict[int, Any] = {}  # messages behind a gap, by their first number
         self._subscriptions = [
             node.create_subscription(kind, topic, partial(self._receive, kind), STREAM, raw=True)
             for topic, kind in kinds.items()
@@ -103,6 +104,8 @@ class Inlet:
             return
         for passed in self._gate(message):
             self._enter(passed)
+            while (early := self._early.pop(self.receiver.next_number, None)) is not None:
+                self._enter(early)
 
     def _enter(self, message: Any) -> None:
         """Accept a message, or report why it is refused."""
@@ -111,7 +114,10 @@ class Inlet:
         try:
             receiver.expect(run_id, first, begins)
         except StreamError as fault:
-            self._pass_over(fault, mine=run_id == receiver.run_id)
+            mine = run_id == receiver.run_id
+            if mine and fault.kind is Refusal.GAP and first < receiver.limit:
+                self._early[first] = message
+            self._pass_over(fault, mine)
             return
         try:
             self._check(message)
@@ -127,6 +133,8 @@ class Inlet:
             self._refused.clear()
             self._diagnostics.say(receiver.stream, OK, 'no message refused')
         begun = receiver.run_id != run_id
+        if begun:
+            self._early.clear()
         receiver.take(run_id, first, count, message.end_of_program)
         self._gap = False
         self._on_message(message)

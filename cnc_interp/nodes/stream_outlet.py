@@ -9,6 +9,7 @@ from typing import Any
 
 from cnc_interp_msgs.msg import StreamStatus
 from rclpy._rclpy_pybind11 import RCLError
+from rclpy.qos import QoSProfile
 
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.message_seal import sealed
@@ -36,6 +37,8 @@ class Outlet:
         Makes the message of a queued item and its number.
     topic : str
         Name of the topic; that of the stream where it is empty.
+    profile : QoSProfile
+        Quality of service of the topic.
 
     """
 
@@ -47,6 +50,7 @@ class Outlet:
         resend_after: float,
         encode: Callable[[Any, int], Any],
         topic: str = '',
+        profile: QoSProfile = STREAM,
     ):
         self.sender: WindowedSender[Any] = WindowedSender(resend_after)
         self.stream = stream
@@ -55,7 +59,7 @@ class Outlet:
         self.turned_away = False  # the plan that was to join came too late
         self._before = self.sender
         self._encode = encode
-        self._publisher = node.create_publisher(kind, topic or stream, STREAM)
+        self._publisher = node.create_publisher(kind, topic or stream, profile)
         self._subscription = node.create_subscription(
             StreamStatus, 'stream_status', self._acknowledge, STATUS
         )

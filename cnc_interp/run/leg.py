@@ -16,8 +16,8 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 
-SLICE, FIRST_SLICE = 0.5, 0.1
-"""Length of the slices in which motion is sampled; of a leg that begins in motion [s]."""
+SLICE = 0.1
+"""Length of the slices in which motion is sampled [s]; a change of the override waits for one."""
 
 STILL = 1e-9
 """Speed below which the end of a law is rest [m/s]."""
@@ -26,10 +26,10 @@ SAME_TIME = 1e-9
 """Times nearer than this are the same [s]."""
 
 
-def sliced(piece: PlannedPiece, length: float = SLICE) -> list[PlannedPiece]:
-    """Cut the motion of a planned piece into slices of some length [s], on the same path."""
-    law = without_long_rows(piece.law, length)
-    stretch = np.floor((law.time - law.time[0]) / length)
+def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
+    """Cut the motion of a planned piece into slices, on the same path."""
+    law = without_long_rows(piece.law)
+    stretch = np.floor((law.time - law.time[0]) / SLICE)
     borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
     return [
         PlannedPiece(piece.path, rows_of(law, np.arange(first, last)))
@@ -42,9 +42,9 @@ def rows_of(law: MotionLaw, rows: IntArray) -> MotionLaw:
     return MotionLaw(*(getattr(law, field.name)[rows] for field in fields(MotionLaw)))
 
 
-def without_long_rows(law: MotionLaw, length: float) -> MotionLaw:
+def without_long_rows(law: MotionLaw) -> MotionLaw:
     """Divide rows that are longer than a slice; a slow line may be one row of many minutes."""
-    parts = np.maximum(1, np.ceil(law.duration / length - 1.0)).astype(np.int64)
+    parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
     if (parts == 1).all():
         return law
     row = np.repeat(np.arange(len(law)), parts)
@@ -84,7 +84,6 @@ class Leg:
         self.planner = FeedPlanner(limits, None, start, max(begun - 1, 0) * period)
         self.interpolator = Interpolator(period, begun)
         self.slices: deque[PlannedPiece] = deque()
-        self._slice = FIRST_SLICE if begun else SLICE
         self.wait: Wait | None = None
         self.moves = False
         self.number_of_zero: int | None = None  # number in the stream of the sample at time 0
@@ -100,18 +99,18 @@ class Leg:
 
         """
         for piece in self.planner.push(path):
-            self.slices.extend(sliced(piece, self._slice))
+            self.slices.extend(sliced(piece))
         self.moves = True
 
     def finish(self, wait: Wait) -> None:
         """Plan down to rest at the end of the leg."""
         for piece in self.planner.finish():
-            self.slices.extend(sliced(piece, self._slice))
+            self.slices.extend(sliced(piece))
         self.wait = wait
 
     def drive(self, piece: PlannedPiece, wait: Wait) -> None:
         """Use a known law down to rest instead of planning one."""
-        self.slices.extend(sliced(piece, self._slice))
+        self.slices.extend(sliced(piece))
         self.moves, self.wait = True, wait
 
     @property

@@ -35,7 +35,7 @@ REVISE_AGAIN = 0.02
 LEAD, LONGEST_LEAD = 0.08, 0.4
 """Motion ahead of the machine after which a revision joins; twice as much after a late one [s]."""
 
-MARGIN = 0.04
+MARGIN = 0.03
 """A revision that joins less ahead of the machine than this is late [s]."""
 
 

@@ -37,7 +37,11 @@ class Session:
         arguments = {'program_node': ARGUMENTS['program_node']}
         self.nodes = NodesUnderTest(PARAMETERS, arguments)
         self.relay = Relay(
-            self.nodes.namespace, self.nodes.domain, np.random.default_rng(seed), share, ['blocks']
+            self.nodes.namespace,
+            self.nodes.domain,
+            np.random.default_rng(seed),
+            share,
+            ['block_batches'],
         )
         self.recorder = Recorder(self.nodes.node, bag)
         self.nodes.spin_until(lambda: self.recorder.ready() and self.relay.heard_by(2))

@@ -13,6 +13,7 @@ from cnc_interp_msgs.action import RunProgram  # noqa: E402
 from cnc_interp_msgs.msg import (  # noqa: E402
     BSpline,
     G1Block,
+    G1BlockBatch,
     MachineState,
     PathSegment,
     SetpointChunk,
@@ -42,6 +43,10 @@ def block():
         flank_height=0.03,
         end_of_program=True,
     )
+
+
+def batch():
+    return G1BlockBatch(blocks=[block(), G1Block(sequence=8)])
 
 
 def segment():
@@ -107,7 +112,10 @@ def fields_of(message):
     """Flatten a message to comparable values; NaN compares equal."""
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)
-        if hasattr(value, 'get_fields_and_field_types'):
+        if name == 'blocks':
+            for i, inner in enumerate(value):
+                yield from ((f'{name}[{i}].{field}', v) for field, v in fields_of(inner))
+        elif hasattr(value, 'get_fields_and_field_types'):
             yield from ((f'{name}.{inner}', v) for inner, v in fields_of(value))
         else:
             yield name, repr(value.tolist() if hasattr(value, 'tolist') else value)
@@ -137,14 +145,14 @@ def spin_until(executor, done):
     assert done()
 
 
-@pytest.mark.parametrize('make', [block, segment, chunk, state, status])
+@pytest.mark.parametrize('make', [block, batch, segment, chunk, state, status])
 def test_serialised_and_back(make):
     sent = make()
     back = deserialize_message(serialize_message(sent), type(sent))
     assert dict(fields_of(back)) == dict(fields_of(sent))
 
 
-@pytest.mark.parametrize('make', [block, segment, chunk, state, status])
+@pytest.mark.parametrize('make', [block, batch, segment, chunk, state, status])
 def test_sent_between_two_nodes(nodes, make):
     sender, receiver, executor = nodes
     sent, received = make(), []

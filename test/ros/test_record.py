@@ -1,5 +1,6 @@
 """A bag holds everything from the first to the last message of a run, on every topic."""
 
+import math
 import os
 import subprocess
 import sys
@@ -9,17 +10,24 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.wire.path_messages import blocks_of
 
 #: So short that the run is over before the slower topics have been published again.
-PROGRAM = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX5\nY5\nM2\n'
+SHORT = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX5\nY5\nM2\n'
+#: 5,000 blocks a second, which nobody could send as so many messages.
+DENSE = (
+    'G21 G90 G0 X0 Y0 Z0\nG1 F6000\n'
+    + ''.join(f'X{0.02 * k:.2f} Y{5 * math.sin(0.001 * k):.4f}\n' for k in range(1, 5001))
+    + 'M2\n'
+)
 
 
-@pytest.fixture(scope='module')
-def messages(tmp_path_factory):
+@pytest.fixture(scope='module', params=[SHORT, DENSE], ids=['short', 'dense'])
+def messages(request, tmp_path_factory):
     """All messages of a recorded run by topic; nothing is sourced."""
     folder = tmp_path_factory.mktemp('record')
-    (folder / 'short.ngc').write_text(PROGRAM)
-    command = [sys.executable, '-m', 'cnc_interp', 'run', folder / 'short.ngc', '--record']
+    (folder / 'part.ngc').write_text(request.param)
+    command = [sys.executable, '-m', 'cnc_interp', 'run', folder / 'part.ngc', '--record']
     plain = {
         k: v for k, v in os.environ.items() if k not in ('AMENT_PREFIX_PATH', 'RMW_IMPLEMENTATION')
     }
@@ -35,9 +43,16 @@ def messages(tmp_path_factory):
 
 @pytest.mark.parametrize('topic', ['blocks', 'segments'])
 def test_streams_have_every_message_to_the_end_of_the_program(messages, topic):
-    found = messages[topic]
+    found = [block for batch in messages['block_batches'] for block in blocks_of(batch)]
+    found = messages['segments'] if topic == 'segments' else found
     assert [m.sequence for m in found] == list(range(len(found)))
     assert [m.end_of_program for m in found] == [False] * (len(found) - 1) + [True]
+
+
+def test_blocks_travel_together(messages):
+    sizes = [len(batch.blocks) for batch in messages['block_batches']]
+    assert not messages['blocks']
+    assert len(sizes) <= 2 + sum(sizes) / 32
 
 
 @pytest.mark.parametrize('topic', ['setpoints', 'executed_setpoints'])

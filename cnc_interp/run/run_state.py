@@ -260,7 +260,8 @@ class RunState:
             return told._refused_at_rest() if self.state in _ON_PATH_AT_REST else told
         if event is Event.REST:
             rests = replace(self, state=following, plan_over=True)
-            return rests._refused_at_rest() if self.refusal else rests
+            stopped = following is State.FAULT  # the reason of the stop remains
+            return rests if stopped or not self.refusal else rests._refused_at_rest()
         if event is Event.HOLD and self.state in (State.HOLDING, State.HELD):
             return replace(self, start_wanted=False)
         return replace(

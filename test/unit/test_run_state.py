@@ -71,6 +71,13 @@ def test_what_fills_its_buffer_before_the_first_block_is_no_alarm():
     assert report.moves and not report.is_free
 
 
+def test_setpoints_refused_during_a_stop_do_not_hide_its_reason():
+    stops = RunState(State.RUNNING).after(Event.STOP, Reason.EMERGENCY_STOP)
+    rests = stops.after(Event.REFUSE, detail='the machine is stopping').after(Event.REST)
+    assert (rests.state, rests.reason) == (State.FAULT, Reason.EMERGENCY_STOP)
+    assert 'reset' in rests.text and 'stopping' not in rests.text
+
+
 def test_the_page_has_a_colour_for_every_state_of_a_run():
     coloured = set(re.findall(r'\.state\.(\w+)', STYLE.read_text(encoding='utf-8')))
     assert coloured - {'silent'} == {s.value for s in State} - {'idle', 'inactive'}

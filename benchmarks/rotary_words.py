@@ -136,6 +136,8 @@ def beside_linuxcnc(text: str, plan: Plan) -> float | None:
         [float(x) for x in found.split(',')]
         for found in re.findall(r'STRAIGHT_(?:TRAVERSE|FEED)\(([^)]*)\)', done.stdout)
     ]
+    # A block that moves nothing is no block of ours.
+    ends = [end for before, end in zip([None, *ends], ends, strict=False) if end != before]
     transform = Transform.of(machine)
     zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
     stands = transform.linear(blocks.tip[1:], blocks.rotary[1:]) - zero

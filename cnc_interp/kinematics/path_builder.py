@@ -203,7 +203,7 @@ class AxisPathBuilder:
                 if own:
                     self._branch = branch_at(self.transform, self._rotary)
                 else:
-                    check_words(self.machine, run, parts[-1].right, parts[-1].counts)
+                    check_words(self.transform, run, parts[-1].right, parts[-1].counts)
                 first = last
             self._may_turn_at_once = False
         return self._join(parts) if parts else None

@@ -9,22 +9,26 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG
+from cnc_interp.kinematics.branch import branch_at
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.sampling import SINGULAR, STANDSTILL
+from cnc_interp.kinematics.transform import Transform
 from cnc_interp.smoothing.segments import LINE, PathSegments
 
 #: Largest difference of rotary words from positions that follow the tool axis [rad].
 OFF_WORDS = 15.0 * DEG
 
 
-def check_words(machine: Machine, run: PathSegments, right: FloatArray, counts: IntArray) -> None:
+def check_words(
+    transform: Transform, run: PathSegments, right: FloatArray, counts: IntArray
+) -> None:
     """
     Refuse lines on which the tool axis leads the rotary axes away from their words.
 
     Parameters
     ----------
-    machine : Machine
-        The machine.
+    transform : Transform
+        The machine's five-axis transformation.
     run : PathSegments
         n segments.
     right : ndarray, shape (N, 4, n_axes)
@@ -38,18 +42,21 @@ def check_words(machine: Machine, run: PathSegments, right: FloatArray, counts: 
         If a line ends away from the words.
 
     """
-    words = run.rotary[:, :2]
-    lines = np.flatnonzero((run.kind == LINE) & np.isfinite(words).all(axis=(1, 2)))
+    machine = transform.machine
+    lines = np.flatnonzero((run.kind == LINE) & np.isfinite(run.rotary[:, 1]).all(axis=1))
     if not len(lines) or not machine.has_rotary:
         return
     reached = right[np.cumsum(counts)[lines] - 1, 0, 3:5]
-    words = words[lines]
+    words = run.rotary[lines, :2]
     low, high = words.min(axis=1) - OFF_WORDS, words.max(axis=1) + OFF_WORDS
-    off = np.flatnonzero(((reached < low) | (reached > high)).any(axis=1))
-    if len(off):
-        row = int(off[0])
-        line = int(run.line_number[lines[row]])
-        raise off_words(machine, line, words[row, 1], reached[row])
+    off = ((reached < low) | (reached > high)).any(axis=1)
+    for i in np.flatnonzero(np.isnan(words[:, 0]).any(axis=1)):  # after a tool direction
+        end, gap = words[i, 1], np.abs(reached[i] - words[i, 1]).max()
+        branches = [branch_at(transform, place) for place in (end, reached[i])]
+        off[i] = gap > OFF_WORDS and (gap > np.pi or branches[0] != branches[1])
+    if off.any():
+        i = int(off.argmax())
+        raise off_words(machine, int(run.line_number[lines[i]]), words[i, 1], reached[i])
 
 
 def off_words(machine: Machine, line: int, words: FloatArray, reached: FloatArray) -> BlockError:

@@ -152,7 +152,7 @@ class Emission:
         feed = self._feed(np.arange(last), swept)
         row = rows.row[kept + 1]
         values = no_rotary(last)
-        values[programmed, :2] = rotary[programmed]
+        values[:, :2] = rotary
         extra = self._extra_on_lines(last, start, end)
         self._put_axis_lines(start, end, bottom, axis, values, extra)
         return kept, PathSegments(

@@ -7,12 +7,15 @@ import pytest
 from programs import blocks_of
 
 from cnc_interp.cli import main
+from cnc_interp.core.errors import BlockError, TravelError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.machine import Machine, find_machine_file
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import read_text
+from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
@@ -197,6 +200,51 @@ def test_travel_that_forbids_the_sign_of_the_tilt_turns_c_instead_without_a_stop
         assert path.q[:, 3].min() > -1 * DEG and np.ptp(path.q[:, 4]) > 150 * DEG
         assert not path.stop[1:-1].any() and builder.passages.forbidden == [2]
         assert segments.deviation[:, 1].max() <= TOLERANCE * (1 + 1e-9)
+
+
+def named_start(machine, blocks, sign):
+    """The same blocks; the start names the solution whose tilt has this sign."""
+    transform = Transform.of(machine)
+    pair = max(transform.rotary_solutions(blocks.axis[0]), key=lambda q: sign * q[0])
+    rotary = np.full((len(blocks), 2), np.nan)
+    rotary[0] = pair
+    return replace(blocks, rotary=rotary)
+
+
+def test_tilt_passes_the_pole_to_the_side_that_its_travel_allows():
+    machine = MACHINES[0]
+    travel = machine.travel.copy()
+    travel[3] = [-10 * DEG, 110 * DEG]
+    uneven = replace(machine, travel=travel)
+    tips = [[-28 * MM, 0, 0], [28 * MM, 0, 0]]
+    tools = tools_past(machine, 0.01 * DEG, [-8 * DEG, 20 * DEG])
+    path, _, builder = path_of(named_start(machine, blocks_of(tips, tools), -1), uneven)
+    assert path.q[0, 3] < -7 * DEG and path.q[-1, 3] > 19 * DEG
+    assert np.ptp(path.q[:, 4]) < 1 * DEG and not builder.passages.forbidden
+    path, _, builder = path_of(named_start(machine, blocks_of(tips, tools), 1), uneven)
+    assert path.q[:, 3].min() > -1 * DEG and np.ptp(path.q[:, 4]) > 150 * DEG
+    assert builder.passages.forbidden == [2] and not path.stop[1:-1].any()
+    # Beyond the travel without a pole between: refused, with axis and value.
+    tools = tools_past(machine, 0.01 * DEG, [8 * DEG, 20 * DEG])
+    with pytest.raises(TravelError, match=r'axis A would have to go to -1[0-9.]+ deg, outside'):
+        path_of(named_start(machine, blocks_of(tips, tools), -1), uneven)
+
+
+@pytest.mark.parametrize('end', ['A-20 C-1.57', 'A20 C178.4'])
+def test_rotary_words_that_tool_directions_do_not_lead_to_are_refused(end):
+    """The direction passes the pole at 0.25 deg: A stays positive. A-20 was taken as reached."""
+    tilt = np.tan(20 * DEG)
+    text = f"""TRAORI
+        G0 X0 Y0 Z0 A20 C0
+        G1 X56 A3=0.01 B3={-tilt:.9f} C3=1 F3000
+        X60 {end}"""
+    transform = Transform.of(MACHINES[0])
+    program = read_text(text, 'words.mpf', transform, Settings())
+    with pytest.raises(
+        BlockError, match=r'rotary words lead to A-20.* come to A20.* C178'
+    ) as found:
+        plan_program(program, MACHINES[0])
+    assert found.value.line_number == 4
 
 
 def test_plan_says_why_the_motion_slows_down_at_the_pole(tmp_path, capsys):

@@ -133,9 +133,9 @@ def require_allowed(program: Path, folders: Sequence[str]) -> None:
 
 def text_of(path: Path) -> str:
     """Return the text of a program as the reader saw it, or an empty text if it is very long."""
-    if path.stat().st_size > LONGEST_TEXT:
-        return ''
-    return path.read_text(encoding='utf-8-sig', errors='replace')
+    with path.open('rb') as file:  # a device tells no length
+        content = file.read(LONGEST_TEXT + 1)
+    return '' if len(content) > LONGEST_TEXT else content.decode('utf-8-sig', errors='replace')
 
 
 def checked_length(

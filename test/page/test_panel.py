@@ -201,6 +201,7 @@ def test_an_address_in_use_is_one_clear_line(capsys):
         (['--domain', '9999'], '232'),
         (['--namespace', 'bad name!'], "'bad name!'"),
         (['nosuch.ngc'], 'nosuch.ngc'),
+        (['/dev/zero'], 'longer than'),
         (['--machine', 'nosuch'], 'xyzac'),
         (['--host', ''], '0.0.0.0'),
         (['--token-file', 'nosuch.txt'], 'nosuch.txt'),

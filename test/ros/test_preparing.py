@@ -115,3 +115,9 @@ def test_without_a_folder_no_file_is_read_and_a_text_has_a_name(folder):
 def test_a_goal_for_another_machine_is_refused_and_no_file_is_read(machine):
     with pytest.raises(InterpError, match='the nodes run machine'):
         prepare(RunProgram.Goal(text=TEXT, machine=machine), TRANSFORM, Settings(), print)
+
+
+def test_a_device_is_refused_in_bounded_memory():
+    """Its text was read for those who show it, though it has no end."""
+    with pytest.raises(InterpError, match='this is no text'):
+        prepared_file('/dev/zero', '/dev')

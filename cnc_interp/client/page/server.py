@@ -164,6 +164,10 @@ def free_port(host: str, port: int) -> int:
 def read(program: Path) -> str:
     """Return the text of a program."""
     try:
-        return program.read_text(encoding='utf-8-sig', errors='replace')
+        with program.open('rb') as file:
+            content = file.read(LONGEST_PROGRAM + 1)
     except OSError as problem:
         raise InterpError(f'{program}: cannot be opened: {problem.strerror}') from None
+    if len(content) > LONGEST_PROGRAM:
+        raise InterpError(f'{program}: longer than {LONGEST_PROGRAM >> 20} MB; use cnc-interp run')
+    return content.decode('utf-8-sig', errors='replace')

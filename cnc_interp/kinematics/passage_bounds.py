@@ -38,6 +38,8 @@ from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSe
 TURN, BEND, SPEED, RISE = range(4)
 #: Parameters at which the distance from the pole is looked at first.
 LOOKS = 9
+#: A tool axis that turns less rests [-].
+NO_TURN = 1e-12
 #: Bisections for a place on a segment.
 HALVINGS = 50
 #: Path lengths that differ by less are equal [-], and the most parts of half a segment.
@@ -177,7 +179,7 @@ def near_pole(
         sine[0] = start[i] = pole_sine(packed, kind, shape, spans, 0.0)
         if sine[0] - turns[i] > limit:
             continue
-        if sine[0] + turns[i] <= limit:  # as with a tool that stays on the pole
+        if turns[i] < NO_TURN and sine[0] <= limit:  # the tool stays on the pole
             near[i, 0], near[i, 1] = 0.0, 1.0
             continue
         for k in range(1, LOOKS):

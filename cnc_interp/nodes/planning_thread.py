@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import import_module
+from threading import Thread
 from typing import Any
 
 from cnc_interp.run.session_port import Task
@@ -23,8 +24,11 @@ class PlanningThread:
         self.longest = 0.0  # time of the longest task since the last reading [s]
         self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: tuple[Task, Future[Any], float] | None = None
-        # These imports take half a second and are needed first when a window is tried again.
-        self._executor.submit(import_module, 'cnc_interp.feedrate.toppra_stage')
+        # These imports take a second and are needed first when a window is tried again. The first
+        # plan does not wait for them.
+        Thread(
+            target=import_module, args=['cnc_interp.feedrate.toppra_stage'], daemon=True
+        ).start()
 
     def submit(self, task: Task) -> None:
         """Submit a task, which is done after those submitted before."""

@@ -4,7 +4,8 @@ A long run through the real nodes while another core is busy: nothing lost, memo
 ``PYTHONPATH=.:test/ros python benchmarks/long_run.py --minutes 60`` runs corners and turns for
 about an hour; ``--blocks 100000`` runs short blocks at a high feed instead (``--length`` and
 ``--feed`` say how short and how fast), ``--program`` any other; ``--priority 0``
-runs the clock without SCHED_FIFO, ``--page-out`` leaves its pages unlocked. Every executed
+runs the clock without SCHED_FIFO, ``--page-out`` leaves its pages unlocked, ``--period 0.25`` is
+the interpolation period in ms. Every executed
 setpoint is measured as it is told: numbers without a gap, velocity, acceleration and jerk by
 differences. Where ``cyclictest`` of rt-tests is installed, it runs beside at the same priority and
 tells what the kernel gives any thread.
@@ -27,13 +28,11 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import SetpointChunk, StreamStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
-from operated import LIMITS, T, waves
+from operated import LIMITS, waves
 
 from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.nodes import qos
 
-#: Largest differences of setpoints within the limits.
-LARGEST = largest_differences(np.array(LIMITS), T)
 #: Corners and turns that take a minute.
 WAVES_A_MINUTE = 90
 #: Times that memory is looked at on the way, and the share of the way after which it must be flat.
@@ -88,8 +87,12 @@ class Usage:
 class LongRun(NodesUnderTest):
     """The nodes, and figures of what goes over their topics; memory of its own stays flat."""
 
-    def __init__(self, parameters: dict[str, dict[str, object]]) -> None:
-        super().__init__(parameters)
+    def __init__(self, period: float, clock: dict[str, object]) -> None:
+        own = {'interpolation_period': period}
+        nodes = dict.fromkeys(('lookahead_node', 'feedrate_node'), own)
+        nodes['program_node'] = own | {'program_folders': "['/']"}
+        super().__init__(nodes | {'machine_node': own | clock})
+        self._largest = largest_differences(np.array(LIMITS), period)
         self.run = ''
         self._looks: list[tuple[float, dict[str, float]]] = []
         self.clock: dict[str, str] = {}
@@ -124,7 +127,7 @@ class LongRun(NodesUnderTest):
         q = np.reshape(chunk.positions, (-1, 5))
         before = q[:1].repeat(BEFORE, 0) if self._last is None else self._last
         held = np.concatenate([before, q])
-        self.use = np.maximum(self.use, np.abs(limit_shares(held, LARGEST)).max(axis=1))
+        self.use = np.maximum(self.use, np.abs(limit_shares(held, self._largest)).max(axis=1))
         self._last = held[-BEFORE:]
 
     def _see_clock(self, array: DiagnosticArray) -> None:
@@ -264,6 +267,7 @@ def main() -> int:
     asked.add_argument('--busy', type=int, default=1, help='busy processes beside it')
     asked.add_argument('--priority', type=int, default=10, help='SCHED_FIFO of the clock')
     asked.add_argument('--page-out', action='store_true', help='memory of the machine node')
+    asked.add_argument('--period', type=float, default=1.0, help='interpolation period [ms]')
     asked.add_argument('--program', type=Path, help='a program instead')
     options = asked.parse_args()
     if options.program:
@@ -273,7 +277,7 @@ def main() -> int:
     else:
         text = waves(max(2, round(options.minutes * WAVES_A_MINUTE)))
     clock = {'realtime_priority': options.priority, 'lock_memory': not options.page_out}
-    run = LongRun({'machine_node': clock})
+    run = LongRun(options.period * 1e-3, clock)
     kernel = Cyclictest(options.priority)
     busy = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(options.busy)]
     try:

@@ -151,7 +151,8 @@ class Inlet:
         elif mine and receiver.refused:
             self._name(ERROR, receiver.refused, receiver.refusal_text)
         else:
-            self._name(WARN, fault.kind, str(fault))
+            harmless = mine and fault.kind is Refusal.REPEAT  # the sender made sure
+            self._name(OK if harmless else WARN, fault.kind, str(fault))
 
     def _turn_away(self, run_id: RunId, fault: StreamError) -> None:
         """Tell the sender that a plan cannot join; the stream goes on with the plan before."""

@@ -2,7 +2,8 @@
 Record the bags of these tests anew: ``PYTHONPATH=test/ros python test/replay/record.py``.
 
 To be done where planning has changed on purpose; look at the difference first
-(``cnc-interp replay BAG --compare``).
+(``cnc-interp replay BAG --compare``). The blocks go to the look-ahead one by one, on ``blocks``,
+so that many messages of a short program can be bad.
 """
 
 import shutil
@@ -10,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, MachineState
 from nodes_under_test import NodesUnderTest
-from relay import ARGUMENTS, Relay
+from relay import ARGUMENTS, SENT, Relay
 
 from cnc_interp.client.recorder import Recorder
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.message_seal import sealed
 
 HERE = Path(__file__).resolve().parent
 #: Chunks as long as they may be: fewer tails, smaller bags.
@@ -41,10 +44,24 @@ class Session:
             self.nodes.domain,
             np.random.default_rng(seed),
             share,
-            ['block_batches'],
+            ['blocks'],
+        )
+        self.one_by_one = self.nodes.node.create_publisher(G1Block, f'{SENT}blocks', qos.STREAM)
+        self.nodes.node.create_subscription(
+            G1BlockBatch, f'{SENT}block_batches', self.divide, qos.STREAM
         )
         self.recorder = Recorder(self.nodes.node, bag)
-        self.nodes.spin_until(lambda: self.recorder.ready() and self.relay.heard_by(2))
+        self.nodes.spin_until(
+            lambda: (
+                self.recorder.ready()
+                and self.relay.heard_by(2)
+                and self.one_by_one.get_subscription_count() == 1
+            )
+        )
+
+    def divide(self, batch):
+        for block in batch.blocks:
+            self.one_by_one.publish(sealed(block))
 
     def run(self, hold=False):
         handle = self.nodes.start(text=PROGRAM)

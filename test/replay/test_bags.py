@@ -12,7 +12,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from ament_index_python.packages import get_package_share_directory
 from cnc_interp_msgs.msg import MachineState
-from diagnostic_msgs.msg import DiagnosticStatus
 from mcap.reader import make_reader
 from nodes_under_test import NodesUnderTest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -188,7 +187,7 @@ def faults(messages, node):
         status
         for array in messages
         for status in array.status
-        if status.name == f'{node}: blocks' and status.level != DiagnosticStatus.OK
+        if status.name == f'{node}: blocks' and any(p.key == 'refused' for p in status.values)
     ]
     kinds = dict.fromkeys(re.sub(r'\d+', '#', status.message) for status in statuses)
     counts = [int(pair.value) for s in statuses for pair in s.values if pair.key == 'refused']

@@ -3,13 +3,16 @@
 import threading
 
 import rclpy
-from cnc_interp_msgs.msg import G1BlockBatch, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, SetpointChunk
 from rclpy.executors import SingleThreadedExecutor
 
 from cnc_interp.nodes import qos
 
 KINDS = ('dropped', 'duplicated', 'reordered', 'corrupted')
-STREAMS = {'block_batches': G1BlockBatch, 'segments': PathSegment, 'setpoints': SetpointChunk}
+STREAMS = {
+    'block_batches': G1BlockBatch, 'segments': PathSegment, 'setpoints': SetpointChunk,
+    'blocks': G1Block,
+}  # fmt: skip
 #: Each stream with its sender; what it sends goes through the relay.
 SENDERS = {
     'block_batches': 'program_node', 'segments': 'lookahead_node', 'setpoints': 'feedrate_node',
@@ -37,7 +40,7 @@ class Relay:
 
     """
 
-    def __init__(self, namespace, domain, random, share, streams=tuple(STREAMS)):
+    def __init__(self, namespace, domain, random, share, streams=tuple(SENDERS)):
         self.random, self.share = random, share
         self.counts = dict.fromkeys(KINDS, 0)
         self.passed = 0

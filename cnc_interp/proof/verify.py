@@ -389,7 +389,7 @@ def _prove_completeness(
             f'(line {blocks["line"][row]})',
         )
     if machine.has_rotary:
-        _prove_rotary_words(ledger, plan, machine, where)
+        _prove_rotary_words(ledger, plan, machine, tip, where)
     if machine.extra_names:
         _prove_extra_words(ledger, plan, machine, where)
     stops = np.flatnonzero(blocks['exact_stop'])
@@ -512,10 +512,12 @@ def longest_block(plan: PlanFiles) -> float:
 
 
 def _prove_rotary_words(
-    ledger: Ledger, plan: PlanFiles, machine: Machine, where: IntArray
+    ledger: Ledger, plan: PlanFiles, machine: Machine, tip: FloatArray, where: IntArray
 ) -> None:
     """
     Check that rotary axes pass their words, each on its own branch and whole turn.
+
+    The samples ``where`` the vertices are passed are replaced where the rotary axes tell better.
 
     A rounded vertex may turn the tool axis by the tolerances at flank height. So each rotary axis
     may miss its word by this angle over the sine of the angle between itself and the tool axis.
@@ -547,11 +549,13 @@ def _prove_rotary_words(
     angle = allowed[:, :2].max(axis=1)
     gap, passed = _search_vertices(plan, points, targets, angle, allowed)
     ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
-    still = rows[by_axes[rows]]
-    resting = np.linalg.norm(np.diff(plan.blocks['tip'], axis=0, prepend=0.0), axis=1) < SLACK
-    # A turn of the tool about its own axis is not visible in the workpiece frame.
-    still = still[resting[still]]
-    where[still] = passed[still]
+    # A turn of the tool about its own axis is hardly visible in the workpiece frame, so the nearest
+    # sample by tip and tool axis may be any on the way.
+    rows = rows[by_axes[rows]]
+    on_the_way = np.abs(points[where[rows]] - targets[rows]).max(axis=1) > STOP_ANGLE
+    there = np.linalg.norm(tip[passed[rows]] - plan.blocks['tip'][rows], axis=1) <= STOP_DISTANCE
+    rows = rows[on_the_way & there]
+    where[rows] = passed[rows]
 
 
 def _prove_extra_words(ledger: Ledger, plan: PlanFiles, machine: Machine, where: IntArray) -> None:

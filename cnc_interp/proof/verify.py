@@ -549,8 +549,8 @@ def _prove_rotary_words(
     angle = allowed[:, :2].max(axis=1)
     gap, passed = _search_vertices(plan, points, targets, angle, allowed)
     ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
-    # A turn of the tool about its own axis is hardly visible in the workpiece frame, so the nearest
-    # sample by tip and tool axis may be any on the way.
+    # A turn of the tool about its own axis is hardly visible in the workpiece frame, so the
+    # nearest sample by tip and tool axis may be any on the way.
     rows = rows[by_axes[rows]]
     on_the_way = np.abs(points[where[rows]] - targets[rows]).max(axis=1) > STOP_ANGLE
     there = np.linalg.norm(tip[passed[rows]] - plan.blocks['tip'][rows], axis=1) <= STOP_DISTANCE

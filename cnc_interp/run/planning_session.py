@@ -33,7 +33,10 @@ REVISE_AGAIN = 0.02
 """Time between the end of a revision and the next one [s]."""
 
 LEAD, LONGEST_LEAD = 0.08, 0.4
-"""Motion ahead of the machine after which a revision joins; twice as much after a late one [s]."""
+"""Motion ahead of the machine after which a revision joins; the most after a late one [s]."""
+
+LONGER = 1.3
+"""Time given to a revision behind a late one, relative to that one [-]."""
 
 MARGIN = 0.03
 """A revision that joins less ahead of the machine than this is late [s]."""
@@ -80,7 +83,8 @@ class PlanningSession:
         self._executing = False  # the machine has begun the run and has not completed it
         self._received = Received()
         self._kept: Kept | None = None  # until the machine has answered
-        self._revised_at, self._lead = -math.inf, LEAD
+        self._asked_at = self._revised_at = -math.inf
+        self._lead = LEAD
         self._joins_at = self._plans = 0
 
     def _change(self, step: Step) -> None:
@@ -200,7 +204,7 @@ class PlanningSession:
         if report is not None and report.left(self.run_id):
             return self._resume(planner, report.path_position)
         if self._must_revise(planner, now):
-            return self._revise(planner)
+            return self._revise(planner, now)
         return self._plan_ahead_task(planner, report)
 
     def _resume(self, planner: RunPlanner, s: float) -> Task:
@@ -242,17 +246,22 @@ class PlanningSession:
         ahead = self._received.executed + self._lead / self._period
         return min(max(math.ceil(ahead), self._joins_at), self._port.sender.sent - 1)
 
-    def _revise(self, planner: RunPlanner) -> Task:
+    def _revise(self, planner: RunPlanner, now: float) -> Task:
         """Plan again from a setpoint a little ahead of the machine; the old plan continues."""
         self._change(Step.REVISE)
-        number, settings = self._join_after(), self.settings
+        number, settings, self._asked_at = self._join_after(), self.settings, now
         return Task(lambda: planner.revise(number, settings), self._revised)
 
     def _revised(self, revision: Revision | None, now: float) -> None:
         """Send a revision that is ready in time; a late one is dropped."""
-        self._revised_at = now
         planner = self.planner
-        if revision is None or planner is None or self._is_late(revision.number):
+        if revision is not None and self._is_late(revision.number):
+            # The next one is likely to take as long.
+            self._lead = max(LEAD, min(LONGER * (now - self._asked_at) + MARGIN, LONGEST_LEAD))
+            self._change(Step.DONE)
+            return
+        self._revised_at = now
+        if revision is None or planner is None:
             self._change(Step.DONE)
             return
         self._lead = max(LEAD, 0.5 * self._lead)
@@ -266,10 +275,7 @@ class PlanningSession:
     def _is_late(self, number: int) -> bool:
         """Tell whether the machine may pass a setpoint before a plan can join there."""
         ahead = (number - self._received.executed) * self._period
-        late = ahead < MARGIN and not self._is_last(number)
-        if late:
-            self._lead = min(2.0 * self._lead, LONGEST_LEAD)
-        return late
+        return ahead < MARGIN and not self._is_last(number)
 
     def _see_join(self) -> None:
         """Continue when the machine has answered; with the plan before if it has passed there."""

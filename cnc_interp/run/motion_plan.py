@@ -122,7 +122,8 @@ class MotionPlan:
         stays = () if before is None else before._history
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
         self._cutter = ChunkCutter(context.chunk_size, number)
-        self._search = StopSearch(context.course, context.table, context.period)
+        joins_at = None if leg is None else number
+        self._search = StopSearch(context.course, context.table, context.period, joins_at)
         self._last = rests  # the last setpoint
         self._block_before = -1
 

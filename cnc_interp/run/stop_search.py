@@ -1,4 +1,4 @@
-"""Stops along the path, looked for a few tens of milliseconds apart while a plan is sampled."""
+"""Stops along the path, looked for every few milliseconds while a plan is sampled."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from cnc_interp.run.leg import Leg
 STOP_EVERY = 0.005
 """Time between setpoints at which a stop is looked for [s]."""
 
+HASTE, HASTY_EVERY = 0.3, 0.02
+"""Begin of a plan that joins in motion, and the time between stops in it [s]: it must be early."""
+
 
 class StopSearch:
     """
@@ -28,12 +31,18 @@ class StopSearch:
         Limits of the axes as ``limit_table`` returns them.
     period : float
         Interpolation period [s].
+    joins_at : int, optional
+        Number of the setpoint with which the plan joins another one in motion.
 
     """
 
-    def __init__(self, course: Course, table: FloatArray, period: float):
+    def __init__(
+        self, course: Course, table: FloatArray, period: float, joins_at: int | None = None
+    ):
         self._course, self._table, self._period = course, table, period
         self._every = max(1, round(STOP_EVERY / period))
+        self._hasty_every = self._every * round(HASTY_EVERY / STOP_EVERY)
+        self._hasty_until = 0 if joins_at is None else joins_at + round(HASTE / period)
 
     def stops(
         self, leg: Leg, piece: PlannedPiece, numbers: range
@@ -59,6 +68,8 @@ class StopSearch:
         ahead: AxisPath | None = None
         first = -(-(numbers.start + 1) // self._every) * self._every - 1
         for number in range(first, numbers.stop, self._every):
+            if number < self._hasty_until and (number + 1) % self._hasty_every:
+                continue
             state = leg.state_at(number, piece)
             if state[1] <= 0.0:
                 continue

@@ -38,13 +38,14 @@ def reached(domain):
     from cnc_interp_msgs.msg import LoadedProgram
     from rclpy.action import ActionClient
 
+    from cnc_interp.nodes.node_processes import NODES
     from cnc_interp.nodes.qos import LOADED
 
     rclpy.init(domain_id=domain)
     node = rclpy.create_node('stranger')
     nodes, texts, answers, places = set(), [], [], {}
     deadline = time.monotonic() + PATIENCE
-    while time.monotonic() < deadline and not (answers and texts):
+    while time.monotonic() < deadline and not (answers and texts and nodes >= set(NODES)):
         rclpy.spin_once(node, timeout_sec=0.05)
         for name, place in node.get_node_names_and_namespaces():
             nodes.add(name)

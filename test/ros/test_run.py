@@ -227,12 +227,11 @@ def test_motion_ends_at_the_last_sound_block(nodes):
 
 def test_lost_repeated_and_foreign_blocks_do_not_move_the_machine_off_its_program(nodes):
     blocks = sound_blocks('patchy')
-    for i in (0, 0, 2, 3, 1, 1):  # repeat, gap, gap, repeat
+    for i in (0, 0, 2):  # a repeat, and one behind a gap
         nodes.blocks.publish(blocks[i])
-    foreign = sound_blocks('foreign')[0]
-    nodes.blocks.publish(foreign)
+    nodes.blocks.publish(sound_blocks('foreign')[0])
     nodes.spin_until(named(nodes, 'foreign program foreign'))
-    for i in (2, 3):
+    for i in (3, 3, 1, 1, 2):  # the gap is closed after its end came
         nodes.blocks.publish(blocks[i])
     nodes.spin_until(lambda: nodes.peers.state.program_id == 'patchy')
     nodes.spin_until(lambda: nodes.peers.state.completed)

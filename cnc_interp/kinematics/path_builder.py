@@ -325,8 +325,9 @@ class AxisPathBuilder:
         self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
-        check_travel(self.machine, left[:, 0], segments.line_number[segment])
-        check_travel(self.machine, right[:, 0], segments.line_number[segment])
+        sound = slice(None if status == FINE else ends[-1] - counts[-1])
+        lines = segments.line_number[segment[sound]]
+        check_travel(self.machine, steps[sound], left[sound], right[sound], lines)
         if status != FINE:
             refuse(
                 self.machine,

@@ -7,6 +7,7 @@ from typing import NoReturn
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.bezier import bezier_values, divided
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG
 from cnc_interp.kinematics.branch import branch_at
@@ -15,6 +16,16 @@ from cnc_interp.kinematics.sampling import SINGULAR, STANDSTILL
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.smoothing.segments import LINE, PathSegments
 
+#: The travel allows for rounding [m, rad].
+TRAVEL_SLACK = 1e-9
+#: From the length's powers times value and three derivatives to Bezier values of the near half of
+#: a septic; with ``MIRROR`` to those of the far half, in reverse order.
+TO_BEZIER = np.array(
+    [[1, 0, 0, 0], [1, 1 / 7, 0, 0], [1, 2 / 7, 1 / 42, 0], [1, 3 / 7, 1 / 14, 1 / 210]]
+)
+MIRROR = np.array([[1.0], [-1.0], [1.0], [-1.0]])
+#: Parameters at which the farthest position of a refused line is looked for.
+_PLACES = np.linspace(0.0, 1.0, 65)
 #: Largest difference of rotary words from positions that follow the tool axis [rad].
 OFF_WORDS = 15.0 * DEG
 
@@ -104,19 +115,69 @@ def refuse(machine: Machine, outer: int, status: int, line: int) -> NoReturn:
     raise BlockError(f'machine {machine.name} cannot reach the tool axis', line)
 
 
-def check_travel(machine: Machine, q: FloatArray, lines: IntArray) -> None:
-    """Refuse positions outside the travel of an axis, shape (n, n_axes)."""
-    low, high = machine.travel.T
-    outside = np.argwhere((q < low) | (q > high))
-    if not len(outside):
-        return
-    row, axis = outside[0]
-    beyond, value = machine.axes[axis], float(q[row, axis])
-    unit, word = beyond.shown_size, beyond.shown_unit
+def check_travel(
+    machine: Machine, steps: FloatArray, left: FloatArray, right: FloatArray, lines: IntArray
+) -> None:
+    """
+    Refuse cells on which an axis leaves its travel, at their ends or between them.
+
+    The septic of a cell lies between the smallest and the largest of its Bezier values. Where
+    these reach beyond the travel, the cell is divided until they do not, or until the axis is
+    outside at an end of a part. So no place is missed. Bezier values approach the curve with the
+    square of the length, and half of ``TRAVEL_SLACK`` lies between both decisions. So the division
+    ends. The interpolator's septic (``septic_coefficients``) differs by rounding only.
+
+    Parameters
+    ----------
+    machine : Machine
+        Axes and travel.
+    steps : ndarray, shape (N,)
+        Path length of each cell [m].
+    left, right : ndarray, shape (N, 4, n_axes)
+        Axes and three derivatives by path length at the ends of the cells [m or rad, per m].
+    lines : ndarray of int, shape (N,)
+        Source line of each cell.
+
+    Raises
+    ------
+    TravelError
+        Names the first line, the axis, and how far it would have to go in this line.
+
+    """
+    powers = steps[:, None, None] ** np.arange(4.0)[:, None]
+    values = np.concatenate(
+        [TO_BEZIER @ (powers * left), (TO_BEZIER @ (MIRROR * powers * right))[:, ::-1]], axis=1
+    )
+    low, high = machine.travel.T[:, :, None]
+    beyond = (values < low[:, 0] - TRAVEL_SLACK) | (values > high[:, 0] + TRAVEL_SLACK)
+    cell, axis = np.nonzero(beyond.any(axis=1))
+    parts, found = values[cell, :, axis], -1
+    while len(parts):
+        ends, slack = parts[:, [0, -1]], 0.5 * TRAVEL_SLACK
+        outside = ((ends < low[axis] - slack) | (ends > high[axis] + slack)).any(axis=1)
+        if outside.any():  # what comes after it is not the first place
+            first = int(outside.argmax())
+            found, k = int(cell[first]), int(axis[first])
+            parts, cell, axis = parts[:first], cell[:first], axis[:first]
+        parts = np.stack(divided(parts[:, :, None]), axis=1).reshape(-1, 8)
+        cell, axis = cell.repeat(2), axis.repeat(2)
+        beyond = (parts < low[axis] - TRAVEL_SLACK) | (parts > high[axis] + TRAVEL_SLACK)
+        rows = beyond.any(axis=1)
+        parts, cell, axis = parts[rows], cell[rows], axis[rows]
+    if found >= 0:
+        course = bezier_values(values[lines == lines[found], None, :, k], _PLACES)
+        _refuse_travel(machine, k, course.min(), course.max(), int(lines[found]))
+
+
+def _refuse_travel(machine: Machine, k: int, lowest: float, highest: float, line: int) -> NoReturn:
+    """Raise the error for an axis that would go as far as these positions in a line [m or rad]."""
+    axis, (low, high) = machine.axes[k], machine.travel[k]
+    value = float(highest if highest - high > low - lowest else lowest)
+    unit, word = axis.shown_size, axis.shown_unit
     raise TravelError(
-        f'axis {beyond.name} would have to go to {value / unit:.3f} {word}, outside its '
-        f'travel {low[axis] / unit:g} ... {high[axis] / unit:g} {word}; move the workpiece',
-        int(lines[row]),
-        beyond.name,
+        f'axis {axis.name} would have to go to {value / unit:.3f} {word}, outside its '
+        f'travel {low / unit:g} ... {high / unit:g} {word}; move the workpiece',
+        line,
+        axis.name,
         value,
     )

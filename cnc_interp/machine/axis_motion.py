@@ -15,8 +15,9 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.setpoint_checks import TRAVEL_SLACK, beyond_travel
+from cnc_interp.machine.setpoint_checks import beyond_travel
 
 #: A setpoint that asks an axis for this many times its largest velocity is an error of the sender.
 GROSS = 1.5

@@ -8,11 +8,10 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.differences import largest_differences, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 
 # Differences of valid setpoints exceed a limit by rounding at most.
 ROUNDING = 1.01
-# Soft limits allow for rounding [m, rad].
-TRAVEL_SLACK = 1e-9
 
 
 def beyond_travel(machine: Machine, positions: FloatArray) -> str:

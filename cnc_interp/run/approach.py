@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import TravelError
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.kinematics.transform import Transform
 
 #: Axes nearer than this to the start pose stay where they are [m, rad].
@@ -42,10 +42,8 @@ def approach(
 
     """
     machine = transform.machine
-    outside = (end < machine.travel[:, 0]) | (end > machine.travel[:, 1])
-    if outside.any():
-        name = machine.axis_names[int(np.argmax(outside))]
-        raise TravelError(f'the start pose is outside the travel of axis {name}', 0, name)
+    there = np.concatenate([end[None], np.zeros((3, len(end)))])[None]
+    check_travel(machine, np.zeros(1), there, there, np.zeros(1, dtype=np.int64))
     way = end - start
     if np.abs(way).max() <= THERE:
         return None

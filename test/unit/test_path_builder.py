@@ -1,6 +1,7 @@
 """AxisPath: derivatives, joins, whole turns, the pole, travel; checked from forward kinematics."""
 
 import copy
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +11,12 @@ from programs import blocks_of, pyramid, spline_segments, zigzag
 
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate, evaluate_along
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import read_program
+from cnc_interp.program import read_program, read_text
+from cnc_interp.run.path_chain import PathChain
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.machine_traits import MachineTraits
@@ -227,6 +229,54 @@ def test_pose_out_of_travel_is_refused_naming_axis_and_value():
     tips = [[0, 0, 0], [480 * MM, 0, 0]]
     with pytest.raises(TravelError, match=r'line 2: axis X .* 520\.000 mm, .* -500 \.\.\. 500 mm'):
         path_of(blocks_of(tips, [[0, 0, 1]] * 2))
+
+
+HIDDEN = {
+    'rotary words, TCP on': 'M428\nG0 X0 Y240 Z0 A0 C0\nG1 X10 C170 F2000\nG1 X0 C0',
+    'poses': 'G0 X0 Y240 Z0 A10 C0\nM428\nG1 X20 Y230 C170 F2000',
+    'corner of axes, TCP off': 'G0 X0 Y0 Z0 A0 C0\nG1 X50 Y20 Z-5 A20 F2000\nX80 Y10 Z7 A10 C20',
+    'past the pole': 'TRAORI\nG0 X-280 A3=0 B3=0.36 C3=1\nG1 X28 A3=0.0003 B3=-0.36 C3=1 F3000',
+}
+
+
+@pytest.mark.parametrize('name', HIDDEN)
+def test_travel_counts_between_the_ends_of_cells(name):
+    """An axis that turns back inside a cell left its travel unseen, by up to a millimetre."""
+    free = replace(AC.machine, travel=np.array([[-np.inf, np.inf]] * 5))
+    text = 'G21 G90 G94\n' + HIDDEN[name] + '\nM30\n'
+
+    def course(machine):
+        transform = Transform.of(machine)
+        chain = PathChain(transform, Settings())
+        program = read_text(text, 'part.ngc', transform, Settings())
+        parts = [chain.push(program.blocks), chain.finish()]
+        path = AxisPath.join([part.path for part in parts if part.path is not None])
+        return path, program.blocks.line_number[path.cell_block]
+
+    path, lines = course(free)
+    u = np.linspace(0.0, 1.0, 201)
+    cell = np.arange(len(path.s) - 1).repeat(len(u))
+    q = evaluate_along(path, (np.diff(path.s)[:, None] * u).ravel(), cell)[0]
+    q = q.reshape(-1, len(u), 5)
+    checked = 0
+    for k, side in itertools.product(range(5), (-1.0, 1.0)):
+        inside, ends = (side * q[:, :, k]).max(axis=1), (side * path.q[:, k]).max()
+        if inside.max() - ends < 1e-7:
+            continue
+        checked += 1
+        for limit, refused in ((0.5 * (inside.max() + ends), True), (inside.max() + 1e-6, False)):
+            travel = free.travel.copy()
+            travel[k, 1 if side > 0 else 0] = side * limit
+            narrow = replace(free, travel=travel)
+            if not refused:
+                course(narrow)
+                continue
+            with pytest.raises(TravelError) as refusal:
+                course(narrow)
+            assert refusal.value.line_number == lines[np.argmax(inside > limit)]
+            assert refusal.value.axis == free.axis_names[k]
+            assert side * refusal.value.value == pytest.approx(inside.max(), abs=1e-5)
+    assert checked > 0
 
 
 def test_tilted_tool_on_a_3_axis_machine_is_refused():

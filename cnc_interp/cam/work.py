@@ -88,7 +88,7 @@ def make_program(options: argparse.Namespace) -> int:
                 progress=progress.of('planning'),
             )['cycle_time']  # fmt: skip
             progress.end(complete=True)
-            files = read_plan(out / 'plan')
+            files = read_plan(out / 'plan').in_memory()
             motions += [planned(files, machine), executed(files, machine)]
     figures = _path_figures(paths)
     for motion in motions:
@@ -135,7 +135,7 @@ def simulate_motion(options: argparse.Namespace) -> int:
     cutter = _cutter(options)
     machine = Machine.load(options.machine)
     if options.motion.is_dir():
-        files = read_plan(options.motion)
+        files = read_plan(options.motion).in_memory()
         motion = (executed if options.executed else planned)(files, machine)
     else:
         reading = Settings(feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM)

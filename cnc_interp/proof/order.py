@@ -24,6 +24,7 @@ from numba import njit
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_axes import ProgrammedAxes
 from cnc_interp.proof.programmed_path import ProgrammedPath
@@ -69,32 +70,76 @@ class Pieces:
             self.vertex_room[::-1],
         )  # fmt: skip
 
-    def followed(self, points: FloatArray) -> tuple[IntArray, IntArray, int]:
-        """
-        Follow the pieces with a motion.
-
-        Parameters
-        ----------
-        points : ndarray, shape (K, D)
-            Samples of the motion.
-
-        Returns
-        -------
-        first, last : ndarray of int, shape (K,)
-            First and last piece that the motion can have reached at each sample; -1 where none.
-        furthest : int
-            Furthest piece that it can have reached; the number of pieces if it reached the end.
-
-        """
-        bulge = np.zeros(points.shape)
-        bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0
+    def pursuit(self) -> Pursuit:
+        """Begin to follow the pieces."""
+        low = np.full(len(self.row), np.inf)
+        low[0] = 0.0
         pieces = (
             self.start, self.end - self.start, self.room, self.vertex[1:], self.vertex_room[1:]
         )  # fmt: skip
-        found: tuple[IntArray, IntArray, int] = _follow(
-            np.ascontiguousarray(points), bulge, *(np.ascontiguousarray(a) for a in pieces)
-        )
-        return found
+        return Pursuit([np.ascontiguousarray(a) for a in pieces], low)
+
+
+@dataclass
+class Pursuit:
+    """
+    How far a motion, taken chunk by chunk, has followed some pieces.
+
+    Parameters
+    ----------
+    pieces : list of ndarray
+        Start, way and room of the P pieces, and place and room of their ends.
+    low : ndarray, shape (P,)
+        Least part of each piece that can be reached at the last sample; infinite where none.
+    begin, stop : int
+        The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
+    furthest : int
+        Furthest piece that the motion can have reached; P if it reached the end of the last one.
+    lost : int
+        Sample at which no piece can be reached, or -1.
+
+    """
+
+    pieces: list[FloatArray]
+    low: FloatArray
+    begin: int = 0
+    stop: int = 1
+    furthest: int = 0
+    lost: int = -1
+
+    def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:
+        """
+        Follow the pieces with further samples of the motion.
+
+        Parameters
+        ----------
+        points : ndarray, shape (k + 3, D)
+            The next k samples, with two before them and one after them; beyond the ends of the
+            motion its end samples are repeated.
+        first, count : int
+            Number of the first of the k samples, and of all samples.
+
+        Returns
+        -------
+        first, last : ndarray of int, shape (k,)
+            First and last piece that the motion can have reached at each sample; -1 where none.
+
+        """
+        # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
+        bulge = np.diff(points, 2, axis=0) / 8.0
+        if first == 0:
+            bulge[:2] = 0.0
+        last = first + len(points) - 3 == count
+        if last:
+            bulge[-1] = 0.0
+        reached = np.full((2, len(points) - 3), -1, dtype=np.int64)
+        if self.lost < 0:
+            self.begin, self.stop, self.furthest, lost = _follow(
+                np.ascontiguousarray(points[1:-1]), bulge, *self.pieces, self.low, self.begin,
+                self.stop, self.furthest, last, reached,
+            )  # fmt: skip
+            self.lost = first + lost if lost >= 0 else -1
+        return reached[0], reached[1]
 
 
 @dataclass(frozen=True)
@@ -106,21 +151,19 @@ class Order:
     ----------
     left : tuple of (str, int, int)
         What leaves the order, at which sample, and the furthest program row it reached.
-    low, high : ndarray of int, shape (K,)
-        First and last program row that each sample can execute.
+    low, high : column of int, shape (K,)
+        First and last program row that each sample can execute; in temporary files.
 
     """
 
     left: tuple[tuple[str, int, int], ...]
-    low: IntArray
-    high: IntArray
+    low: Stored
+    high: Stored
 
 
 def order_of(
     plan: PlanFiles,
     machine: Machine,
-    tip: FloatArray,
-    axis: FloatArray,
     program: ProgrammedPath,
     lines: ProgrammedAxes | None,
     tolerances: tuple[FloatArray, FloatArray],
@@ -134,8 +177,6 @@ def order_of(
         Plan with K setpoints and M program rows.
     machine : Machine
         Machine with the forward kinematics to use.
-    tip, axis : ndarray, shape (K, 3)
-        Tool tip [m] and unit tool axis [-] of the setpoints.
     program : ProgrammedPath
         The program as lines and great circles.
     lines : ProgrammedAxes or None
@@ -149,35 +190,51 @@ def order_of(
         Where the motion leaves the order, and the rows that are possible.
 
     """
-    low = np.zeros(len(tip), dtype=np.int64)
-    high = np.full(len(tip), len(plan.blocks['tip']) - 1, dtype=np.int64)
-    left = []
-    shapes = _Shapes(plan, machine, program, lines)
+    count, rows = len(plan.position), len(plan.blocks['tip'])
+    shapes, transform = _Shapes(plan, machine, program, lines), Transform.of(machine)
+
+    def tips(position: FloatArray) -> FloatArray:
+        return transform.forward(position)[0]
+
+    def tops(position: FloatArray) -> FloatArray:
+        tip, axis = transform.forward(position)
+        return tip + plan.flank_height * axis
+
+    def joint(position: FloatArray) -> FloatArray:
+        rotary = position[:, 3 : 5 if machine.has_rotary else 3]
+        extra = position[:, len(machine.axis_names) - len(machine.extra_names) :]
+        return np.hstack([tips(position), rotary, extra])
+
     courses = [
-        ('tool tip', tip, shapes.pieces(shapes.tip, 'contour_tolerance', tolerances[0])),
+        ('tool tip', tips, shapes.pieces(shapes.tip, 'contour_tolerance', tolerances[0])),
         (
-            'point at flank height', tip + plan.flank_height * axis,
+            'point at flank height', tops,
             shapes.pieces(shapes.top, 'orientation_tolerance', tolerances[1]),
         ),
     ]  # fmt: skip
     if shapes.worded.any() or machine.extra_names:
-        extra = plan.position[:, len(machine.axis_names) - len(machine.extra_names) :]
-        rotary = plan.position[:, 3 : 5 if machine.has_rotary else 3]
-        joint = np.hstack([tip, rotary, extra])
         courses.append(('axes', joint, shapes.joint_pieces(*tolerances)))
-    for name, points, pieces in courses:
-        first, last, furthest = pieces.followed(points)
-        if furthest < len(pieces.row):
-            lost = np.flatnonzero(first < 0)
-            sample = int(lost[0]) if len(lost) else len(points) - 1
-            left.append((name, sample, int(pieces.row[furthest])))
+    left, low, high = [], Stored.empty(count, np.int32), Stored.empty(count, np.int32)
+    for a, b in spans(count):
+        high[a:b] = np.full(b - a, rows - 1)
+    for name, points_of, pieces in courses:
+        # Forwards, then backwards: a row is possible if it can be reached from both ends.
+        pursuit = pieces.pursuit()
+        for a, b in spans(count):
+            first, last = pursuit.follow(points_of(held(plan.position, a, b, 2, 1)), a, count)
+            low[a:b] = np.maximum(low[a:b], pieces.row[first])
+            high[a:b] = np.minimum(high[a:b], pieces.row[last])
+        if pursuit.furthest < len(pieces.row):
+            sample = pursuit.lost if pursuit.lost >= 0 else count - 1
+            left.append((name, sample, int(pieces.row[pursuit.furthest])))
             continue
         reverse = pieces.backwards()
-        first_back, last_back, _ = reverse.followed(points[::-1])
-        low = np.maximum(low, pieces.row[first])
-        low = np.maximum(low, reverse.row[last_back[::-1]])
-        high = np.minimum(high, pieces.row[last])
-        high = np.minimum(high, reverse.row[first_back[::-1]])
+        pursuit = reverse.pursuit()
+        for a, b in reversed(list(spans(count))):
+            points = points_of(held(plan.position, a, b, 1, 2))
+            first, last = pursuit.follow(points[::-1], count - b, count)
+            low[a:b] = np.maximum(low[a:b], reverse.row[last[::-1]])
+            high[a:b] = np.minimum(high[a:b], reverse.row[first[::-1]])
     return Order(tuple(left), low, high)
 
 
@@ -312,26 +369,22 @@ def _near(
 @njit(cache=True, nogil=True)
 def _follow(
     points: FloatArray, bulge: FloatArray, start: FloatArray, way: FloatArray, room: FloatArray,
-    end: FloatArray, end_room: FloatArray,
-) -> tuple[IntArray, IntArray, int]:  # fmt: skip
+    end: FloatArray, end_room: FloatArray, low: FloatArray, begin: int, stop: int, furthest: int,
+    ends: bool, reached: IntArray,
+) -> tuple[int, int, int, int]:  # fmt: skip
     """
-    Reach the pieces from sample to sample; the results are those of `Pieces.followed`.
+    Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
-    ``low[k]`` is the least part of piece k that can be reached at the present sample, infinite if
-    none. ``passed`` is the earliest part of the present chord of the motion at which the end of
+    The first of the points is the one before. ``low`` is changed, and ``reached`` is filled.
+    ``passed`` is the earliest part of the present chord of the motion at which the end of
     the piece before can be reached. Cells of chord and piece are convex, so nothing else counts.
     """
-    samples, count = len(points), len(start)
-    first = np.full(samples, -1, dtype=np.int64)
-    last = np.full(samples, -1, dtype=np.int64)
-    low = np.full(count, np.inf)
-    low[0] = 0.0
-    begin, stop, furthest = 0, 1, 0  # pieces begin ... stop - 1 may have been reached
+    samples, count = len(points) - 1, len(start)
     chord = np.zeros(points.shape[1])
     for i in range(samples):
-        before = points[max(i - 1, 0)]
+        before, here = points[i], points[i + 1]
         for c in range(len(chord)):
-            chord[c] = points[i, c] - before[c]
+            chord[c] = here[c] - before[c]
         passed, done = np.inf, False
         k, new_begin, new_stop = begin, -1, -1
         while k < count and (k < stop or passed < np.inf):
@@ -339,7 +392,7 @@ def _follow(
             low[k] = np.inf
             leaves = np.inf
             if old < np.inf or passed < np.inf:
-                a, b = _near(points[i], start[k], way[k], room[k], 1.0)
+                a, b = _near(here, start[k], way[k], room[k], 1.0)
                 entry = a if passed < np.inf else max(old, a)
                 if a <= b and entry <= b:
                     low[k] = entry
@@ -349,8 +402,8 @@ def _follow(
                     done = k == count - 1 and b >= 1.0
                 left, right = 0.0, 0.0
                 for c in range(len(chord)):
-                    left += (bulge[max(i - 1, 0), c] / end_room[k, c]) ** 2
-                    right += (bulge[i, c] / end_room[k, c]) ** 2
+                    left += (bulge[i, c] / end_room[k, c]) ** 2
+                    right += (bulge[i + 1, c] / end_room[k, c]) ** 2
                 radius = 1.0 + np.sqrt(max(left, right))
                 a, b = _near(end[k], before, chord, end_room[k], radius)
                 entry = a if old < np.inf else max(passed, a)
@@ -360,9 +413,9 @@ def _follow(
             passed = leaves
             k += 1
         if new_begin < 0:
-            return first, last, furthest
+            return begin, stop, furthest, i
         begin, stop = new_begin, new_stop
-        first[i], last[i] = begin, stop - 1
-        if i == samples - 1 and done:
+        reached[0, i], reached[1, i] = begin, stop - 1
+        if ends and i == samples - 1 and done:
             furthest = count
-    return first, last, furthest
+    return begin, stop, furthest, -1

@@ -7,12 +7,16 @@ derivatives of both ends of its cell. This module shares no code with the planne
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof import columns
+from cnc_interp.proof.columns import held, spans
+from cnc_interp.proof.plan_files import PATH_CELLS, PlanFiles
 from cnc_interp.proof.verdict import Ledger
 
 # Largest accepted distance between setpoints, forward kinematics and the path file [m, rad].
@@ -25,8 +29,6 @@ ROUNDED = 1e-14
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
-# Setpoints compared with the path at a time.
-BATCH = 1 << 16
 # An excess of up to 0.1 % of a limit is rounding.
 ROUNDING = 1.001
 
@@ -45,116 +47,173 @@ def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
         Machine with the forward kinematics to use.
 
     """
-    path, s = plan.path, plan.path['s']
-    rows = np.asarray(path['block'], dtype=np.int64)
-    tip, axis = Transform.of(machine).forward(path['q'])
-    gap = np.linalg.norm(tip - path['tip'], axis=1)
-    gap = np.maximum(gap, plan.flank_height * np.linalg.norm(axis - path['axis'], axis=1))
-    ledger.check('path pose against its axes', gap, ROUND_TRIP, rows=rows)
-    ledger.require(bool((np.diff(s) > 0.0).all()), 'path.npz: s must increase at every grid point')
-    left, right, feed = path['cell_left'], path['cell_right'], path['feed']
-    torn = np.abs(left[0, 1:] - right[0, :-1]).max(axis=1, initial=0.0)
-    ledger.check('axes across path cells', torn, ROUND_TRIP, rows=rows[1:-1])
-    inner = ~np.asarray(path['stop'], dtype=bool)[1:-1]
+    path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
+    points, transform = len(s), Transform.of(machine)
+    rising = bool((np.diff(s) > 0.0).all())
     width = np.maximum(np.diff(s), ROUNDED)
-    for order, rounding in JUMPS.items():
-        jump = np.abs(left[order, 1:] - right[order, :-1])
-        room = SAME * np.abs(left[order]).max(axis=0) + rounding
-        room = room + ROUNDED / np.minimum(width[1:], width[:-1])[:, None] ** order
-        share = np.where(inner, (jump / room).max(axis=1, initial=0.0), 0.0)
+    largest = np.zeros((4, len(machine.axis_names)))
+    for a, b in spans(points - 1):
+        largest = np.maximum(largest, np.abs(path['cell_left'][:, a:b]).max(axis=1))
+    jumps = dict.fromkeys(JUMPS, 0)
+    for a, b in spans(points):
+        own, tip, axis = rows[a:b], *transform.forward(path['q'][a:b])
+        gap = np.linalg.norm(tip - path['tip'][a:b], axis=1)
+        apart = np.linalg.norm(axis - path['axis'][a:b], axis=1)
+        gap = np.maximum(gap, plan.flank_height * apart)
+        ledger.check('path pose against its axes', gap, ROUND_TRIP, rows=own)
+        # Cells end at the inner points first ... last; the others begin there.
+        first, last = max(a, 1), min(b, points - 1)
+        left, right = path['cell_left'][:, first:last], path['cell_right'][:, first - 1 : last - 1]
+        torn = np.abs(left[0] - right[0]).max(axis=1, initial=0.0)
+        ledger.check('axes across path cells', torn, ROUND_TRIP, rows=rows[first:last])
+        inner = ~path['stop'][first:last]
+        shorter = np.minimum(width[first:last], width[first - 1 : last - 1])[:, None]
+        for order, rounding in JUMPS.items():
+            jump = np.abs(left[order] - right[order])
+            room = SAME * largest[order] + rounding + ROUNDED / shorter**order
+            share = np.where(inner, (jump / room).max(axis=1, initial=0.0), 0.0)
+            jumps[order] += int(np.count_nonzero(~(share <= 1.0)))
+        _prove_cells(ledger, plan, machine, rows, (a, b))
+        _prove_feeds(ledger, plan, machine, rows, (a, b))
+    ledger.require(rising, 'path.npz: s must increase at every grid point')
+    for order, count in jumps.items():
         ledger.require(
-            bool((share <= 1.0).all()),
-            f'path.npz: derivatives of order {order} jump at {np.count_nonzero(share > 1.0)} grid '
-            'points without a stop',
+            not count,
+            f'path.npz: derivatives of order {order} jump at {count} grid points without a stop',
         )
-    ends = np.concatenate([left[0], right[0, -1:]])
-    ledger.check(
-        'axes against path cells', np.abs(ends - path['q']).max(axis=1), ROUND_TRIP, rows=rows
-    )
+    if rising:
+        _prove_setpoints(ledger, plan, s, rows)
+
+
+def _prove_cells(
+    ledger: Ledger, plan: PlanFiles, machine: Machine, rows: IntArray, part: tuple[int, int]
+) -> None:
+    """Check cells against the axes and the velocities at both ends, at some grid points."""
+    (a, b), path, cells = part, plan.path, len(rows) - 1
+    last = min(b, cells)
+    left, right = path['cell_left'][:, a:last], path['cell_right'][:, a:last]
+    ends = np.concatenate([left[0], path['cell_right'][:1, cells - 1 : cells][0]])[: b - a]
+    apart = np.abs(ends - path['q'][a:b]).max(axis=1)
+    ledger.check('axes against path cells', apart, ROUND_TRIP, rows=rows[a:b])
+    feed = path['feed'][a : last + 1]
     for j, name in enumerate(machine.axis_names):
         rate = np.maximum(np.abs(left[1, :, j]) * feed[:-1], np.abs(right[1, :, j]) * feed[1:])
         limit = float(machine.max_velocity[j])
-        ledger.check('planned velocity', rate, limit, name, ROUNDING, rows=rows[:-1])
-    _prove_feeds(ledger, plan, machine, rows)
-    if (np.diff(s) > 0.0).all():
-        _prove_setpoints(ledger, plan, rows)
+        ledger.check('planned velocity', rate, limit, name, ROUNDING, rows=rows[a:last])
 
 
-def _prove_feeds(ledger: Ledger, plan: PlanFiles, machine: Machine, rows: IntArray) -> None:
+def _prove_feeds(
+    ledger: Ledger, plan: PlanFiles, machine: Machine, rows: IntArray, part: tuple[int, int]
+) -> None:
     """Check the planned feed against the programmed one, and the feed limit against Eq. 10."""
-    path = plan.path
-    feed, programmed = path['feed'], path['programmed_feed']
-    around = np.maximum(
-        programmed, np.maximum(np.r_[programmed[1:], 0.0], np.r_[0.0, programmed[:-1]])
-    )
-    ledger.check('planned feed', feed, around, allowed=ROUNDING, rows=rows)
+    (a, b), path, cells = part, plan.path, len(rows) - 1
+    feed, near = path['feed'][a:b], held(path['programmed_feed'], a, b, 1, 1)
+    around = np.maximum(near[1:-1], np.maximum(near[2:], near[:-2]))
+    ledger.check('planned feed', feed, around, allowed=ROUNDING, rows=rows[a:b])
     # [B2013, Eq. 10], on both sides of a grid point.
-    bound = programmed / float(plan.summary.get('largest_override', 1.0))
-    for cells, side in (
-        (path['cell_left'], slice(None, -1)),
-        (path['cell_right'], slice(1, None)),
+    bound = near[1:-1] / float(plan.summary.get('largest_override', 1.0))
+    first, last = max(a, 1), min(b, cells)
+    for cell, side in (
+        (path['cell_left'][:, a:last], slice(0, last - a)),
+        (path['cell_right'][:, first - 1 : b - 1], slice(first - a, b - a)),
     ):
         with np.errstate(divide='ignore'):
             for k, limits in enumerate(machine.limits, start=1):
-                reach = (limits / np.abs(cells[k])) ** (1.0 / k)
+                reach = (limits / np.abs(cell[k])) ** (1.0 / k)
                 bound[side] = np.minimum(bound[side], reach.min(axis=1))
-    limit = path['feed_limit']
+    limit = path['feed_limit'][a:b]
     with np.errstate(invalid='ignore'):
         apart = np.where(limit == bound, 0.0, np.abs(limit - bound))
-    ledger.check('feed limit of path', apart, SAME * bound, rows=rows)
+    ledger.check('feed limit of path', apart, SAME * bound, rows=rows[a:b])
     # Eq. 10 leaves out tangential acceleration and jerk, so a correct law may exceed it.
-    bounded = limit > 0.0
-    ledger.remarks['largest_feed_over_limit'] = float(
-        np.max(feed[bounded] / limit[bounded], initial=0.0)
-    )
+    bounded, name = limit > 0.0, 'largest_feed_over_limit'
+    over = float(np.max(feed[bounded] / limit[bounded], initial=0.0))
+    ledger.remarks[name] = max(over, ledger.remarks.get(name, 0.0))
 
 
-def _prove_setpoints(ledger: Ledger, plan: PlanFiles, rows: IntArray) -> None:
+def _prove_setpoints(ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: IntArray) -> None:
     """Check that the setpoints lie on the path where they say, with its rows, feed and stops."""
-    path, grid, s = plan.path, plan.path['s'], plan.setpoints['s']
-    ledger.check('path position against the path', np.maximum(grid[0] - s, s - grid[-1]).clip(0.0),
-                 ROUND_TRIP)  # fmt: skip
-    ledger.check('path position backwards', np.maximum(-np.diff(s), 0.0), ROUND_TRIP)
-    cell = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
-    apart = np.empty(len(s))
-    for first in range(0, len(s), BATCH):
-        part = slice(first, first + BATCH)
-        k = cell[part]
-        width = grid[k + 1] - grid[k]
-        share = ((s[part] - grid[k]) / width).clip(0.0, 1.0)
-        found = _septic(path['cell_left'][:, k], path['cell_right'][:, k], width, share)
-        apart[part] = np.abs(found - plan.position[part]).max(axis=1)
-    ledger.check('setpoint beside the path', apart, ROUND_TRIP)
-    # At a grid point the sample may belong to the cell before it.
-    near = [np.clip(cell + step, 0, len(grid) - 1) for step in (-1, 0, 1)]
-    other = np.flatnonzero(~np.any([rows[k] == plan.block for k in near], axis=0))
+    path, count = plan.path, len(plan.position)
+    others, other = 0, -1
+    for a, b in spans(count):
+        s = held(plan.setpoints['s'], a, b, 0, 1)  # with the one after them
+        outside = np.maximum(grid[0] - s, s - grid[-1]).clip(0.0)[: b - a]
+        ledger.check('path position against the path', outside, ROUND_TRIP, first=a)
+        back = np.maximum(-np.diff(s), 0.0)
+        ledger.check('path position backwards', back, ROUND_TRIP, first=a)
+        cell = np.clip(np.searchsorted(grid, s[: b - a], 'right') - 1, 0, len(grid) - 2)
+        apart, position = np.empty(b - a), plan.position[a:b]
+        for first, last in _near_cells(cell):
+            k, part = cell[first:last], slice(first, last)
+            low = int(k.min())
+            left, right = (
+                path[name][:, low : int(k.max()) + 1][:, k - low] for name in PATH_CELLS
+            )
+            width = grid[k + 1] - grid[k]
+            share = ((s[part] - grid[k]) / width).clip(0.0, 1.0)
+            found = _septic(left, right, width, share)
+            apart[part] = np.abs(found - position[part]).max(axis=1)
+        ledger.check('setpoint beside the path', apart, ROUND_TRIP, first=a)
+        # At a grid point the sample may belong to the cell before it.
+        near = [np.clip(cell + step, 0, len(grid) - 1) for step in (-1, 0, 1)]
+        wrong = np.flatnonzero(~np.any([rows[k] == plan.block[a:b] for k in near], axis=0))
+        if len(wrong):
+            others, other = others + len(wrong), a + int(wrong[0]) if other < 0 else other
+        _prove_speeds(ledger, plan, grid, rows, (a, b))
     ledger.require(
-        not len(other),
-        f'block of setpoints.npz and of path.npz differ at {len(other)} samples, the first is '
-        f'{other[:1]}',
+        not others,
+        f'block of setpoints.npz and of path.npz differ at {others} samples, the first is {other}',
     )
-    speed = np.diff(s) / plan.period
-    least, most = _speeds_around(speed)
-    at = np.clip(np.searchsorted(s, grid, 'right') - 1, 0, len(speed) - 1)
-    off = np.maximum(path['feed'] - most[at], least[at] - path['feed']).clip(0.0)
-    allowed = SAME_SPEED * np.maximum(most[at], 0.0) + SMALL_SPEED
-    ledger.check('feed of path against the setpoints', off, allowed, rows=rows)
-    stop = np.flatnonzero(path['stop'])
-    ledger.check('stop of path', least[at[stop]].clip(0.0), allowed[stop], rows=rows[stop])
     stops = np.flatnonzero(plan.blocks['exact_stop'])
     stops = stops[(stops >= rows[0]) & (stops < len(plan.blocks['exact_stop']))]
     place = np.minimum(np.searchsorted(rows, stops, 'right'), len(rows) - 1)
-    left_out = stops[~np.asarray(path['stop'], dtype=bool)[place]]
+    left_out = stops[~np.asarray(path['stop'])[place]]
     ledger.require(
         not len(left_out),
         f'path.npz has no stop after lines {plan.blocks["line"][left_out].tolist()[:5]}',
     )
 
 
+def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:
+    """Divide samples so that each part lies within as many cells as are read at a time."""
+    first = 0
+    while first < len(cell):
+        far = np.abs(cell[first:] - cell[first]) > columns.CHUNK
+        last = first + int(np.argmax(far)) if far.any() else len(cell)
+        yield first, last
+        first = last
+
+
+def _prove_speeds(
+    ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: IntArray, part: tuple[int, int]
+) -> None:
+    """Check feed and stops of the path at the grid points that some samples pass."""
+    (a, b), s, path = part, plan.setpoints['s'], plan.path
+    last = b == len(s)
+    # A grid point belongs to the period in which it is passed.
+    low = 0 if a == 0 else int(np.searchsorted(grid, s[a]))
+    high = len(grid) if last else int(np.searchsorted(grid, s[b]))
+    if low >= high:
+        return
+    # Before the first sample and after the last one the axes rest.
+    speed = np.diff(held(s, a, b, 2, 2)) / plan.period
+    least, most = _speeds_around(speed)
+    periods = b - a - last
+    at = np.searchsorted(s[a:b], grid[low:high], 'right') - 1
+    at = np.clip(at, 0, max(periods - 1, 0)) + 1
+    if periods == 0:  # the last sample alone: its period is the one before
+        at -= 1
+    feed, stops = path['feed'][low:high], np.flatnonzero(path['stop'][low:high])
+    off = np.maximum(feed - most[at], least[at] - feed).clip(0.0)
+    allowed = SAME_SPEED * np.maximum(most[at], 0.0) + SMALL_SPEED
+    own = rows[low:high]
+    ledger.check('feed of path against the setpoints', off, allowed, rows=own)
+    ledger.check('stop of path', least[at[stops]].clip(0.0), allowed[stops], rows=own[stops])
+
+
 def _speeds_around(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return bounds of the speed in each period, from mean speeds in it and around it [m/s]."""
-    held = np.pad(speed, 1, mode='constant')  # at rest before and after
-    around = np.stack([held[:-2], held[1:-1], held[2:]])
+    """Return bounds of the speed in each inner period, from mean speeds in it and around [m/s]."""
+    around = np.stack([speed[:-2], speed[1:-1], speed[2:]])
     spread = np.abs(np.diff(around, axis=0)).sum(axis=0)
     return around.min(axis=0) - spread, around.max(axis=0) + spread
 

@@ -8,8 +8,8 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile, ZipFile
+from typing import IO, Any
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json
+from cnc_interp.proof.columns import Stored, spans
 
-Columns = Mapping[str, NDArray[Any]]
+#: Columns by their names: arrays, or columns in a file (`columns.Stored`).
+Columns = Mapping[str, Any]
 
 # Columns, and their shape after the number of rows; 'n' is the number of axes.
 SETPOINT_COLUMNS = {
@@ -56,6 +58,8 @@ READING_FAULTS = (
     OSError, ValueError, EOFError, BadZipFile, zlib.error, struct.error, RuntimeError, TypeError,
     KeyError, IndexError, SyntaxError, MemoryError, OverflowError,
 )  # fmt: skip
+# Header before the content of a file in an archive: its end are the lengths of name and extra.
+LOCAL_HEADER = struct.Struct('<26sHH')
 # Rows of less length have no feed [m]; a unit vector is so long to rounding.
 NO_LENGTH, UNIT = 1e-9, 1e-6
 
@@ -83,6 +87,19 @@ class PlanFiles:
     path: Columns
     blocks: Columns
     summary: Mapping[str, Any]
+
+    def in_memory(self) -> PlanFiles:
+        """Return the plan with all columns as arrays."""
+        setpoints, path = (
+            {name: np.asarray(column) for name, column in columns.items()}
+            for columns in (self.setpoints, self.path)
+        )
+        return replace(self, setpoints=setpoints, path=path)
+
+    def part(self, first: int, last: int) -> PlanFiles:
+        """Return the plan with the setpoints ``first`` to ``last`` (exclusive) alone."""
+        columns = {name: column[first:last] for name, column in self.setpoints.items()}
+        return replace(self, setpoints=columns)
 
     @property
     def position(self) -> FloatArray:
@@ -119,7 +136,8 @@ def read_plan(directory: Path) -> PlanFiles:
     Returns
     -------
     PlanFiles
-        The plan, with all optional columns present.
+        The plan, with all optional columns present. Columns of setpoints and path that ``plan``
+        wrote stay in their files.
 
     Raises
     ------
@@ -143,16 +161,18 @@ def read_plan(directory: Path) -> PlanFiles:
     for name in PATH_CELLS:
         found = path.get(name, np.zeros(0))
         real = found.dtype.kind == 'f' and found.shape == cells
-        if not real or not np.isfinite(found).all():
+        if not real or not all(np.isfinite(found[:, a:b]).all() for a, b in spans(cells[1])):
             raise InterpError(
                 f'{directory / "path.npz"}: column {name} has shape {found.shape} of '
                 f'{found.dtype}, expected {cells} of finite float64; plan again'
             )
     for name, columns in (('setpoints.npz', setpoints), ('path.npz', path)):
         rows = columns['block']
-        if rows.min() < 0 or rows.max() >= len(blocks['tip']):
+        ends = [(rows[a:b].min(), rows[a:b].max()) for a, b in spans(len(rows))]
+        least, most = min(low for low, _ in ends), max(high for _, high in ends)
+        if least < 0 or most >= len(blocks['tip']):
             raise InterpError(
-                f'{directory / name}: block runs from {rows.min()} to {rows.max()}, but '
+                f'{directory / name}: block runs from {least} to {most}, but '
                 f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
             )
     program = _complete_blocks(blocks)
@@ -195,7 +215,7 @@ def with_override(plan: PlanFiles) -> PlanFiles:
     blocks['feed'] = blocks['feed'] * share
     blocks['duration'] = blocks['duration'] / share
     if 'programmed_feed' in path:
-        path['programmed_feed'] = path['programmed_feed'] * share
+        path['programmed_feed'] = np.asarray(path['programmed_feed']) * share
     return replace(plan, blocks=blocks, path=path)
 
 
@@ -237,8 +257,8 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
 
 def _read_columns(
     file: Path, needed: Mapping[str, str], optional: Mapping[str, str] | None = None
-) -> dict[str, NDArray[Any]]:
-    """Load the columns of one file and check each against its shape."""
+) -> dict[str, Any]:
+    """Open the columns of one file and check each against its shape."""
     try:
         _check_lengths(file)
         with np.load(file, allow_pickle=False) as archive:
@@ -246,14 +266,18 @@ def _read_columns(
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
                 raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
-            columns = {name: archive[name] for name in archive.files}
+            stored = {} if optional else _stored(file)
+            columns = {
+                name: stored[name] if name in stored else archive[name] for name in archive.files
+            }
     except READING_FAULTS as fault:
         raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
     missing = [name for name in needed if name not in columns]
     if missing:
         raise InterpError(f'{file}: column {missing[0]} is missing; plan again')
     shapes = {k: v for k, v in {**needed, **(optional or {})}.items() if k in columns}
-    rows = len(np.atleast_1d(columns[next(iter(needed))]))
+    first = columns[next(iter(needed))]
+    rows = len(first) if first.ndim else 1
     for name, tail in shapes.items():
         column = columns[name]
         dimensions = 2 if tail else 1
@@ -268,16 +292,57 @@ def _read_columns(
             raise InterpError(
                 f'{file}: column {name} holds {column.dtype}, which it cannot; plan again'
             )
-        if name in MAY_BE_INFINITE:
-            bad = np.isnan(column) & (file.name != 'blocks.npz')  # timed blocks have no feed
-        else:
-            bad = np.isinf(column) if name in MAY_BE_MISSING else ~np.isfinite(column)
-        if bad.any():
-            row = int(np.argwhere(bad)[0][0])
-            raise InterpError(f'{file}: column {name} is not finite in row {row}; plan again')
+        for begin, end in spans(rows):
+            values = column[begin:end]
+            if name in MAY_BE_INFINITE:
+                bad = np.isnan(values) & (file.name != 'blocks.npz')  # timed blocks have no feed
+            else:
+                bad = np.isinf(values) if name in MAY_BE_MISSING else ~np.isfinite(values)
+            if bad.any():
+                row = begin + int(np.argwhere(bad)[0][0])
+                raise InterpError(f'{file}: column {name} is not finite in row {row}; plan again')
         kind = np.int64 if name in WHOLE else np.bool_ if name in LOGICAL else np.float64
-        columns[name] = column.astype(kind, copy=False)
+        if not isinstance(column, Stored) or column.dtype != kind:
+            columns[name] = np.asarray(column).astype(kind, copy=False)
     return columns
+
+
+def _stored(file: Path) -> dict[str, Stored]:
+    """Return the columns of an archive that can stay in it: plain values as we compute with."""
+    found = {}
+    content = file.open('rb', buffering=0)
+    with ZipFile(file) as archive:
+        for member in archive.infolist():
+            if member.compress_type != ZIP_STORED:
+                continue
+            content.seek(member.header_offset)
+            local = content.read(LOCAL_HEADER.size)
+            if len(local) < LOCAL_HEADER.size or not local.startswith(b'PK\3\4'):
+                raise ValueError(f'{member.filename} is not where the archive says')
+            start = member.header_offset + LOCAL_HEADER.size + sum(LOCAL_HEADER.unpack(local)[1:])
+            with archive.open(member) as column:
+                shape, in_columns, kind = _array_header(column)
+                start += column.tell()
+                while column.read(1 << 20):  # at its end, its checksum is compared
+                    pass
+            plain = kind in (np.float64, np.int64, np.bool_) and (len(shape) < 2 or not in_columns)
+            if plain and shape and start + math.prod(shape) * kind.itemsize <= file.stat().st_size:
+                name = member.filename.removesuffix('.npy')
+                found[name] = Stored(content, start, kind, shape)
+    return found
+
+
+def _array_header(column: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read the header of an array: shape, whether it is in columns, type; or raise ValueError."""
+    version = np.lib.format.read_magic(column)  # type: ignore[no-untyped-call]
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }.get(version)
+    if read is None:
+        raise ValueError('an array has an unknown format')
+    header: tuple[tuple[int, ...], bool, np.dtype[Any]] = read(column)  # type: ignore[no-untyped-call]
+    return header
 
 
 def _check_lengths(file: Path) -> None:
@@ -300,14 +365,7 @@ def _check_lengths(file: Path) -> None:
             raise ValueError(f'it would unpack to {len(members)} columns and {size} bytes')
         for member in members:
             with archive.open(member) as column:
-                version = np.lib.format.read_magic(column)  # type: ignore[no-untyped-call]
-                read = {
-                    (1, 0): np.lib.format.read_array_header_1_0,
-                    (2, 0): np.lib.format.read_array_header_2_0,
-                }.get(version)
-                if read is None:
-                    raise ValueError(f'{member.filename} has an unknown format')
-                shape, _, kind = read(column)  # type: ignore[no-untyped-call]
+                shape, _, kind = _array_header(column)
                 told = math.prod(shape) * kind.itemsize
                 if kind.hasobject or min(shape, default=1) < 0:
                     raise ValueError(f'{member.filename} does not hold numbers')

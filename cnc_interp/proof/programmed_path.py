@@ -11,6 +11,7 @@ error is the distance of the tip from the lines. The orientation error is the di
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -134,6 +135,12 @@ class ProgrammedPath:
             flank_height=height,
         )
 
+    @cached_property
+    def way(self) -> FloatArray:
+        """Return the way to the end of each row: of the tip, and of the turn at flank height."""
+        lengths = np.linalg.norm(self.chord, axis=1) + self.flank_height * self.turn
+        return np.asarray(np.cumsum(lengths))
+
     def deviation(
         self, tip: FloatArray, axis: FloatArray, block: IntArray, reach: FloatArray | None = None
     ) -> Deviation:
@@ -158,7 +165,7 @@ class ProgrammedPath:
         low = np.maximum(block - WINDOW, 0)
         high = np.minimum(block + WINDOW, len(self.start) - 1)
         if reach is not None:
-            way = np.cumsum(np.linalg.norm(self.chord, axis=1) + self.flank_height * self.turn)
+            way = self.way
             begin = way[np.maximum(block - 1, 0)]
             low = np.minimum(low, np.searchsorted(way, begin - reach))
             high = np.maximum(high, np.searchsorted(way[:-1], way[block] + reach))

@@ -21,6 +21,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 
 #: Largest distance between curve and chord [m].
@@ -56,34 +57,29 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     on_spline = np.isfinite(plan.blocks['knot_interval'])
     if not on_spline.any():
         return plan
-    transform = Transform.of(machine)
-    blocks = plan.blocks
-    samples = transform.forward(plan.position)
-    grid = transform.forward(plan.path['q']) if plan.path else None
-    sample_rows, parts = plan.block.copy(), []
-    grid_rows = np.array(plan.path['block'], dtype=np.int64) if plan.path else None
-    count = 0
+    blocks, parts, count = plan.blocks, [], 0
+    new = np.zeros(len(on_spline), dtype=np.int64)  # number of linear rows, first row of curves
+    curves: dict[tuple[int, int], FloatArray] = {}
     for first, last in portions(on_spline, np.asarray(blocks['exact_stop'], dtype=bool)):
+        new[first:last] = count
         if not on_spline[first]:
             parts.append({name: column[first:last] for name, column in blocks.items()})
-            place, rows = np.arange(first, last), np.arange(count, count + last - first)
-            sample_rows = _renumbered(sample_rows, plan.block, place, rows)
-            if grid_rows is not None:
-                grid_rows = _renumbered(grid_rows, plan.path['block'], place, rows)
+            new[first:last] += np.arange(last - first)
         else:
-            part, curve = chords(blocks, first, last, plan.flank_height)
+            part, curves[first, last] = chords(blocks, first, last, plan.flank_height)
             parts.append(part)
-            inside = (plan.block >= first) & (plan.block < last)
-            sample_rows[inside] = count + _rows_reached(curve, samples, inside, plan.flank_height)
-            if grid_rows is not None and grid is not None:
-                inside = (plan.path['block'] >= first) & (plan.path['block'] < last)
-                grid_rows[inside] = count + _rows_reached(curve, grid, inside, plan.flank_height)
         count += len(parts[-1]['tip'])
-    path: Columns = plan.path if grid_rows is None else {**plan.path, 'block': grid_rows}
+
+    def renumbered(block: Any, position: Any) -> Stored:
+        return _renumbered(block, position, new, curves, Transform.of(machine), plan.flank_height)
+
+    path = plan.path
+    if path:
+        path = {**path, 'block': renumbered(path['block'], path['q'])}
     return replace(
         plan,
         blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks},
-        setpoints={**plan.setpoints, 'block': sample_rows},
+        setpoints={**plan.setpoints, 'block': renumbered(plan.block, plan.position)},
         path=path,
     )
 
@@ -107,10 +103,29 @@ def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(on_spline)]))
 
 
-def _renumbered(rows: IntArray, block: NDArray[Any], place: IntArray, new: IntArray) -> IntArray:
-    """Replace the row numbers of samples in one linear part by the new ones."""
-    inside = (block >= place[0]) & (block <= place[-1])
-    rows[inside] = block[inside] + (new[0] - place[0])
+def _renumbered(
+    block: Any,
+    position: Any,
+    new: IntArray,
+    curves: dict[tuple[int, int], FloatArray],
+    transform: Transform,
+    height: float,
+) -> Stored:
+    """Return the new row of each position, from its row and where it is on a curve."""
+    rows, reached = Stored.empty(len(block), np.int64), dict.fromkeys(curves, 0)
+    for a, b in spans(len(block)):
+        old = np.asarray(block[a:b], dtype=np.int64)
+        found, within = new[old], [k for k in curves if k[0] <= old.max() and k[1] > old.min()]
+        if within:
+            tip, axis = transform.forward(held(position, a, b, 1, 0))
+            both = np.hstack([tip, tip + height * axis])
+            moved = np.linalg.norm(np.diff(both, axis=0), axis=1)
+            for k in within:
+                inside = (old >= k[0]) & (old < k[1])
+                along = _rows_reached(curves[k], both[1:][inside], moved[inside], reached[k])
+                found[inside] += along
+                reached[k] = int(along[-1]) if len(along) else reached[k]
+        rows[a:b] = found
     return rows
 
 
@@ -182,22 +197,16 @@ def _poses(curve: BSpline, u: FloatArray, height: float) -> FloatArray:
     return np.hstack([both[:, :3], both[:, :3] + tool])
 
 
-def _rows_reached(
-    curve: FloatArray, poses: tuple[FloatArray, FloatArray], inside: BoolArray, height: float
-) -> IntArray:
+def _rows_reached(curve: FloatArray, both: FloatArray, moved: FloatArray, here: int) -> IntArray:
     """
     Return the row that each pose on a curve has reached, shape (k,).
 
     A pose advances along the curve at most by its own movement. The search begins at the row of
-    the pose before it. It always includes one more row, because rows may be far apart.
+    the pose before it, ``here`` at first. It always includes one more row, because rows may be far
+    apart.
     """
-    tip, axis = poses
-    both = np.hstack([tip, tip + height * axis])
-    moved = np.r_[0.0, np.linalg.norm(np.diff(both, axis=0), axis=1)][inside]
-    both = both[inside]
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
-    found = np.empty(len(both), dtype=np.int64)
-    here, last = 0, len(curve) - 1
+    found, last = np.empty(len(both), dtype=np.int64), len(curve) - 1
     for i, pose in enumerate(both):
         reached = way[min(here + 1, last)] + 2.0 * moved[i] + REACH
         end = int(np.searchsorted(way, reached, 'right')) + 1

@@ -145,13 +145,35 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
 
 
 class Ledger:
-    """Collects findings and failures during a proof."""
+    """
+    Collects findings and failures during a proof.
+
+    A quantity may be judged in chunks: the largest use of all chunks counts.
+    """
 
     def __init__(self, plan: PlanFiles, machine: Machine):
         self.plan, self.machine = plan, machine
-        self.findings: list[Finding] = []
-        self.failures: list[str] = []
         self.remarks: dict[str, float] = {}
+        # Every quantity that was judged, by its name and axis, with the share that counts and
+        # whether it is told only if it fails; and every fault, a text or such a name, in order.
+        self._judged: dict[tuple[str, str], tuple[Finding, float, bool]] = {}
+        self._faults: list[str | tuple[str, str]] = []
+
+    @property
+    def findings(self) -> list[Finding]:
+        """Return the largest use of every quantity so far."""
+        return [f for f, _, quiet in self._judged.values() if f.exceeded or not quiet]
+
+    @property
+    def failures(self) -> list[str]:
+        """Return one sentence for each fault so far."""
+        texts = []
+        for fault in self._faults:
+            if isinstance(fault, str):
+                texts.append(fault)
+            elif (finding := self._judged[fault][0]).exceeded:
+                texts.append(_failure(finding))
+        return texts
 
     def judge(
         self,
@@ -162,6 +184,8 @@ class Ledger:
         allowed: float = 1.0,
         slack: float = 0.0,
         rows: IntArray | None = None,
+        first: int = 0,
+        quiet: bool = False,
     ) -> None:
         """
         Record the largest ``value / limit``; above ``allowed`` it is a failure.
@@ -180,6 +204,10 @@ class Ledger:
             A value is accepted up to ``limit * allowed + slack``.
         rows : ndarray of int, shape (k,), optional
             Program row of each value. Without it, the values belong to the samples.
+        first : int
+            Sample of the first value.
+        quiet : bool
+            Whether the finding is told only if it fails.
 
         """
         if not len(value):
@@ -190,24 +218,26 @@ class Ledger:
         # In this form a NaN counts as exceeded.
         exceeded = ~(value <= limit * allowed + slack)
         judged = np.where(exceeded, np.where(np.isnan(ratio), np.inf, ratio) + 1e6, ratio)
-        worst = int(np.argmax(judged))
-        sample = min(worst, len(self.plan.position) - 1) if rows is None else -1
+        worst, count = int(np.argmax(judged)), int(np.count_nonzero(exceeded))
+        name, share = (what, axis), float(judged[worst])
+        if name in self._judged:
+            before, most, _ = self._judged[name]
+            if share <= most:
+                before = replace(before, exceeded=before.exceeded + count)
+                self._judged[name] = before, most, quiet
+                return
+            count += before.exceeded
+        else:
+            self._faults.append(name)
+        sample = min(first + worst, len(self.plan.position) - 1) if rows is None else -1
         row = int(self.plan.block[sample] if rows is None else rows[worst])
         finding = Finding(
             what, axis, float(value[worst]), float(limit[worst]), float(ratio[worst]), sample,
             float(self.plan.setpoints['time'][sample]) if rows is None else float('nan'),
-            int(self.plan.blocks['line'][row]), int(np.count_nonzero(exceeded)),
+            int(self.plan.blocks['line'][row]), count,
             not axis or self.machine.axis(axis).linear,
         )  # fmt: skip
-        self.findings.append(finding)
-        if finding.exceeded:
-            value_text, limit_text = _with_units(finding)
-            others = f'; {finding.exceeded} places in all' if finding.exceeded > 1 else ''
-            of = f' of {axis}' if axis else ''
-            self.failures.append(
-                f'{what}{of} {value_text}, limit {limit_text} ({finding.ratio:.2%}) '
-                f'{_place(finding)}{others}'
-            )
+        self._judged[name] = finding, share, quiet
 
     def check(
         self,
@@ -217,34 +247,15 @@ class Ledger:
         axis: str = '',
         allowed: float = 1.0,
         rows: IntArray | None = None,
+        first: int = 0,
     ) -> None:
-        """
-        Judge a consistency check; unlike ``judge``, record it only if it fails.
-
-        Parameters
-        ----------
-        what : str
-            Name of the quantity.
-        value : ndarray, shape (k,)
-            Values in SI units, all >= 0.
-        limit : ndarray, shape (k,), or float
-            Limit of each value, in the same unit.
-        axis : str
-            Name of the axis, or ''.
-        allowed : float
-            A value is accepted up to ``limit * allowed``.
-        rows : ndarray of int, shape (k,), optional
-            Program row of each value. Without it, the values belong to the samples.
-
-        """
-        before = len(self.findings)
-        self.judge(what, value, limit, axis, allowed, rows=rows)
-        self.findings = [f for i, f in enumerate(self.findings) if i < before or f.exceeded]
+        """Judge a consistency check; the same as ``judge``, but recorded only if it fails."""
+        self.judge(what, value, limit, axis, allowed, rows=rows, first=first, quiet=True)
 
     def require(self, holds: bool | np.bool_, fault: str) -> None:
         """Record a failure unless the condition holds."""
         if not holds:
-            self.failures.append(fault)
+            self._faults.append(fault)
 
     def close(self) -> Proof:
         """Return the proof with everything recorded so far."""
@@ -254,6 +265,17 @@ class Ledger:
             plan.period, (len(plan.position) - 1) * plan.period, tuple(self.findings),
             tuple(self.failures), self.remarks, machine.file,
         )  # fmt: skip
+
+
+def _failure(finding: Finding) -> str:
+    """Return a finding that exceeds its limit as a sentence."""
+    value, limit = _with_units(finding)
+    others = f'; {finding.exceeded} places in all' if finding.exceeded > 1 else ''
+    of = f' of {finding.axis}' if finding.axis else ''
+    return (
+        f'{finding.what}{of} {value}, limit {limit} ({finding.ratio:.2%}) '
+        f'{_place(finding)}{others}'
+    )
 
 
 def _place(finding: Finding) -> str:

@@ -21,7 +21,8 @@ Native splines are first replaced by chords (``programmed_splines.py``).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import POSES
+from cnc_interp.proof.columns import Stored, gathered, held, spans
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
@@ -120,50 +122,100 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     axes = machine.axis_names
     if plan.position.shape[1] != len(axes):
         count = plan.position.shape[1]
-        ledger.failures.append(
+        ledger.require(
+            False,
             f'the plan has {count} axes, machine {machine.name} has {len(axes)}; '
-            'check it with the machine that it was planned for'
+            'check it with the machine that it was planned for',
         )
         return ledger.close()
-    tip, axis = Transform.of(machine).forward(plan.position)
     _prove_limits(ledger, plan, machine)
     _prove_order(ledger, plan)
     _prove_summary(ledger, plan)
     if plan.path:
         prove_grid(ledger, plan, machine)
     ledger.plan = plan = with_chords(plan, machine)
-    lines = ProgrammedAxes.of(plan, machine)
-    plan = _prove_sequence(ledger, plan, machine, tip, axis, lines)
-    deviation = measure(plan, machine, tip, axis)
-    _prove_tolerances(ledger, plan, deviation)
-    if lines is not None:
-        beside = lines.improve(deviation, plan.position, plan.block)
-        contour = plan.blocks['contour_tolerance'][plan.block]
-        ledger.judge('axes beside their line', beside * contour, contour, slack=SLACK)
-    _prove_completeness(ledger, plan, machine, tip, axis)
-    _prove_feed(ledger, plan, tip, lines)
+    program = Program.of(plan, machine)
+    plan = _prove_sequence(ledger, plan, program)
+    _prove_tolerances(ledger, plan, program)
+    _prove_completeness(ledger, plan, program)
+    _prove_feed(ledger, plan, program)
     _prove_columns(ledger, plan, machine)
     if plan.path:
-        _prove_path(ledger, plan, machine)
+        _prove_path(ledger, plan, program)
     return replace(ledger.close(), blocks=programmed)
+
+
+@dataclass(frozen=True)
+class Program:
+    """
+    What a plan was made for, in the shapes that its motion is compared with.
+
+    Parameters
+    ----------
+    plan : PlanFiles
+        The plan, with M program rows.
+    machine : Machine
+        The machine.
+    transform : Transform
+        Its forward kinematics.
+    path : ProgrammedPath
+        The rows as lines and great circles.
+    lines : ProgrammedAxes or None
+        Rows whose rotary axes run linearly.
+    contour, orientation : ndarray, shape (M,)
+        Tolerances at the vertices [m].
+
+    """
+
+    plan: PlanFiles
+    machine: Machine
+    transform: Transform
+    path: ProgrammedPath
+    lines: ProgrammedAxes | None
+    contour: FloatArray
+    orientation: FloatArray
+
+    @staticmethod
+    def of(plan: PlanFiles, machine: Machine) -> Program:
+        """Return the program of a plan."""
+        blocks = plan.blocks
+        path = ProgrammedPath.of(
+            blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height,
+            blocks['interpolation'] != POSES,
+        )  # fmt: skip
+        return Program(
+            plan, machine, Transform.of(machine), path, ProgrammedAxes.of(plan, machine),
+            *vertex_tolerances(plan),
+        )  # fmt: skip
+
+    def tolerances(self, deviation: Deviation) -> tuple[FloatArray, FloatArray]:
+        """Return contour and orientation tolerance at the vertex nearest to each pose [m]."""
+        before = np.maximum(deviation.row - 1, 0)
+        vertex = np.where(deviation.part >= 0.5, deviation.row, before)
+        return self.contour[vertex], self.orientation[vertex]
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     """Judge the travel of the axes, and their differences with both ends at rest."""
-    held = np.pad(plan.position, ((3, 3), (0, 0)), mode='edge')
-    orders = zip(DIFFERENCES, machine.limits, strict=True)
-    for order, ((kind, _), limit) in enumerate(orders, start=1):
-        difference = np.abs(np.diff(held, order, axis=0)) / plan.period**order
-        # The value of a difference belongs to the middle sample of its stencil.
-        middle = difference[3 - (order + 1) // 2 :]
-        for j, name in enumerate(machine.axis_names):
-            ledger.judge(kind, middle[:, j], float(limit[j]), name, ROUNDING)
-    for j, name in enumerate(machine.axis_names):
-        lowest, highest = machine.travel[j]
-        if np.isinf(lowest) and np.isinf(highest):
-            continue
-        outside = np.maximum(lowest - plan.position[:, j], plan.position[:, j] - highest)
-        beyond, reached = float(outside.max()), int(np.argmax(outside))
+    count, names = len(plan.position), machine.axis_names
+    outermost = dict.fromkeys(names, (-np.inf, 0))
+    for a, b in spans(count):
+        position = held(plan.position, a, b, 3, 3)
+        orders = zip(DIFFERENCES, machine.limits, strict=True)
+        for order, ((kind, _), limit) in enumerate(orders, start=1):
+            difference = np.abs(np.diff(position, order, axis=0)) / plan.period**order
+            # The value of a difference belongs to the middle sample of its stencil.
+            middle = difference[3 - (order + 1) // 2 :]
+            middle = middle if b == count else middle[: b - a]
+            for j, name in enumerate(names):
+                ledger.judge(kind, middle[:, j], float(limit[j]), name, ROUNDING, first=a)
+        for j, name in enumerate(names):
+            lowest, highest = machine.travel[j]
+            outside = np.maximum(lowest - position[3:-3, j], position[3:-3, j] - highest)
+            at = int(np.argmax(outside))
+            outermost[name] = max(outermost[name], (float(outside[at]), a + at), key=_size)
+    for j, name in enumerate(names):
+        (lowest, highest), (beyond, reached) = machine.travel[j], outermost[name]
         axis = machine.axes[j]
         scale, unit = 1.0 / axis.shown_size, axis.shown_unit
         ledger.require(
@@ -174,6 +226,11 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
         )
 
 
+def _size(place: tuple[float, int]) -> float:
+    """Return what counts of a value and its sample."""
+    return place[0]
+
+
 def _first(numbers: IntArray) -> int:
     """Return the first number as an int for a message, or -1 if there is none."""
     return int(numbers[0]) if len(numbers) else -1
@@ -182,18 +239,23 @@ def _first(numbers: IntArray) -> int:
 def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     """Check that time is uniform, that blocks are in order and that the first ones are there."""
     time, block = plan.setpoints['time'], plan.block
-    uneven = np.abs(time - time[0] - plan.period * np.arange(len(time)))
-    at = int(np.argmax(uneven))
+    worst, late = -1.0, 0
+    back: list[int] = []
+    for a, b in spans(len(time)):
+        uneven = np.abs(time[a:b] - time[0] - plan.period * np.arange(a, b))
+        at = int(np.argmax(uneven))
+        worst, late = max((worst, late), (float(uneven[at]), a + at), key=_size)
+        if not back:
+            back = [a + int(k) for k in np.flatnonzero(np.diff(block[a : b + 1]) < 0)[:1]]
     ledger.require(
-        uneven[at] <= 1e-6 * plan.period + 1e-12 * abs(time[-1]),
-        f'time is not uniform: sample {at} at {time[at]:.9g} s, period {plan.period:g} s',
+        worst <= 1e-6 * plan.period + 1e-12 * abs(time[-1]),
+        f'time is not uniform: sample {late} at {time[late]:.9g} s, period {plan.period:g} s',
     )
-    back = np.flatnonzero(np.diff(block) < 0)
-    ledger.require(
-        not len(back),
-        f'block order runs backwards at sample {_first(back + 1)}: '
-        f'row {_first(block[back])}, then {_first(block[back + 1])}',
-    )
+    for k in back:
+        ledger.require(
+            False,
+            f'block order runs backwards at sample {k + 1}: row {block[k]}, then {block[k + 1]}',
+        )
     # Rows may be left out at the start if the tool is already at their end (repeated points, first
     # control points). Completeness checks their vertices with all others.
     tip, axis, contour, orientation = (
@@ -237,40 +299,40 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
             )
 
 
-def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray) -> Deviation:
+def measure(program: Program, position: FloatArray, block: IntArray) -> Deviation:
     """
-    Measure poses of the plan against its program.
+    Measure positions against a program.
 
     Parameters
     ----------
-    plan : PlanFiles
-        Program, and the axis positions of the K setpoints.
-    machine : Machine
-        Machine with the forward kinematics to use.
-    tip, axis : ndarray, shape (K, 3)
-        Tool tip [m] and unit tool axis [-] of the setpoints.
+    program : Program
+        The program.
+    position : ndarray, shape (K, n)
+        Axis positions [m, rad].
+    block : ndarray of int, shape (K,)
+        Program row that each of them executes.
 
     Returns
     -------
     Deviation
-        Distances of the setpoints from the program.
+        Distances of the positions from the program.
 
     """
-    program = _program_of(plan)
-    result = _measure_widely(
-        program, plan, tip, axis, plan.block, plan.position, ProgrammedAxes.of(plan, machine)
-    )
-    ruled = program.by_axes[plan.block] & (plan.blocks['interpolation'][plan.block] == POSES)
+    tip, axis = program.transform.forward(position)
+    result = _measure_widely(program, tip, axis, block, position)
+    blocks = program.plan.blocks
+    ruled = program.path.by_axes[block] & (blocks['interpolation'][block] == POSES)
     if ruled.any():
         # Here the rotary axes move linearly: compare with their position at the same part of it.
-        row, position = plan.block[ruled], plan.position[ruled].copy()
-        rotary = plan.blocks['rotary']
+        row, position = block[ruled], position[ruled].copy()
+        rotary = blocks['rotary']
         first, way = rotary[row - 1], rotary[row] - rotary[row - 1]
         share = np.sum((position[:, 3:5] - first) * way, axis=1)
         share = np.clip(share / np.maximum(np.sum(way**2, axis=1), 1e-300), 0.0, 1.0)
         position[:, 3:5] = first + share[:, None] * way
-        turned = Transform.of(machine).forward(position)[1]
-        gap = tip[ruled] - plan.blocks['tip'][row] + plan.flank_height * (axis[ruled] - turned)
+        turned = program.transform.forward(position)[1]
+        gap = tip[ruled] - blocks['tip'][row]
+        gap = gap + program.plan.flank_height * (axis[ruled] - turned)
         distance = np.linalg.norm(gap, axis=1)
         result.orientation[ruled] = np.minimum(result.orientation[ruled], distance)
         result.twist[ruled] = np.minimum(result.twist[ruled], distance)
@@ -278,23 +340,17 @@ def measure(plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
 
 
 def _measure_widely(
-    program: ProgrammedPath,
-    plan: PlanFiles,
-    tip: FloatArray,
-    axis: FloatArray,
-    block: IntArray,
-    position: FloatArray,
-    lines: ProgrammedAxes | None,
+    program: Program, tip: FloatArray, axis: FloatArray, block: IntArray, position: FloatArray
 ) -> Deviation:
     """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
-    result = program.deviation(tip, axis, block)
-    if lines is not None:
-        lines.improve(result, position, block)
-    contour, top = corner_tolerances(plan, result)
+    result = program.path.deviation(tip, axis, block)
+    if program.lines is not None:
+        program.lines.improve(result, position, block)
+    contour, top = program.tolerances(result)
     far = (result.contour > contour + SLACK) | (result.orientation > top + SLACK)
     if far.any():
         reach = REACH * np.maximum(contour, top)[far]
-        wide = program.deviation(tip[far], axis[far], block[far], reach)
+        wide = program.path.deviation(tip[far], axis[far], block[far], reach)
         nearer = wide.contour <= result.contour[far]
         for name in ('contour', 'row', 'part', 'twist'):
             getattr(result, name)[far] = np.where(
@@ -302,15 +358,6 @@ def _measure_widely(
             )
         result.orientation[far] = np.minimum(result.orientation[far], wide.orientation)
     return result
-
-
-def _program_of(plan: PlanFiles) -> ProgrammedPath:
-    """Build the programmed path of a plan from its blocks."""
-    blocks = plan.blocks
-    linear = blocks['interpolation'] != POSES
-    return ProgrammedPath.of(
-        blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height, linear
-    )
 
 
 def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
@@ -336,52 +383,47 @@ def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
     return both[0], both[1]
 
 
-def corner_tolerances(plan: PlanFiles, deviation: Deviation) -> tuple[FloatArray, FloatArray]:
-    """
-    Return the tolerances at the vertex nearest to each pose.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        Plan with the tolerances of its program rows.
-    deviation : Deviation
-        Nearest points of K poses.
-
-    Returns
-    -------
-    contour, orientation : ndarray, shape (K,)
-        Tolerances [m].
-
-    """
-    contour, top = vertex_tolerances(plan)
-    vertex = np.where(deviation.part >= 0.5, deviation.row, np.maximum(deviation.row - 1, 0))
-    return contour[vertex], top[vertex]
+def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
+    """Judge contour and orientation errors of all samples, and the axes beside their lines."""
+    twist = 0.0
+    for a, b in spans(len(plan.position)):
+        position, block = plan.position[a:b], plan.block[a:b]
+        deviation = measure(program, position, block)
+        contour, top = program.tolerances(deviation)
+        ledger.judge('contour error', deviation.contour, contour, slack=SLACK, first=a)
+        ledger.judge('orientation error', deviation.orientation, top, slack=SLACK, first=a)
+        twist = max(twist, float(np.max(deviation.twist)))
+        if program.lines is not None:
+            beside = program.lines.improve(deviation, position, block)
+            own = plan.blocks['contour_tolerance'][block]
+            ledger.judge('axes beside their line', beside * own, own, slack=SLACK, first=a)
+    ledger.remarks['largest_twist'] = twist
 
 
-def _prove_tolerances(ledger: Ledger, plan: PlanFiles, deviation: Deviation) -> None:
-    """Judge contour and orientation errors of all samples."""
-    contour, top = corner_tolerances(plan, deviation)
-    ledger.judge('contour error', deviation.contour, contour, slack=SLACK)
-    ledger.judge('orientation error', deviation.orientation, top, slack=SLACK)
-    ledger.remarks['largest_twist'] = float(np.max(deviation.twist))
-
-
-def _prove_completeness(
-    ledger: Ledger, plan: PlanFiles, machine: Machine, tip: FloatArray, axis: FloatArray
-) -> None:
+def _prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
     """Check that the motion passes every vertex, begins and ends on the program, and stops."""
-    blocks, height = plan.blocks, plan.flank_height
-    top, vertex_top = tip + height * axis, blocks['tip'] + height * blocks['axis']
-    rows = np.arange(len(blocks['tip']))
-    contour, orientation = vertex_tolerances(plan)
-    nearest, _ = _search_vertices(plan, tip, blocks['tip'], contour)
+    blocks, height, machine = plan.blocks, plan.flank_height, program.machine
+    vertex_top, transform = blocks['tip'] + height * blocks['axis'], program.transform
+    rows, count = np.arange(len(blocks['tip'])), len(plan.position)
+
+    def tips(position: FloatArray) -> FloatArray:
+        return transform.forward(position)[0]
+
+    def tops(position: FloatArray) -> FloatArray:
+        tip, axis = transform.forward(position)
+        return tip + height * axis
+
+    contour, orientation = program.contour, program.orientation
+    search = _VertexSearch(plan)
+    nearest, _ = search.nearest(tips, blocks['tip'], contour)
     ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
-    nearest_top, where = _search_vertices(plan, top, vertex_top, orientation)
+    nearest_top, where = search.nearest(tops, vertex_top, orientation)
     ledger.judge('vertex missed by top', nearest_top, orientation, slack=SLACK, rows=rows)
-    for name, sample, row in (('first', 0, 0), ('last', len(tip) - 1, len(rows) - 1)):
+    for name, sample, row in (('first', 0, 0), ('last', count - 1, len(rows) - 1)):
+        at = plan.position[sample : sample + 1]
         gap = max(
-            float(np.linalg.norm(tip[sample] - blocks['tip'][row])),
-            float(np.linalg.norm(top[sample] - vertex_top[row])),
+            float(np.linalg.norm(tips(at)[0] - blocks['tip'][row])),
+            float(np.linalg.norm(tops(at)[0] - vertex_top[row])),
         )
         ledger.require(
             gap <= SLACK,
@@ -389,16 +431,19 @@ def _prove_completeness(
             f'(line {blocks["line"][row]})',
         )
     if machine.has_rotary:
-        _prove_rotary_words(ledger, plan, machine, tip, where)
+        _prove_rotary_words(ledger, plan, program, search, where)
     if machine.extra_names:
-        _prove_extra_words(ledger, plan, machine, where)
+        _prove_extra_words(ledger, plan, program, search, where)
     stops = np.flatnonzero(blocks['exact_stop'])
     if len(stops):
         ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
         # While an axis passes through rest, it moves less than J T^3 / 3 in one period.
         crawl = machine.max_jerk * plan.period**3 / 3.0
-        use = np.r_[np.max(np.abs(np.diff(plan.position, axis=0)) / crawl, axis=1), 0.0]
-        slowest = [float(use[max(i - 1, 0) : i + 2].min()) for i in where[stops]]
+        slowest = []
+        for i in where[stops]:
+            around = plan.position[max(int(i) - 1, 0) : int(i) + 3]
+            use = np.max(np.abs(np.diff(around, axis=0)) / crawl, axis=1)
+            slowest.append(0.0 if i + 2 > count - 1 else float(use.min()))
         moving = stops[np.array(slowest) > ROUNDING]
         ledger.require(
             not len(moving),
@@ -407,64 +452,105 @@ def _prove_completeness(
         )
 
 
-def _search_vertices(
-    plan: PlanFiles,
-    points: FloatArray,
-    vertices: FloatArray,
-    tolerance: FloatArray,
-    unit: FloatArray | None = None,
-) -> tuple[FloatArray, IntArray]:
-    """
-    Search each vertex among the samples of its rows; if it is missed, among more samples.
+class _VertexSearch:
+    """The search for the samples at which a motion passes vertices of its program."""
 
-    The distance counts in ``unit``, shape (M, 3); then the tolerance is 1 of it.
-    """
-    missed = tolerance + SLACK if unit is None else np.ones(len(vertices))
-    label = np.maximum.accumulate(plan.block)
-    rows = np.arange(len(vertices))
+    def __init__(self, plan: PlanFiles):
+        self.plan, self.count = plan, len(plan.position)
+        # First sample of each row or of a later one.
+        self.starts = np.full(len(plan.blocks['tip']) + 1, self.count)
+        before = -1
+        for a, b in spans(self.count):
+            label = np.maximum.accumulate(np.maximum(plan.block[a:b], before))
+            rows = np.arange(before + 1, label[-1] + 1)
+            self.starts[rows] = a + np.searchsorted(label, rows)
+            before = int(label[-1])
 
-    def samples(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
-        # First and last sample of the rows first ... last, with one sample more on each side.
-        low = np.searchsorted(label, first) - 1
-        high = np.searchsorted(label, last, 'right')
-        return np.clip(low, 0, len(points) - 2), np.clip(high, 1, len(points) - 1)
+    def nearest(
+        self,
+        points_of: Callable[[FloatArray], FloatArray],
+        vertices: FloatArray,
+        tolerance: FloatArray,
+        unit: FloatArray | None = None,
+    ) -> tuple[FloatArray, IntArray]:
+        """
+        Search each vertex among the samples of its rows; if it is missed, among more samples.
 
-    # A vertex lies between its own row and the next. Rounding may shift the row of a sample by one
-    # more, except at a stop: a tool that turns back has passed the vertex in the row before.
-    spread = np.where(plan.blocks['exact_stop'], 0, 1)
-    nearest, where = distances_to_vertices(
-        points, vertices, *samples(rows - spread, rows + 1 + spread), unit
-    )
-    far = nearest > missed
-    if far.any():
-        way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
-        reach = REACH * tolerance[far]
-        first = np.searchsorted(way, way[far] - reach)
-        last = np.searchsorted(way, way[far] + reach, 'right')
-        first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
-        nearest[far], where[far] = distances_to_vertices(
-            points, vertices[far], *samples(first, last), None if unit is None else unit[far]
-        )
-    return nearest, where
+        Parameters
+        ----------
+        points_of : callable
+            Points, shape (k, 3), of axis positions, shape (k, n).
+        vertices : ndarray, shape (M, 3)
+            A point for each program row.
+        tolerance : ndarray, shape (M,)
+            Largest distance from it.
+        unit : ndarray, shape (M, 3), optional
+            Units in which the distance counts; then the tolerance is 1 of them.
+
+        Returns
+        -------
+        distance : ndarray, shape (M,)
+            Distance of each vertex from the motion.
+        sample : ndarray of int, shape (M,)
+            Sample before the nearest point.
+
+        """
+        missed = tolerance + SLACK if unit is None else np.ones(len(vertices))
+        rows = np.arange(len(vertices))
+        unit = np.broadcast_to(np.ones(3) if unit is None else unit, vertices.shape)
+        # A vertex lies between its own row and the next. Rounding may shift the row of a sample by
+        # one more, except at a stop: a tool that turns back has passed the vertex in the row
+        # before.
+        spread = np.where(self.plan.blocks['exact_stop'], 0, 1)
+        nearest, where = self._among(rows - spread, rows + 1 + spread, points_of, vertices, unit)
+        far = nearest > missed
+        if far.any():
+            way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
+            reach = REACH * tolerance[far]
+            first = np.searchsorted(way, way[far] - reach)
+            last = np.searchsorted(way, way[far] + reach, 'right')
+            first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
+            nearest[far], where[far] = self._among(
+                first, last, points_of, vertices[far], unit[far]
+            )
+        return nearest, where
+
+    def _among(
+        self,
+        first: IntArray,
+        last: IntArray,
+        points_of: Callable[[FloatArray], FloatArray],
+        vertices: FloatArray,
+        unit: FloatArray,
+    ) -> tuple[FloatArray, IntArray]:
+        """Search vertices among the samples of rows, with one sample more on each side."""
+        end = len(self.starts) - 1
+        low = np.clip(self.starts[np.clip(first, 0, end)] - 1, 0, self.count - 2)
+        high = np.clip(self.starts[np.clip(last + 1, 0, end)], 1, self.count - 1)
+        nearest, where = np.full(len(vertices), np.inf), np.zeros(len(vertices), dtype=np.int64)
+        for a, b in spans(self.count):
+            k = np.flatnonzero((low < b) & (high > a) & (nearest > 0.0))
+            if not len(k):
+                continue
+            begin = max(a - 1, 0)
+            points = points_of(self.plan.position[begin : b + 2])
+            samples = np.maximum(low[k], a) - begin, np.minimum(high[k], b) - begin
+            found, at = distances_to_vertices(points, vertices[k], *samples, unit[k])
+            better = found < nearest[k]
+            nearest[k[better]], where[k[better]] = found[better], begin + at[better]
+        return nearest, where
 
 
-def _prove_sequence(
-    ledger: Ledger,
-    plan: PlanFiles,
-    machine: Machine,
-    tip: FloatArray,
-    axis: FloatArray,
-    lines: ProgrammedAxes | None,
-) -> PlanFiles:
+def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: Program) -> PlanFiles:
     """
     Demand that the motion follows the program in order, and that its row numbers say so.
 
     Returns the plan with the nearest row number that is possible by order alone, for each sample.
     """
-    contour, orientation = (tolerance + SLACK for tolerance in vertex_tolerances(plan))
-    program = _program_of(plan)
-    order = order_of(plan, machine, tip, axis, program, lines, (contour, orientation))
-    line, time = plan.blocks['line'], plan.setpoints['time']
+    contour, orientation = program.contour + SLACK, program.orientation + SLACK
+    machine, path = program.machine, program.path
+    order = order_of(plan, machine, path, program.lines, (contour, orientation))
+    line, time, blocks = plan.blocks['line'], plan.setpoints['time'], plan.blocks
     for what, sample, reached in order.left:
         ledger.require(
             False,
@@ -474,33 +560,45 @@ def _prove_sequence(
     if order.left:
         return plan
     # A segment of a curve covers many rows, but names only the middle row of each of its halves.
-    row, reach = plan.block, REACH * np.maximum(contour, orientation)
-    way = np.cumsum(np.linalg.norm(program.chord, axis=1) + plan.flank_height * program.turn)
-    early, late = row < order.low, row > order.high
-    gap = np.zeros(len(row))
-    gap[early] = (way[order.low - 1] - way[row])[early]
-    gap[late] = (way[row - 1] - way[order.high])[late]
-    # The vertex that the motion has left behind, or not yet reached.
-    vertex = np.where(early, row, np.maximum(row - 1, 0))
-    tips, axes = plan.blocks['tip'][vertex], plan.blocks['axis'][vertex]
-    off = np.linalg.norm(tip - tips, axis=1)
-    off_top = np.linalg.norm(tip - tips + plan.flank_height * (axis - axes), axis=1)
-    gap = np.maximum(gap, np.maximum(off, off_top))
-    if machine.has_rotary:
-        turn = np.abs(plan.position[:, 3:5] - plan.blocks['rotary'][vertex]).max(axis=1)
-        gap = np.fmax(gap, np.where(program.by_axes[row], plan.flank_height * turn, 0.0))
-    length = np.diff(way, prepend=0.0)
-    meant = np.where(early, order.low, order.high)
-    dense = np.maximum(length[row], length[meant]) <= longest_block(plan)
-    dense &= (np.abs(row - meant) <= WINDOW) & ~program.by_axes[row] & ~program.by_axes[meant]
-    wrong = (early | late) & (gap > reach[row]) & ~dense
-    at = _first(np.flatnonzero(wrong))
+    reach, length = REACH * np.maximum(contour, orientation), np.diff(path.way, prepend=0.0)
+    possible = Stored.empty(len(time), np.int64)
+    wrongs, wrong_at, where = 0, -1, ''
+    for a, b in spans(len(time)):
+        row, low, high, position = plan.block[a:b], order.low[a:b], order.high[a:b], plan.position
+        early, late = row < low, row > high
+        possible[a:b] = np.clip(row, low, np.maximum(low, high))
+        beside = np.flatnonzero(early | late)
+        if not len(beside):
+            continue
+        row, low, high, early = row[beside], low[beside], high[beside], early[beside]
+        position = position[a:b][beside]
+        gap = np.where(
+            early, path.way[low - 1] - path.way[row], path.way[row - 1] - path.way[high]
+        )
+        # The vertex that the motion has left behind, or not yet reached.
+        vertex = np.where(early, row, np.maximum(row - 1, 0))
+        tip, axis = program.transform.forward(position)
+        tips, axes = blocks['tip'][vertex], blocks['axis'][vertex]
+        off = np.linalg.norm(tip - tips, axis=1)
+        off_top = np.linalg.norm(tip - tips + plan.flank_height * (axis - axes), axis=1)
+        gap = np.maximum(gap, np.maximum(off, off_top))
+        if machine.has_rotary:
+            turn = np.abs(position[:, 3:5] - blocks['rotary'][vertex]).max(axis=1)
+            gap = np.fmax(gap, np.where(path.by_axes[row], plan.flank_height * turn, 0.0))
+        meant = np.where(early, low, high)
+        dense = np.maximum(length[row], length[meant]) <= longest_block(plan)
+        dense &= (np.abs(row - meant) <= WINDOW) & ~path.by_axes[row] & ~path.by_axes[meant]
+        wrong = np.flatnonzero((gap > reach[row]) & ~dense)
+        if len(wrong) and wrong_at < 0:
+            first = wrong[0]
+            wrong_at = a + int(beside[first])
+            where = f'line {line[row[first]]}, but the motion executes line {line[low[first]]}'
+        wrongs += len(wrong)
     ledger.require(
-        not wrong.any(),
-        f'wrong row number at sample {at} ({time[at]:.3f} s): line {line[row[at]]}, but the '
-        f'motion executes line {line[order.low[at]]}; {np.count_nonzero(wrong)} places in all',
+        not wrongs,
+        f'wrong row number at sample {wrong_at} ({time[wrong_at]:.3f} s): {where}; '
+        f'{wrongs} places in all',
     )
-    possible = np.clip(row, order.low, np.maximum(order.low, order.high))
     return replace(plan, setpoints={**plan.setpoints, 'block': possible})
 
 
@@ -512,7 +610,7 @@ def longest_block(plan: PlanFiles) -> float:
 
 
 def _prove_rotary_words(
-    ledger: Ledger, plan: PlanFiles, machine: Machine, tip: FloatArray, where: IntArray
+    ledger: Ledger, plan: PlanFiles, program: Program, search: _VertexSearch, where: IntArray
 ) -> None:
     """
     Check that rotary axes pass their words, each on its own branch and whole turn.
@@ -527,38 +625,45 @@ def _prove_rotary_words(
     rows = rows[rows > 0]
     if not len(rows):
         return
-    height = max(plan.flank_height, 1e-3)
-    contour, orientation = vertex_tolerances(plan)
+    height, transform = max(plan.flank_height, 1e-3), program.transform
+    contour, orientation = program.contour, program.orientation
     words = np.nan_to_num(rotary)
     allowed = np.ones((len(rotary), 3))
     for i in range(2):
         step = np.zeros(2)
         step[i] = 1e-4
-        ahead, back = (Transform.of(machine).tool_axis(words + way) for way in (step, -step))
+        ahead, back = (transform.tool_axis(words + way) for way in (step, -step))
         sine = np.linalg.norm(ahead - back, axis=1) / 2e-4
         least = POLE_TOLERANCES * orientation / height
         allowed[:, i] = (contour + orientation) / height / np.maximum(sine, least)
-    by_axes = _program_of(plan).by_axes
+    by_axes = program.path.by_axes
     linear = by_axes | np.r_[by_axes[1:], False]
     allowed[linear, :2] = (orientation[linear] / height)[:, None]
     stops = np.asarray(plan.blocks['exact_stop'], dtype=bool).copy()
     stops[-1] = True
     allowed[stops, :2] = np.minimum(allowed[stops, :2], STOP_ANGLE)
-    points = np.hstack([plan.position[:, 3:5], np.zeros((len(plan.position), 1))])
+
+    def points(position: FloatArray) -> FloatArray:
+        return np.hstack([position[:, 3:5], np.zeros((len(position), 1))])
+
     targets = np.hstack([words, np.zeros((len(words), 1))])
     angle = allowed[:, :2].max(axis=1)
-    gap, passed = _search_vertices(plan, points, targets, angle, allowed)
+    gap, passed = search.nearest(points, targets, angle, allowed)
     ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
     # A turn of the tool about its own axis is hardly visible in the workpiece frame, so the
     # nearest sample by tip and tool axis may be any on the way.
     rows = rows[by_axes[rows]]
-    on_the_way = np.abs(points[where[rows]] - targets[rows]).max(axis=1) > STOP_ANGLE
-    there = np.linalg.norm(tip[passed[rows]] - plan.blocks['tip'][rows], axis=1) <= STOP_DISTANCE
-    rows = rows[on_the_way & there]
+    seen, there = (gathered(plan.position, at[rows]) for at in (where, passed))
+    on_the_way = np.abs(points(seen) - targets[rows]).max(axis=1, initial=0.0) > STOP_ANGLE
+    tip = transform.forward(there)[0]
+    near = np.linalg.norm(tip - plan.blocks['tip'][rows], axis=1) <= STOP_DISTANCE
+    rows = rows[on_the_way & near]
     where[rows] = passed[rows]
 
 
-def _prove_extra_words(ledger: Ledger, plan: PlanFiles, machine: Machine, where: IntArray) -> None:
+def _prove_extra_words(
+    ledger: Ledger, plan: PlanFiles, program: Program, search: _VertexSearch, where: IntArray
+) -> None:
     """
     Demand that extra axes end on their words.
 
@@ -566,34 +671,31 @@ def _prove_extra_words(ledger: Ledger, plan: PlanFiles, machine: Machine, where:
     miss it by the contour tolerance, as the tip does. Where the tip rests, only these axes show
     where the block ends.
     """
-    words = plan.blocks['extra_axes']
+    words, machine = plan.blocks['extra_axes'], program.machine
     if words.shape[1] != len(machine.extra_names):
         ledger.require(False, f'blocks.npz has no words for the axes {machine.extra_names}')
         return
     rows = np.arange(len(words))
-    label = np.maximum.accumulate(plan.block)
-    after = np.clip(np.searchsorted(label, rows, 'right'), 1, len(label) - 1)
-    contour, _ = vertex_tolerances(plan)
+    after = np.clip(search.starts[1:], 1, search.count - 1)
+    both = [gathered(plan.position, at) for at in (after - 1, after)]
     resting = np.r_[False, np.abs(np.diff(plan.blocks['tip'], axis=0)).max(axis=1) < SLACK]
     for k, name in enumerate(machine.extra_names):
-        position = plan.position[:, machine.axis_names.index(name)]
-        ends = np.stack([position[after - 1], position[after]])
+        ends = np.stack([position[:, machine.axis_names.index(name)] for position in both])
         gap = np.maximum(words[:, k] - ends.max(axis=0), ends.min(axis=0) - words[:, k])
         gap = np.maximum(gap, 0.0)
-        ledger.judge(f'word missed by {name}', gap, contour, slack=SLACK, rows=rows)
+        ledger.judge(f'word missed by {name}', gap, program.contour, slack=SLACK, rows=rows)
         alone = resting & (np.r_[0.0, np.abs(np.diff(words[:, k]))] > SLACK)
         nearer = np.abs(ends - words[:, k]).argmin(axis=0)
         where[alone] = (after - 1 + nearer)[alone]
 
 
-def _prove_feed(
-    ledger: Ledger, plan: PlanFiles, tip: FloatArray, lines: ProgrammedAxes | None
-) -> None:
+def _prove_feed(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
     """
     Judge the tip speed against the feed of the executed block; at a border, of both blocks.
 
     Where the rotary axes run linearly, the speed along the line counts instead.
     """
+    lines, contour = program.lines, program.contour
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)
     chord = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
@@ -606,54 +708,70 @@ def _prove_feed(
     feed[timed] = chord[timed] / duration[timed]
     feed[np.asarray(blocks['rapid'], dtype=bool) | (chord < SLACK)] = np.inf
     feed[0] = feed[1]
-    speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / period
-    before, after = np.sort(np.stack([plan.block[:-1], plan.block[1:]]), axis=0)
-    if lines is not None:
-        along = lines.speeds(plan.position, tip, before, period)
-        # In a row whose tip moves alone, one corner may be in coordinates, the other one in poses.
-        known = lines.known[before] | lines.known[after]
-        speed = np.where(known, np.minimum(speed, along), speed)
-        speed = np.where(lines.linear[before] | lines.linear[after], along, speed)
-    spans = np.stack([before, after + 1], axis=1).ravel()
-    allowed = np.maximum.reduceat(np.r_[feed, -np.inf], spans)[::2]
-    contour = vertex_tolerances(plan)[0]
-    for i in np.flatnonzero(speed > allowed * ROUNDING):
-        near = speed[i] * period + contour[before[i]]
-        for vertex, row in ((before[i] - 1, before[i] - 1), (after[i], after[i] + 1)):
-            if not 0 < row < len(feed):
-                continue
-            gap = np.linalg.norm(tip[i : i + 2] - blocks['tip'][vertex], axis=1)
-            if gap.min() <= near:
-                allowed[i] = max(allowed[i], feed[row])
-    finite = np.isfinite(allowed)
-    ledger.judge('tip feed', np.where(finite, speed, 0.0), allowed, allowed=ROUNDING, slack=SLACK)
+    spent = np.zeros(len(feed), dtype=np.int64)
+    for a, b in spans(len(plan.position)):
+        position, block = plan.position[a : b + 1], plan.block[a : b + 1]
+        tip = program.transform.forward(position)[0]
+        if len(turning):
+            spent += np.bincount(block[: b - a], minlength=len(feed))
+        speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / period
+        before, after = np.sort(np.stack([block[:-1], block[1:]]), axis=0)
+        if lines is not None:
+            along = lines.speeds(position, tip, before, period)
+            # In a row whose tip moves alone, one corner may be in coordinates, the other one in
+            # poses.
+            known = lines.known[before] | lines.known[after]
+            speed = np.where(known, np.minimum(speed, along), speed)
+            speed = np.where(lines.linear[before] | lines.linear[after], along, speed)
+        allowed = _highest(feed, before, after)
+        for i in np.flatnonzero(speed > allowed * ROUNDING):
+            near = speed[i] * period + contour[before[i]]
+            for vertex, row in ((before[i] - 1, before[i] - 1), (after[i], after[i] + 1)):
+                if not 0 < row < len(feed):
+                    continue
+                gap = np.linalg.norm(tip[i : i + 2] - blocks['tip'][vertex], axis=1)
+                if gap.min() <= near:
+                    allowed[i] = max(allowed[i], feed[row])
+        speed = np.where(np.isfinite(allowed), speed, 0.0)
+        ledger.judge('tip feed', speed, allowed, allowed=ROUNDING, slack=SLACK, first=a)
     if len(turning):
-        spent = np.bincount(plan.block, minlength=len(feed))[turning] * period
         shortest = duration[turning] / ROUNDING - 2.0 * period
-        ledger.judge('rotation time', shortest, np.maximum(spent, 1e-12), rows=turning)
+        allowed = np.maximum(spent[turning] * period, 1e-12)
+        ledger.judge('rotation time', shortest, allowed, rows=turning)
+
+
+def _highest(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return the largest of the values ``first`` to ``last`` (inclusive), one for each pair."""
+    if not len(first):
+        return np.zeros(0)
+    low = int(first.min())
+    some = np.append(values[low : int(last.max()) + 1], -np.inf)
+    ends = np.stack([first - low, last - low + 1], axis=1).ravel()
+    return np.asarray(np.maximum.reduceat(some, ends)[::2])
 
 
 def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     """Compare the velocity and acceleration columns with differences of the positions."""
-    held = np.pad(plan.position, ((1, 1), (0, 0)), mode='edge')
-    central = (held[2:] - held[:-2]) / (2.0 * plan.period)
-    second = np.diff(held, 2, axis=0) / plan.period**2
-    # With jerk J, a velocity differs from its mean by J T^2 / 6 and an acceleration by J T / 3.
-    for name, column, mean, room in (
-        ('velocity column', plan.setpoints['velocity'], central, plan.period**2 / 2.0),
-        ('acceleration column', plan.setpoints['acceleration'], second, plan.period),
-    ):
-        allowed = machine.max_jerk * room * ROUNDING
-        for j, axis in enumerate(machine.axis_names):
-            gap = np.abs(column[:, j] - mean[:, j])
-            ledger.check(f'{name}', gap, float(allowed[j]), axis)
+    for a, b in spans(len(plan.position)):
+        position = held(plan.position, a, b, 1, 1)
+        central = (position[2:] - position[:-2]) / (2.0 * plan.period)
+        second = np.diff(position, 2, axis=0) / plan.period**2
+        # With jerk J, a velocity differs from its mean by J T^2 / 6, an acceleration by J T / 3.
+        for name, mean, room in (
+            ('velocity', central, plan.period**2 / 2.0),
+            ('acceleration', second, plan.period),
+        ):
+            allowed = machine.max_jerk * room * ROUNDING
+            gap = np.abs(plan.setpoints[name][a:b] - mean)
+            for j, axis in enumerate(machine.axis_names):
+                ledger.check(f'{name} column', gap[:, j], float(allowed[j]), axis, first=a)
 
 
-def _prove_path(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
+def _prove_path(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
     """Judge the contour error of the path of the planner."""
-    path, rows = plan.path, np.asarray(plan.path['block'], dtype=np.int64)
-    tip, axis = Transform.of(machine).forward(path['q'])
-    lines = ProgrammedAxes.of(plan, machine)
-    deviation = _measure_widely(_program_of(plan), plan, tip, axis, rows, path['q'], lines)
-    contour, _ = corner_tolerances(plan, deviation)
-    ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)
+    for a, b in spans(len(plan.path['block'])):
+        rows, q = plan.path['block'][a:b], plan.path['q'][a:b]
+        tip, axis = program.transform.forward(q)
+        deviation = _measure_widely(program, tip, axis, rows, q)
+        contour, _ = program.tolerances(deviation)
+        ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)

@@ -43,11 +43,11 @@ def write_report(
         If the files cannot be read or written, or plotly is not installed.
 
     """
-    plan = read_plan(directory)
+    plan = read_plan(directory).in_memory()
     segments = read_segments(directory)
     other = None
     if compare is not None:
-        other = Other(read_plan(compare), machine, _names(directory, compare))
+        other = Other(read_plan(compare).in_memory(), machine, _names(directory, compare))
     page = render(plan, machine or _machine_of(plan), segments, other)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

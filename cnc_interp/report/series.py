@@ -10,10 +10,9 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_splines import with_chords
-from cnc_interp.proof.verify import corner_tolerances, measure
+from cnc_interp.proof.verify import Program, measure
 
 KINDS = ('velocity', 'acceleration', 'jerk')
 
@@ -76,12 +75,14 @@ class Series:
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
     """Compute the values to draw from the files of a plan."""
-    plan = with_chords(plan, machine)
-    tip, axis = Transform.of(machine).forward(plan.position)
-    deviation = measure(plan, machine, tip, axis)
-    contour, orientation = corner_tolerances(plan, deviation)
-    s, grid = plan.setpoints['s'], plan.path['s']
-    cell = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
+    plan = with_chords(plan, machine).in_memory()
+    program = Program.of(plan, machine)
+    tip, axis = program.transform.forward(plan.position)
+    deviation = measure(program, plan.position, plan.block)
+    contour, orientation = program.tolerances(deviation)
+    s: FloatArray = plan.setpoints['s']
+    grid: FloatArray = plan.path['s']
+    cell: IntArray = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
     return Series(
         time=plan.setpoints['time'],
         way=s / MM,

@@ -14,10 +14,13 @@ import yaml
 from plan_directories import PERIOD, files, stroke, turned_tip, write
 
 from cnc_interp.cli import main
+from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine, machines_directory
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import read_text
+from cnc_interp.proof import columns
+from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 
@@ -265,6 +268,31 @@ def test_manipulated_files(name, sound, tmp_path, capsys):
     assert '\x1b' not in text
 
 
+@pytest.mark.parametrize('name', [*list(TABLE)[::9], 'block: backwards'])
+def test_chunks_of_any_length_give_the_same_proof(name, sound, tmp_path, monkeypatch):
+    content, proofs = copy.deepcopy(sound), []
+    TABLE[name][1](content)
+    write(tmp_path, content)
+    for rows in (1 << 30, 311, 97):
+        monkeypatch.setattr(columns, 'CHUNK', rows)
+        try:
+            proofs.append(verify_plan(tmp_path, MACHINE).to_json())
+        except InterpError as refusal:
+            proofs.append(str(refusal))
+    assert proofs[1] == proofs[0] == proofs[2]
+
+
+def test_columns_of_any_form_are_read(sound, tmp_path):
+    content = copy.deepcopy(sound)
+    content['setpoints']['block'] = content['setpoints']['block'].astype('<i4')
+    content['setpoints']['position'] = np.asfortranarray(content['setpoints']['position'])
+    write(tmp_path / 'other', content)
+    np.savez_compressed(tmp_path / 'other' / 'path.npz', **content['path'])
+    proofs = [verify_plan(write(tmp_path / 'plan', sound), MACHINE)]
+    assert verify_plan(tmp_path / 'other', MACHINE).to_json() == proofs[0].to_json()
+    assert proofs[0].ok
+
+
 def test_the_sound_plan_is_proven_and_says_what_is_given(sound, tmp_path, capsys):
     code, text = check(write(tmp_path, sound), capsys)
     assert code == 0 and text.endswith('\nproven\n')
@@ -378,6 +406,19 @@ def test_strokes_in_order(axis, program, visits, labels, caught, tmp_path, capsy
         assert code == 1 and 'out of order' in text, text
     elif len(labels) == len(program):
         assert code == 0, text
+
+
+@pytest.mark.parametrize('axis', ['Z', 'C'])
+@pytest.mark.parametrize('rows', [2, 53])
+def test_strokes_in_chunks(axis, rows, tmp_path, monkeypatch):
+    program, visits = (-2, 0, -4, 0), (-2, 0, -4, -2, -4, 0)
+    for k, labels in enumerate(((1, 2, 3, 4), (1, 2, 3, 3, 3, 4), (1, 1, 2, 3, 3, 4))):
+        motion = visits[: len(labels)] if k else program
+        folder, proofs = write(tmp_path / str(k), strokes(axis, program, motion, labels)), []
+        for length in (1 << 30, rows):
+            monkeypatch.setattr(columns, 'CHUNK', length)
+            proofs.append(verify_plan(folder, MACHINE).to_json())
+        assert proofs[0] == proofs[1] and proofs[0]['ok'] is (k == 0)
 
 
 @pytest.mark.parametrize('axis', ['X', 'C'])

@@ -381,8 +381,8 @@ M30
     write_plan(plan_program(read(text), MACHINE), tmp_path)
     proof = verify_plan(tmp_path, MACHINE)
     assert proof.ok, proof.text()
-    plan = read_plan(tmp_path)
-    chords = with_chords(plan, MACHINE)
+    plan = read_plan(tmp_path).in_memory()
+    chords = with_chords(plan, MACHINE).in_memory()
     tips, reached = chords.blocks['tip'], chords.block
     longest = np.linalg.norm(np.diff(tips[2:-1], axis=0), axis=1).max()
     curve = (reached >= 2) & (reached < len(tips) - 1)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from figures import Stopwatch
 from optimum import time_grid
 from paths import Case, smoothed, stretches
+from toppra.algorithm import TOPPRA
+from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
+from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
-from cnc_interp.feedrate.toppra_stage import ceiling
+from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.machine import Machine
@@ -46,6 +50,68 @@ def largest_jerk(path: AxisPath, speed: FloatArray, max_jerk: FloatArray) -> tup
     return float(at[-1]), float((jerk / max_jerk).max())
 
 
+class GridPath(AbstractGeometricPath):  # type: ignore[misc]
+    """An AxisPath in the interface of toppra; it can be evaluated only at the grid points."""
+
+    def __init__(self, path: AxisPath):
+        self.s = path.s
+        self.jets = np.concatenate([path.cell_left, path.cell_right[:, -1:]], axis=1)
+
+    def __call__(self, path_positions: Any, order: int = 0) -> FloatArray:
+        """Return q (order 0), q_s (order 1) or q_ss (order 2) at grid points."""
+        found = np.searchsorted(self.s, np.asarray(path_positions) - 1e-15)
+        row: FloatArray = self.jets[order, np.minimum(found, len(self.s) - 1)]
+        return row
+
+    @property
+    def dof(self) -> int:
+        """Return the number of axes."""
+        return int(self.jets.shape[2])
+
+    @property
+    def path_interval(self) -> FloatArray:
+        """Return the path positions of start and end, shape (2,) [m]."""
+        return self.s[[0, -1]]
+
+
+class SpeedConstraint(LinearConstraint):  # type: ignore[misc]
+    """Upper limit of s_dot at every grid point, from feed and axis velocities [m/s]."""
+
+    def __init__(self, cap: FloatArray):
+        super().__init__()
+        self.cap = cap
+
+    def compute_constraint_params(self, path: Any, gridpoints: Any, *args: Any) -> Any:
+        """Return the bounds 0 <= s_dot^2 <= cap^2; all other terms of toppra are None."""
+        bound = np.column_stack([np.zeros_like(self.cap), self.cap**2])
+        return None, None, None, None, None, None, bound
+
+
+def toppra_law(path: AxisPath, table: FloatArray) -> FloatArray | None:
+    """
+    Plan from rest to rest by toppra alone, without jerk limits [PP2018].
+
+    Returns s_dot^2 at the grid points, shape (N,) [m2/s2]; None if toppra finds no solution.
+    """
+    h = np.diff(path.s)
+    fast = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, table)[:, 0]
+    cap = np.minimum(np.append(fast, FASTEST), np.append(FASTEST, fast))
+    rows = JointAccelerationConstraint(
+        np.column_stack([-table[1], table[1]]), DiscretizationType.Collocation
+    )
+    problem = TOPPRA(
+        [SpeedConstraint(cap), rows],
+        GridPath(path),
+        gridpoints=path.s,
+        solver_wrapper='seidel',
+    )
+    _, s_dot, _ = problem.compute_parameterization(0.0, 0.0)
+    if s_dot is None or not np.all(np.isfinite(s_dot)):
+        return None
+    squared: FloatArray = np.asarray(s_dot, dtype=np.float64) ** 2
+    return squared
+
+
 def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float:
     """
     Cycle time of toppra alone, its accelerations scaled down until jerk holds [s].
@@ -63,7 +129,7 @@ def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float
             middle = math.sqrt(good * bad)
             table = limit_table(limits)
             table[1] *= middle
-            squared = ceiling(grid, table)
+            squared = toppra_law(grid, table)
             kept = False
             if squared is not None:
                 lasts, jerk = largest_jerk(grid, np.sqrt(squared), table[2])

@@ -84,6 +84,8 @@ def excesses_of(summary: dict[str, Any]) -> list[str]:
 
 def describe(summary: dict[str, Any]) -> str:
     """Return the summary in words and shop units."""
+    from cnc_interp.run.plan_figures import bound_text
+
     lines = [
         f'program        {summary["program"]} on {summary["machine"]}',
         f'blocks         {summary["blocks"]} in {summary["segments"]} segments, '
@@ -110,6 +112,8 @@ def describe(summary: dict[str, Any]) -> str:
             f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '
             f'{curves["spans"] / curves["blocks"]:.2f} a block'
         )
+    if text := bound_text(summary):
+        lines.append(f'bound          {text}')
     return '\n'.join(lines)
 
 

@@ -91,13 +91,12 @@ class StretchProblem:
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         guess = grid.guess
-        if options.toppra:
-            # Importing toppra takes half a second, and it is seldom needed.
-            from cnc_interp.feedrate.toppra_stage import ceiling
+        if options.below_ceiling:
+            # Importing toppra takes a third of a second, and a live run seldom needs it.
+            from cnc_interp.feedrate.time_bound import time_bound
 
-            squared = ceiling(path, table, start[0])
-            if squared is not None:
-                guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
+            squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
+            guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = _first_coefficients(self.h, grid.bounds, guess)
         self.rows = np.empty((n, 3, 3, n_axes))
         self.use = np.empty((2, n, 4, n_axes))

@@ -30,8 +30,10 @@ class PlanOptions:
         Length of a planning window in horizons; about one horizon is committed later [-].
     window_cells : int
         Largest number of path cells in one window.
-    toppra : bool
-        Whether the jerk stage starts below the law of the toppra stage.
+    bound : bool
+        Whether the least time of the committed motion is computed; the law is the same.
+    below_ceiling : bool
+        Whether the jerk stage starts below the ceiling of the toppra stage.
     reserve : float
         Part of a limit that stays free where the law could not brake otherwise [-].
 
@@ -45,17 +47,18 @@ class PlanOptions:
     points: int = 7
     window_ratio: float = 2.5
     window_cells: int = 4000
-    toppra: bool = False
+    bound: bool = True
+    below_ceiling: bool = False
     reserve: float = 0.029
 
     def finer(self) -> PlanOptions:
-        """Return options with half the cell times and with the toppra stage."""
+        """Return options with half the cell times and a start below the ceiling."""
         return replace(
             self,
             cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
             share=self.share / 2,
             bend=self.bend / 2,
-            toppra=True,
+            below_ceiling=True,
         )
 
 

@@ -1,119 +1,100 @@
 """
-The toppra stage: time-optimal under programmed feed, velocity and acceleration, without jerk.
+The toppra stage: the squared speed from which a path can be driven on, node by node.
 
-The squared speed from TOPP-RA [PP2018] is an upper bound of the jerk-limited law, up to the
-discretisation. ``PlanOptions.toppra`` starts the jerk stage below it. TOPP-RA takes longer than
-the jerk stage, and the guess of ``speed_guess`` is as good a start. Therefore it is used only
-when a window is planned a second time. All values are SI, the solver is ``seidel`` and the grid
-points are given, because toppra's default grid and speed limit depend on the unit of length.
+It is the backward pass of TOPP-RA [PP2018, Algorithm 1]; the linear programs are solved by
+toppra's ``seidel``. The unknowns of a step are b = s_dot^2 at its start and the change of b over
+it, both divided by the largest b. So they lie between -1 and 1, whatever the unit of length is.
 """
 
 from __future__ import annotations
 
-import logging
+import sys
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
-from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
-from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
-from cnc_interp.kinematics.axis_path import AxisPath
 
-logging.getLogger('toppra').setLevel(logging.ERROR)
+# toppra imports matplotlib for its plots, which takes longer than all the rest. It gets a module
+# without content instead, unless matplotlib is there already.
+_PLOTS = [name for name in ('matplotlib', 'matplotlib.pyplot') if name not in sys.modules]
+for _name in _PLOTS:
+    sys.modules[_name] = ModuleType(_name)
+if _PLOTS:
+    sys.modules['matplotlib'].pyplot = sys.modules['matplotlib.pyplot']  # type: ignore[attr-defined]
+try:
+    from toppra.constraint import LinearConstraint
+    from toppra.interpolator import AbstractGeometricPath
+    from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
+finally:
+    for _name in _PLOTS:
+        del sys.modules[_name]
+
+ROUNDING = 1e-7
+"""Share of the largest b that is added, because the solver compares with fixed small numbers."""
 
 
-class GridPath(AbstractGeometricPath):  # type: ignore[misc]
-    """An AxisPath in the interface of toppra; it can be evaluated only at the grid points."""
+class _Steps(AbstractGeometricPath):  # type: ignore[misc]
+    """A path of n steps as toppra wants it; its geometry stands in the rows."""
 
-    def __init__(self, path: AxisPath):
-        self.s = path.s
-        self.jets = np.concatenate([path.cell_left, path.cell_right[:, -1:]], axis=1)
-
-    def __call__(self, path_positions: Any, order: int = 0) -> FloatArray:
-        """
-        Return q (order 0), q_s (order 1) or q_ss (order 2) at grid points.
-
-        Parameters
-        ----------
-        path_positions : array_like, shape (k,) or scalar
-            Path positions, equal to grid points [m].
-        order : int
-            Order of the derivative, 0 to 2.
-
-        Returns
-        -------
-        ndarray, shape (k, n_axes) or (n_axes,)
-            Values of the axes [m or rad, per m to the power ``order``].
-
-        """
-        found = np.searchsorted(self.s, np.asarray(path_positions) - 1e-15)
-        row: FloatArray = self.jets[order, np.minimum(found, len(self.s) - 1)]
-        return row
-
-    @property
-    def dof(self) -> int:
-        """Return the number of axes."""
-        return int(self.jets.shape[2])
+    def __init__(self, n: int):
+        self.n = n
 
     @property
     def path_interval(self) -> FloatArray:
-        """Return the path positions of start and end, shape (2,) [m]."""
-        return self.s[[0, -1]]
+        """Return the interval of the path variable: half a unit for each step."""
+        return np.array([0.0, 0.5 * self.n])
 
 
-class SpeedConstraint(LinearConstraint):  # type: ignore[misc]
-    """Upper limit of s_dot at every grid point, from feed and axis velocities [m/s]."""
+class _Rows(LinearConstraint):  # type: ignore[misc]
+    """Rows |change e_1 + b (e_1 - e_0)| <= 1 with b <= cap; e are squares of q_s."""
 
-    def __init__(self, cap: FloatArray):
+    def __init__(self, start: FloatArray, end: FloatArray, cap: FloatArray):
         super().__init__()
+        self.identical = True
+        self.change = np.vstack([end, np.zeros_like(end[:1])])
+        self.b = np.vstack([end - start, np.zeros_like(end[:1])])
         self.cap = cap
 
     def compute_constraint_params(self, path: Any, gridpoints: Any, *args: Any) -> Any:
-        """Return the bounds 0 <= s_dot^2 <= cap^2; all other terms of toppra are None."""
-        bound = np.column_stack([np.zeros_like(self.cap), self.cap**2])
-        return None, None, None, None, None, None, bound
+        """Return a, b, c, F, g, no bounds of the change, and the bounds of b."""
+        axes = self.b.shape[1]
+        both = np.vstack([np.eye(axes), -np.eye(axes)])
+        bounds = np.column_stack([np.zeros_like(self.cap), self.cap])
+        return self.change, self.b, np.zeros_like(self.b), both, np.ones(2 * axes), None, bounds
 
 
-def ceiling(
-    path: AxisPath, limits: AxisLimits | FloatArray, v_start: float = 0.0
-) -> FloatArray | None:
+def controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
     """
-    Plan the fastest motion to rest at the end of the path, without jerk limits [PP2018].
+    Return the largest squared speeds from which the rest of a path can be driven.
 
     Parameters
     ----------
-    path : AxisPath
-        Path without stops inside, with N grid points. TOPP-RA uses these grid points.
-    limits : AxisLimits or ndarray, shape (3, n_axes)
-        Limits of the axes. Only velocity and acceleration limits are used.
-    v_start : float
-        s_dot at the start of the path [m/s].
+    start, end : ndarray, shape (n, n_axes)
+        q_s^2 / (2 A w) at the start and at the end of each step, where w is the way of the axis
+        in the step: ``|end b_1 - start b_0| <= 1`` [s2/m2].
+    cap : ndarray, shape (n + 1,)
+        Largest squared speed at each node; the last one may be reached [m2/s2].
 
     Returns
     -------
-    ndarray, shape (N,), or None
-        s_dot^2 at the grid points [m2/s2]. None if toppra finds no solution from this start.
+    ndarray, shape (n + 1,)
+        Squared speeds [m2/s2]; no real motion exceeds them.
 
     """
-    table = limits if isinstance(limits, np.ndarray) else limit_table(limits)
-    h = np.diff(path.s)
-    fast = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, table)[:, 0]
-    cap = np.minimum(np.append(fast, FASTEST), np.append(FASTEST, fast))
-    rows = JointAccelerationConstraint(
-        np.column_stack([-table[1], table[1]]), DiscretizationType.Collocation
-    )
-    problem = TOPPRA(
-        [SpeedConstraint(cap), rows],
-        GridPath(path),
-        gridpoints=path.s,
-        solver_wrapper='seidel',
-    )
-    _, s_dot, _ = problem.compute_parameterization(v_start, 0.0)
-    if s_dot is None or not np.all(np.isfinite(s_dot)):
-        return None
-    squared: FloatArray = np.asarray(s_dot, dtype=np.float64) ** 2
+    largest = float(cap.max())
+    scaled = cap / largest
+    n = len(start)
+    rows = _Rows(start * largest, end * largest, scaled)
+    solver = seidelWrapper([rows], _Steps(n), 0.5 * np.arange(n + 1))
+    fastest = np.array([-1e-9, -1.0])
+    found = scaled.copy()
+    solver.setup_solver()
+    for i in range(n - 1, -1, -1):
+        b = solver.solve_stagewise_optim(i, None, fastest, np.nan, np.nan, 0.0, found[i + 1])[1]
+        if np.isfinite(b):
+            found[i] = min(found[i], b + ROUNDING)
+    solver.close_solver()
+    squared: FloatArray = found * largest
     return squared

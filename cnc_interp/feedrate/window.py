@@ -48,11 +48,14 @@ class PlannedPiece:
         The path on the grid of the planner.
     law : MotionLaw
         The motion law along it, one piece per path cell; its clock continues between parts.
+    least_time : float
+        No motion within feed, velocities and accelerations is faster here [s]; 0 if not computed.
 
     """
 
     path: AxisPath
     law: MotionLaw
+    least_time: float = 0.0
 
     @staticmethod
     def join(parts: list[PlannedPiece]) -> PlannedPiece:
@@ -65,7 +68,8 @@ class PlannedPiece:
                 MotionLaw(law.time, law.duration, law.s, law.s_dot, law.s_ddot, law.jerk, shifted)
             )
             first_cell += len(part.path.s) - 1
-        return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws))
+        least = sum(part.least_time for part in parts)
+        return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws), least)
 
 
 def _unsound_cell(path: AxisPath) -> int | None:
@@ -104,11 +108,17 @@ class FeedPlanner:
         self._table = limit_table(limits)
         self._parts: list[AxisPath] = []
         self._start = start
+        self._fastest_sq = start[0] ** 2  # no motion from the start of the path is faster here
         self._kept: KeptCells | None = None
         self._time = time
         self._older: Stretch | None = None
         self._failed = False
         self._problem: PlanningError | None = None
+        if self.options.bound:
+            # It imports toppra, which takes a third of a second: now, not in the first window.
+            from cnc_interp.feedrate.time_bound import time_bound
+
+            self._time_bound = time_bound
         self._scan_again(self.options.window_ratio)
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
@@ -166,6 +176,7 @@ class FeedPlanner:
         self._refuse()
         pieces = self._plan_windows(finished=True)
         self._parts, self._start, self._kept, self._older = [], AT_REST, None, None
+        self._fastest_sq = 0.0
         self._scan_again(self.options.window_ratio)
         return pieces
 
@@ -224,12 +235,13 @@ class FeedPlanner:
     def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
         """Plan the window up to a grid point, and commit its first part."""
         known = cut(self._front(last), 0, last)
+        rests = at_stop
         stretch = self._solve(known)
         if stretch is None and self._older is not None:
             return [self._drive_on(self._older)]
         while stretch is None:
             # No law reaches this point: stop at half the distance instead.
-            last, at_stop = last // 2, True
+            last, at_stop, rests = last // 2, True, False
             if last == 0:
                 raise self._impossible(int(known.cell_block[0]))
             stretch = self._solve(cut(known, 0, last))
@@ -248,7 +260,7 @@ class FeedPlanner:
                 return []
             cells = max(due, least, 1)
         self._failed = False
-        return [self._commit(stretch, cells)]
+        return [self._commit(stretch, cells, rests)]
 
     def _impossible(self, block: int) -> PlanningError:
         """Return the error for a path along which no motion is possible."""
@@ -266,10 +278,15 @@ class FeedPlanner:
         self._failed = part < cells
         return self._commit(older, part)
 
-    def _commit(self, stretch: Stretch, cells: int) -> PlannedPiece:
-        """Commit the first planner cells, and keep the rest of the plan for the next window."""
+    def _commit(self, stretch: Stretch, cells: int, rests: bool = False) -> PlannedPiece:
+        """
+        Commit the first planner cells, and keep the rest of the plan for the next window.
+
+        ``rests`` tells whether any motion must rest at the end of the stretch.
+        """
         last = int(stretch.nodes[cells])
-        piece = PlannedPiece(cut(stretch.path, 0, last), stretch.law(self._time, last))
+        least = self._least_time(stretch, last, rests) if self.options.bound else 0.0
+        piece = PlannedPiece(cut(stretch.path, 0, last), stretch.law(self._time, last), least)
         self._time = piece.law.end_time
         s = stretch.path.s
         self._start = (float(stretch.v[last]), float(stretch.a[last]))
@@ -285,6 +302,13 @@ class FeedPlanner:
         self._begin_at(position)
         self._scan_again(self.options.window_ratio)
         return piece
+
+    def _least_time(self, stretch: Stretch, last: int, rests: bool) -> float:
+        """Return the least time up to a grid point, at any speed that is possible before it."""
+        path, nodes = stretch.path, stretch.nodes
+        bound = self._time_bound(path, nodes, self._table, self._fastest_sq, rests)
+        self._fastest_sq = float(bound.squared[last])
+        return float(bound.time[:last].sum())
 
     def _begin_at(self, position: FloatArray) -> None:
         """Drop the path before the first position, and make all positions grid points."""

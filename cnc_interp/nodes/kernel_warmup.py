@@ -14,9 +14,8 @@ import numpy as np
 
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.limits import limit_table
-from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
-from cnc_interp.feedrate.window import FeedPlanner
+from cnc_interp.feedrate.window import FeedPlanner, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -27,6 +26,7 @@ from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.leg import LIVE
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.run.path_chain import segments_of
@@ -35,7 +35,7 @@ from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 #: The tiny path has several windows, because some kernels are used after the first one only.
-SHORT_WINDOWS = PlanOptions(window_cells=16)
+SHORT_WINDOWS = replace(LIVE, window_cells=16)
 
 #: The reader has kernels, too.
 TINY_TEXT = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nM30\n'
@@ -113,7 +113,7 @@ def warm_all(machine: str, period: float) -> None:
     """Load the kernels from corners to setpoints; curves need no others after the look-ahead."""
     path = warm_kinematics(machine, period)
     transform = Transform.of(Machine.load(machine))
-    for options in (PlanOptions(), SHORT_WINDOWS):
+    for options in (LIVE, SHORT_WINDOWS):
         planner = FeedPlanner(transform.machine, options)
         planner.push(path)
         planner.finish()
@@ -155,5 +155,12 @@ def warm_nodes() -> None:
     warm_all(DEFAULT_MACHINE, settings.interpolation_period)
 
 
+def warm_plan() -> None:
+    """Load the kernels that planning without ROS needs in addition."""
+    path = warm_kinematics(DEFAULT_MACHINE, Settings().interpolation_period)
+    plan_path(path, Machine.load(DEFAULT_MACHINE))
+
+
 if __name__ == '__main__':
     warm_nodes()
+    warm_plan()

@@ -24,11 +24,9 @@ class PlanningThread:
         self.longest = 0.0  # time of the longest task since the last reading [s]
         self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: tuple[Task, Future[Any], float] | None = None
-        # These imports take a second and are needed first when a window is tried again. The first
-        # plan does not wait for them.
-        Thread(
-            target=import_module, args=['cnc_interp.feedrate.toppra_stage'], daemon=True
-        ).start()
+        # This imports toppra, which takes a third of a second and is needed first when a window is
+        # tried again. The first plan does not wait for it.
+        Thread(target=import_module, args=['cnc_interp.feedrate.time_bound'], daemon=True).start()
 
     def submit(self, task: Task) -> None:
         """Submit a task, which is done after those submitted before."""

@@ -182,6 +182,10 @@ def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
         (f'{series.way[-1] - series.way[0]:,.1f} mm', 'path length'),
         (f'{series.feed.max():,.0f} mm/min', 'highest feed'),
     ]
+    least: Any = plan.summary.get('time_bound')
+    if isinstance(least, int | float):
+        label = 'least time within these velocities and accelerations, without jerk limits'
+        rows.insert(1, (f'{least:.3f} s', label))
     planning: Any = plan.summary.get('planning_time')
     if isinstance(planning, int | float) and planning > 0.0:
         times = proof.cycle_time / planning

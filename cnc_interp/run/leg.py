@@ -11,10 +11,14 @@ import numpy as np
 from cnc_interp.core.arrays import IntArray
 from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
+
+LIVE = PlanOptions(bound=False)
+"""Settings of the planner in a run, where nothing shows the least time."""
 
 SLICE = 0.1
 """Length of the slices in which motion is sampled [s]; a change of the override waits for one."""
@@ -81,7 +85,7 @@ class Leg:
         start: tuple[float, float] = (0.0, 0.0),
     ):
         self.period = period
-        self.planner = FeedPlanner(limits, None, start, max(begun - 1, 0) * period)
+        self.planner = FeedPlanner(limits, LIVE, start, max(begun - 1, 0) * period)
         self.interpolator = Interpolator(period, begun)
         self.slices: deque[PlannedPiece] = deque()
         self.wait: Wait | None = None

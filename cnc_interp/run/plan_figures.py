@@ -47,7 +47,7 @@ class PlanFigures:
         self._on_curve, self._last_row = False, 0  # where the last segment ended
         self._tolerances = ToleranceUse()
         self._samples = self._segments = self._blocks = 0
-        self._planned = self._spanned = self._path_length = 0.0
+        self._planned = self._spanned = self._path_length = self._least = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
         """Count further rows of the program."""
@@ -74,8 +74,9 @@ class PlanFigures:
         self._last_row = int(segments.block[-1, 1])
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Record the duration of the motion so far."""
+        """Record the duration of the motion so far, and the least that is possible."""
         self._planned = piece.law.end_time
+        self._least += piece.least_time
 
     def setpoints(self, samples: Setpoints) -> None:
         """Measure the use of every limit by differences of the positions."""
@@ -127,6 +128,7 @@ class PlanFigures:
             'program': source,
             'machine': machine.file or machine.name,
             'cycle_time': self.cycle_time,
+            'time_bound': self._least or None,
             'interpolation_period': self._period,
             'flank_height': self._height,
             'settings': values_of(self._settings),
@@ -150,6 +152,17 @@ class PlanFigures:
             'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
         }
+
+
+def bound_text(summary: Mapping[str, Any]) -> str:
+    """Say how fast any motion could be, or '' if this was not computed."""
+    least = summary.get('time_bound')
+    if not isinstance(least, int | float):
+        return ''
+    return (
+        'no motion within these velocities and accelerations takes less than '
+        f'{least:.3f} s; this one {summary["cycle_time"]:.3f} s'
+    )
 
 
 def versions() -> dict[str, str]:

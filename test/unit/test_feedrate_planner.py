@@ -20,7 +20,6 @@ from feedrate_paths import (
 from cnc_interp.feedrate.jerk_stage import plan
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.toppra_stage import ceiling
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 
@@ -179,15 +178,6 @@ def test_doubling_the_grid_gains_little():
         coarse, fine = plan(path, table), plan(path, table, options=PlanOptions().finer())
         assert coarse is not None and fine is not None
         assert coarse.duration.sum() <= 1.005 * fine.duration.sum()
-
-
-def test_toppra_is_a_ceiling():
-    path = plan_path(polyline_path(CORNER, 0.05), XYZAC).path
-    squared = ceiling(path, XYZAC)
-    stretch = plan(path, limit_table(XYZAC))
-    assert squared is not None and stretch is not None
-    on_grid = np.interp(path.s, stretch.path.s, stretch.v)
-    assert np.all(on_grid <= np.sqrt(squared) * 1.01 + 1e-6)
 
 
 def test_windows_lose_next_to_nothing():

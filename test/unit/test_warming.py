@@ -15,7 +15,9 @@ from numba.core.dispatcher import Dispatcher
 from cnc_interp.settings.choices import Settings
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.kernel_warmup import warm_all
+from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.run.chain import Chain
+from cnc_interp.run.leg import LIVE
 from programs import dome, zigzag
 
 def compiled():
@@ -27,9 +29,10 @@ def compiled():
     }}
 
 machine, settings = Machine.load('xyzac'), Settings(compress={curves})
+chain = Chain(machine, settings)
+chain._planner = FeedPlanner(machine, LIVE)
 warm_all('xyzac', 0.001)
 before = compiled()
-chain = Chain(machine, settings)
 stops = [i % 40 == 39 for i in range(300)]
 blocks = dome(2000) if settings.compress else zigzag(3, count=300, exact_stop=stops)
 for first in range(0, len(blocks), 64):

@@ -20,6 +20,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.temporary_folder import TemporaryFolder
+from cnc_interp.run.plan_figures import bound_text
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import command_words
 
@@ -48,6 +49,8 @@ class Preview:
         Of the whole program [s].
     notices : tuple of str
         What had no effect or was simplified.
+    bound : str
+        The least time that any motion takes, in words.
 
     """
 
@@ -60,6 +63,7 @@ class Preview:
     time: FloatArray
     cycle_time: float
     notices: tuple[str, ...] = ()
+    bound: str = ''
 
     @property
     def length(self) -> float:
@@ -86,7 +90,12 @@ class Preview:
             }
         summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
         return Preview(
-            s=s[rows], time=time, cycle_time=summary['cycle_time'], notices=notices, **columns
+            s=s[rows],
+            time=time,
+            cycle_time=summary['cycle_time'],
+            notices=notices,
+            bound=bound_text(summary),
+            **columns,
         )
 
 

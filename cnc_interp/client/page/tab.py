@@ -157,7 +157,8 @@ class Page:
                 button.props('dense no-caps size=sm unelevated color=blue-grey-8')
                 marked(button, button.text)
             self._follower.tooltip('choose a program that starts when the running one has ended')
-        self._label('status', '').style('font-size: 12px; color: #93a3af')
+        for name in ('status', 'bound'):
+            self._label(name, '').style('font-size: 12px; color: #93a3af')
         with ui.element('div').classes('title') as self._next:
             self._label('waiting', 'grow').style('font-size: 12px; color: #93a3af')
             empty = self._answer(self._desk.empty_queue)
@@ -322,6 +323,7 @@ class Page:
         words = readings(desk)
         words['program'] = job.name if job else 'no program'
         words['status'] = job.status if job else 'press load to choose a program'
+        words['bound'] = job.plan.bound if job and job.plan else ''
         words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
         for name, text in words.items():
             if self._changed(name, text):

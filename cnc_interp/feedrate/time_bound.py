@@ -1,0 +1,233 @@
+"""
+The time that no motion within programmed feed, velocities and accelerations can beat.
+
+The jerk is free here, and every limit is applied in a form that each real motion keeps. So the
+squared speed b = s_dot^2 of a real motion stays below the ceiling, and its time above the bound.
+Per axis, with q_dot = q_s s_dot:
+
+    at a point         |q_dot| <= V, and one s_ddot with |q_s s_ddot + q_ss b| <= A for all axes
+    from s_0 to s_1    |q_dot(s_1)^2 - q_dot(s_0)^2| <= 2 A w, where w is the way of the axis
+    time from s_0      h / F, and the time of each axis alone over its distance with V and A, as
+    to s_1             fast at both ends as the ceiling allows
+
+The second line is the integral of d(q_dot^2) = 2 q_ddot dq. It holds for steps of any length.
+Therefore toppra may take every third node, and the result is still a bound.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.feedrate.speed_guess import FASTEST
+from cnc_interp.feedrate.toppra_stage import controllable
+from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
+
+STEP = 3
+"""Number of planner cells in one step of toppra."""
+
+ROUNDING = 4e-16
+"""Rounding error of a difference of two positions, relative to the positions [-]."""
+
+
+class TimeBound(NamedTuple):
+    """
+    Ceiling and bound along a path of N cells.
+
+    Parameters
+    ----------
+    squared : ndarray, shape (N + 1,)
+        Largest possible s_dot^2 at the grid points [m2/s2].
+    time : ndarray, shape (N,)
+        Least time in each cell [s].
+
+    """
+
+    squared: FloatArray
+    time: FloatArray
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the way of each axis in each cell, back and forth, shape (n, n_axes) [m or rad]."""
+    n, n_axes = len(h), left.shape[2]
+    ways = np.empty((n, n_axes))
+    c, jet = np.empty(8), np.empty(4)
+    for i in range(n):
+        for k in range(n_axes):
+            first, last = left[1, i, k], right[1, i, k]
+            here, there = left[0, i, k], right[0, i, k]
+            ways[i, k] = abs(there - here) + ROUNDING * max(abs(here), abs(there))
+            septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
+            septic_value(c, 0.5, h[i], jet)
+            if min(first, last, jet[1]) < 0.0 < max(first, last, jet[1]):
+                ways[i, k] = h[i] * max(abs(first), abs(last), abs(jet[1]))
+    return ways
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _point_cap(q_s: FloatArray, q_ss: FloatArray, table: FloatArray) -> float:
+    """
+    Return the largest s_dot^2 at a point: velocities, and accelerations for the best s_ddot.
+
+    Each axis leaves an interval of s_ddot. All have a common point if any two of them have. Two
+    axes i and k have one if b |q_ss_i q_s_k - q_ss_k q_s_i| <= A_i |q_s_k| + A_k |q_s_i|.
+    """
+    cap = FASTEST * FASTEST
+    for i in range(len(q_s)):
+        if q_s[i] != 0.0:
+            cap = min(cap, (table[0, i] / q_s[i]) ** 2)
+        for k in range(i):
+            crossed = abs(q_ss[i] * q_s[k] - q_ss[k] * q_s[i])
+            if crossed > 0.0:
+                room = table[1, i] * abs(q_s[k]) + table[1, k] * abs(q_s[i])
+                cap = min(cap, room / crossed)
+    return cap
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _point_caps(
+    left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
+) -> FloatArray:
+    """Return the largest s_dot^2 at the grid points, shape (n + 1,) [m2/s2]."""
+    n = len(feed)
+    caps = np.full(n + 1, FASTEST * FASTEST)
+    for i in range(n):
+        tip = feed[i] * feed[i]
+        caps[i] = min(caps[i], tip, _point_cap(left[1, i], left[2, i], table))
+        caps[i + 1] = min(caps[i + 1], tip, _point_cap(right[1, i], right[2, i], table))
+    return caps
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _reach(b: float, q_s: float, q_s_there: float, room: float) -> float:
+    """Return the largest b at the other end of a step, for one axis [m2/s2]."""
+    there = q_s_there * q_s_there
+    return (q_s * q_s * b + room) / there if there > 0.0 else np.inf
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _both_passes(
+    left: FloatArray, right: FloatArray, ways: FloatArray, table: FloatArray, b: FloatArray
+) -> None:
+    """Lower b at the grid points to what can be reached from both sides, in place."""
+    n, n_axes = ways.shape
+    for i in range(n):
+        for k in range(n_axes):
+            room = 2 * table[1, k] * ways[i, k]
+            b[i + 1] = min(b[i + 1], _reach(b[i], left[1, i, k], right[1, i, k], room))
+    for i in range(n - 1, -1, -1):
+        for k in range(n_axes):
+            room = 2 * table[1, k] * ways[i, k]
+            b[i] = min(b[i], _reach(b[i + 1], right[1, i, k], left[1, i, k], room))
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def stroke_time(
+    distance: float, start: float, end: float, velocity: float, acceleration: float
+) -> float:
+    """
+    Return the least time of one axis over a distance.
+
+    Parameters
+    ----------
+    distance : float
+        Distance, not negative [m or rad].
+    start, end : float
+        Largest squared velocity at both ends.
+    velocity, acceleration : float
+        Limits of the axis.
+
+    """
+    if not distance > 0.0:
+        return 0.0
+    rise = 2 * acceleration * distance
+    start = min(start, velocity**2, end + rise)
+    end = min(end, velocity**2, start + rise)
+    peak = min((start + end + rise) / 2, velocity**2)
+    fast = np.sqrt(peak)
+    time = (peak - start) / (fast + np.sqrt(start)) + (peak - end) / (fast + np.sqrt(end))
+    steady = max(0.0, distance - (2 * peak - start - end) / (2 * acceleration))
+    return float(time / acceleration + steady / fast)
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _least_times(
+    h: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
+    b: FloatArray,
+) -> FloatArray:
+    """Return the least time in each cell below the ceiling b, shape (n,) [s]."""
+    n, n_axes = len(h), left.shape[2]
+    time = np.empty(n)
+    for i in range(n):
+        time[i] = h[i] / feed[i]
+        for k in range(n_axes):
+            distance = abs(right[0, i, k] - left[0, i, k])
+            start, end = left[1, i, k] ** 2 * b[i], right[1, i, k] ** 2 * b[i + 1]
+            alone = stroke_time(distance, start, end, table[0, k], table[1, k])
+            time[i] = max(time[i], alone)
+    return time
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _step_rows(
+    points: IntArray, left: FloatArray, right: FloatArray, ways: FloatArray, table: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return q_s^2 / (2 A w) at both ends of the steps between some grid points."""
+    n, n_axes = len(points) - 1, ways.shape[1]
+    start, end = np.zeros((n, n_axes)), np.zeros((n, n_axes))
+    for i in range(n):
+        first, last = points[i], points[i + 1]
+        for k in range(n_axes):
+            room = 2 * table[1, k] * ways[first:last, k].sum()
+            if room > 0.0:
+                start[i, k] = left[1, first, k] ** 2 / room
+                end[i, k] = right[1, last - 1, k] ** 2 / room
+    return start, end
+
+
+def time_bound(
+    path: AxisPath, nodes: IntArray, table: FloatArray, start: float, rests: bool
+) -> TimeBound:
+    """
+    Compute the ceiling of the speed along a path and the least time in its cells.
+
+    Parameters
+    ----------
+    path : AxisPath
+        Path without stops inside, with N cells.
+    nodes : ndarray of int
+        Indices of the grid points between the planner cells, from 0 to N.
+    table : ndarray, shape (3, n_axes)
+        Limits of the axes. Only velocity and acceleration limits are used.
+    start : float
+        Largest s_dot^2 at the start of the path [m2/s2].
+    rests : bool
+        Whether every motion rests at the end of the path. If not, it may pass there.
+
+    Returns
+    -------
+    TimeBound
+        What no motion within these limits exceeds or beats.
+
+    """
+    h, left, right, feed = np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed
+    ways = _ways(h, left, right)
+    b = _point_caps(left, right, feed, table)
+    b[0] = min(b[0], start)
+    if rests:
+        b[-1] = 0.0
+    _both_passes(left, right, ways, table, b)
+    points = np.unique(np.append(nodes[::STEP], nodes[-1]))
+    if b.max() > 0.0:
+        first, last = _step_rows(points, left, right, ways, table)
+        b[points] = controllable(first, last, b[points])
+        _both_passes(left, right, ways, table, b)
+    return TimeBound(b, _least_times(h, left, right, feed, table, b))

@@ -89,7 +89,7 @@ class TargetColumns:
         self._before: FloatArray | None = None  # the last target that became a block
         self._parts: list[Blocks] = []
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
-        self._dense = 0  # number of short blocks before the next motion
+        self._dense, self._led = 0, False  # what goes before the next motion (``Moves``)
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         first = EXTRA.start
         self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.extra_names]
@@ -203,10 +203,15 @@ class TargetColumns:
             self._parts.append(self._beginning(rows[:1]))
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
-            before = np.vstack([self._before, rows[:-1]])
-            self._before = rows[-1]
-            for part in _portions(before, rows):
-                self._parts.append(self._blocks(before[part], rows[part]))
+            moves = self._moves(rows)
+            if moves.undecided and not last:
+                rows, later = np.split(rows, [len(rows) - moves.undecided])
+                self._rows = array('d', later.tobytes()) + self._rows
+                moves = self._moves(rows)
+            if len(rows):
+                self._before, self._dense, self._led = rows[-1], moves.dense, moves.led
+            for part in _portions(moves):
+                self._parts.append(self._blocks(moves[part]))
 
     def _beginning(self, row: FloatArray) -> Blocks:
         """Return the start pose, or the spline that ends in this row."""
@@ -218,10 +223,16 @@ class TargetColumns:
         waits[-1] = _waits(row)[0]
         return replace(curve, exact_stop=stop, program_stop=waits)
 
-    def _blocks(self, before: FloatArray, rows: FloatArray) -> Blocks:
-        """Return the blocks of the motions between the rows."""
-        moves = Moves(self._geometry, self._zero, before, rows, self._settings, self._dense)
-        self._dense = moves.dense
+    def _moves(self, rows: FloatArray) -> Moves:
+        """Return the motions from the last target that became a block through these rows."""
+        before = np.vstack([self._before, rows])[:-1]
+        return Moves(
+            self._geometry, self._zero, before, rows, self._settings, self._dense, self._led
+        )
+
+    def _blocks(self, moves: Moves) -> Blocks:
+        """Return the blocks of some motions."""
+        rows = moves.rows
         counts = self._piece_counts(moves)
         row, piece = ragged(counts)
         u = (piece + 1.0) / counts[row]
@@ -332,10 +343,9 @@ def _waits(rows: FloatArray) -> IntArray:
     return np.asarray(_WAITS[rows[:, EXACT_STOP].astype(np.int64)])
 
 
-def _portions(before: FloatArray, rows: FloatArray) -> list[slice]:
-    """Divide a batch into parts that do not give too many blocks each."""
-    turned = np.nan_to_num(np.abs(rows[:, SWEEP]))
-    turned += np.nan_to_num(np.abs(rows[:, ROTARY] - before[:, ROTARY])).sum(axis=1)
+def _portions(moves: Moves) -> list[slice]:
+    """Divide motions into parts that do not give too many blocks each."""
+    turned = np.nan_to_num(np.abs(moves.rows[:, SWEEP])) + np.abs(moves.sweep).sum(axis=1)
     portion = np.floor(np.cumsum(turned) / _MOST_TURN)
-    edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(rows)]
-    return [slice(first, last) for first, last in pairwise(edges)]
+    edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(turned)]
+    return [slice(first, last) for first, last in pairwise(edges) if last > first]

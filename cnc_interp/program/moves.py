@@ -6,6 +6,7 @@ A row of targets has one number per column; the constants name the columns.
 
 from __future__ import annotations
 
+from copy import copy
 from math import nan
 
 import numpy as np
@@ -42,6 +43,9 @@ POLE_TOLERANCES = 4.0
 #: a row. In each of them the tip moves more than this share of the turn at flank height [-].
 FEWEST_DENSE, SLOW_TIP = 32, 0.05
 
+#: At most so many motions before one near the pole are joined with it.
+FARTHEST = 1000
+
 
 class Moves:
     """
@@ -59,13 +63,17 @@ class Moves:
         Choices of the user.
     dense : int
         Number of short blocks before the first motion, at most ``FEWEST_DENSE``.
+    led : bool
+        Whether the motion before the first one is ROTARY_LINEAR.
 
     Attributes
     ----------
     interpolation : ndarray of int, shape (n,)
         What runs linearly in each motion, as in ``Blocks``.
-    dense : int
-        The same number before the next motion.
+    dense, led : int, bool
+        The same before the next motion.
+    undecided : int
+        Number of last motions whose ``interpolation`` depends on the next ones.
     beside : ndarray of bool, shape (n,)
         Motions of axes in which extra axes move and rotary axes do not.
     rests : ndarray of bool, shape (n,)
@@ -81,9 +89,10 @@ class Moves:
         rows: FloatArray,
         settings: Settings,
         dense: int = 0,
+        led: bool = False,
     ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
-        self.dense = dense
+        self.dense, self.led, self.undecided = dense, led, 0
         self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
         self.axis_before = before[:, AXIS]
         self._along = np.zeros((3, 3))
@@ -98,6 +107,14 @@ class Moves:
         self._by_axes = (rows[:, AXES] != 0.0) & turned
         self.interpolation = self._interpolation(settings)
 
+    def __getitem__(self, part: slice) -> Moves:
+        """Return some of the motions."""
+        some = copy(self)
+        for name in ('_before', 'rows', 'sweep', 'axis_before', '_start', '_arc', '_by_axes',
+                     'interpolation', 'beside', 'rests'):  # fmt: skip
+            setattr(some, name, getattr(self, name)[part])
+        return some
+
     def _interpolation(self, settings: Settings) -> IntArray:
         """
         Say what runs linearly; without tool-tip programming, the axes where one turns.
@@ -107,14 +124,18 @@ class Moves:
         """
         rows = self.rows
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & (rows[:, GREAT_CIRCLE] == 0.0)
-        self.beside = (np.abs(self._extra_step()) > SAME).any(axis=1) & (rows[:, AXES] != 0.0)
-        self.beside &= np.isfinite(rows[:, ROTARY]).all(axis=1) & ~turns
+        drifts = (np.abs(self._extra_step()) > SAME).any(axis=1) & ~turns
+        drifts &= np.isfinite(rows[:, ROTARY]).all(axis=1)
+        self.beside = drifts & (rows[:, AXES] != 0.0)
         kind = np.where(turns & (rows[:, AXES] != 0.0) | self.beside, AXES_LINEAR, POSES)
         # With tool-tip programming, directions give the rotary axes unless the pole is near.
         self.rests = turns & (kind == POSES) & ~self._travels()
         words = np.flatnonzero(turns & (kind == POSES) & ~self.rests)
-        if len(words):
-            kind[words[self._near_pole(words, settings.flank_height)]] = ROTARY_LINEAR
+        drifts &= np.isfinite(self._before[:, ROTARY]).all(axis=1) & (rows[:, GREAT_CIRCLE] == 0.0)
+        drifts &= (kind == POSES) & self._travels()
+        if len(words) or drifts.any():
+            kind[self._ruled_by_words(words, drifts, settings)] = ROTARY_LINEAR
+        self.led = bool(kind[-1] == ROTARY_LINEAR) if len(rows) else self.led
         if settings.compress:
             like = (kind == POSES) & (rows[:, RAPID] == 0.0) & self._travels()
             short = np.flatnonzero((kind == AXES_LINEAR) & (rows[:, RAPID] == 0.0) & ~self._arc)
@@ -127,6 +148,29 @@ class Moves:
             self.dense = int(min(count[-1], FEWEST_DENSE)) if len(rows) else self.dense
         return kind
 
+    def _ruled_by_words(self, words: IntArray, drifts: BoolArray, settings: Settings) -> BoolArray:
+        """
+        Return in which motions the rotary axes run linearly to their words, shape (n,).
+
+        Motions with rotary ``words`` do that come near the pole, and so do those that long ones
+        join with them: no corner joins poses with linear rotary axes while both turn. So do extra
+        axes that move alone (``drifts``). Short motions stay poses, because poses become curves.
+        """
+        near = np.zeros(len(self.rows), dtype=np.bool_)
+        near[words] = self._near_pole(words, settings.flank_height)
+        joins = near | drifts
+        joins[words[~self._short(words, settings)]] = True
+        # A chain is a row of motions that can be joined; a rest ends it.
+        chain = np.cumsum(~joins | (self._before[:, EXACT_STOP] != 0.0))
+        row = np.arange(len(joins))
+        first = np.full(chain[-1] + 1, len(joins) + FARTHEST)
+        np.minimum.at(first, chain[near], row[near])
+        first[0] = 0 if self.led else first[0]
+        ruled = joins & (row >= first[chain] - FARTHEST)
+        if joins[-1] and not ruled[-1] and self.rows[-1, EXACT_STOP] == 0.0:
+            self.undecided = min(int((joins & (chain == chain[-1])).sum()), FARTHEST)
+        return np.asarray(ruled)
+
     def _near_pole(self, row: IntArray, height: float) -> BoolArray:
         """Return which motions come so near to the pole that words must rule, shape (m,)."""
         cone = POLE_TOLERANCES * self.rows[row, ORIENTATION] / height
@@ -136,9 +180,7 @@ class Moves:
     def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
         """Return which lines in axes are short lines of poses within a tenth, shape (m,)."""
         end, height = self.rows[row], settings.flank_height
-        (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
-        way, turn = np.linalg.norm(tip - tip_from, axis=1), height * angle_between(o_from, o)
-        fits = (way <= settings.longest_block) & (way > SLOW_TIP * turn)
+        fits = self._short(row, settings)
         fits &= self.beside[row] | ~self._near_pole(row, height)
         some = row[fits]
         if len(some):
@@ -152,6 +194,13 @@ class Moves:
                 == 1
             )
         return np.asarray(fits)
+
+    def _short(self, row: IntArray, settings: Settings) -> BoolArray:
+        """Return in which motions the tip moves a short way, but does not rest, shape (m,)."""
+        (tip_from, o_from), (tip, o) = (self.poses(row, np.full(len(row), u)) for u in (0.0, 1.0))
+        way = np.linalg.norm(tip - tip_from, axis=1)
+        turn = settings.flank_height * angle_between(o_from, o)
+        return np.asarray((way <= settings.longest_block) & (way > SLOW_TIP * turn))
 
     def _travels(self) -> BoolArray:
         """Return which end points differ from their start points, shape (n,)."""

@@ -85,12 +85,22 @@ def test_axes_run_on_lines_to_their_words(name):
 def test_words_near_the_pole_are_met_with_tool_tips(name):
     machine = Machine.load(name)
     transform = Transform.of(machine)
+    scale = np.where(machine.is_linear, 1.0, HEIGHT)
+    tip = [k for k, name in enumerate(machine.axis_names) if name in 'XYZ']
     for seed in range(FEW):
         text = rotary_words.random_program(np.random.default_rng([6, seed]), machine, tcp=True)
         plan = plan_program(read_text(text, 't.ngc', transform, Settings()), machine)
         proof = verify(rotary_words.files_of(plan), machine)
         assert proof.ok, (seed, proof.failures)
         assert rotary_words.words_missed(text, plan, tcp=True) < 1e-9
+        # The tool rests beside turns about a resting tip, and where the path turns back.
+        steps = np.diff(vertices(text, machine, np.zeros(3)), axis=0) * scale
+        steps = steps[np.linalg.norm(steps, axis=1) > 0.0]
+        rests = np.linalg.norm(steps[:, tip], axis=1) == 0.0
+        backs = (steps[:-1, tip] * steps[1:, tip]).sum(axis=1) <= np.cos(170.0 * DEG) * (
+            np.linalg.norm(steps[:-1, tip], axis=1) * np.linalg.norm(steps[1:, tip], axis=1)
+        )
+        assert plan.segments.stop.sum() <= 1 + (rests[:-1] | rests[1:] | backs).sum()
 
 
 @pytest.mark.parametrize('tcp', [False, True])

@@ -20,9 +20,13 @@ DENSE = (
     + ''.join(f'X{0.02 * k:.2f} Y{5 * math.sin(0.001 * k):.4f}\n' for k in range(1, 5001))
     + 'M2\n'
 )
+#: Lines in machine axes with rounded corners, through the pole and with a rapid.
+IN_AXES = (
+    'G21 G90 G49 G0 X0 Y0 Z0 A-5 C20\nG1 F2000\nX10 A5\nY8 C40\nG0 X15 Z5 A10\nG1 A-5 C0\nM2\n'
+)
 
 
-@pytest.fixture(scope='module', params=[SHORT, DENSE], ids=['short', 'dense'])
+@pytest.fixture(scope='module', params=[SHORT, DENSE, IN_AXES], ids=['short', 'dense', 'axes'])
 def messages(request, tmp_path_factory):
     """All messages of a recorded run by topic; nothing is sourced."""
     folder = tmp_path_factory.mktemp('record')

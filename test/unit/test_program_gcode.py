@@ -8,7 +8,7 @@ from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.program import JobSetup, columns, read_program, read_text
-from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
+from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
 from cnc_interp.settings.choices import Settings
 
 
@@ -237,11 +237,13 @@ def test_the_batch_size_changes_nothing(rows, monkeypatch):
     random = np.random.default_rng(5)
     lines = ['M428', 'G0 X0 A10 C0']
     for _ in range(60):
-        x, c = random.integers(0, 3), 20 * random.integers(0, 3)
-        lines.append(f'G1 X{x} C{c} F{random.integers(1, 9)}')
+        x, c = 4 * random.integers(0, 3), 20 * random.integers(0, 3)
+        tilt = random.choice(['', '', '', ' A10', ' A-3'])
+        lines.append(f'G1 X{x} C{c}{tilt} F{random.integers(1, 9)}')
         if random.random() < 0.2:
             lines.append(random.choice(['M0', 'G61', 'G64', 'ORIVECT', 'ORIAXES', 'G4 P1']))
     whole = read('\n'.join(lines)).blocks
+    assert {POSES, ROTARY_LINEAR} == set(whole.interpolation)
     monkeypatch.setattr(columns, '_BATCH_ROWS', rows)
     parts = read('\n'.join(lines)).blocks
     for name in whole.__dataclass_fields__:

@@ -151,6 +151,23 @@ def test_words_rule_where_directions_do_not_give_them(a0, c0, a1, c1):
     assert blocks.duration[1] == pytest.approx(np.hypot(50.0, 20.0) / 1200.0 * 60.0)
 
 
+def test_long_motions_join_one_near_the_pole():
+    """Each side of the pole was a stop: poses and linear rotary axes have no common corner."""
+    lines = ['M428', 'G0 X0 A20 C10', 'G1 X20 A25 F600', 'X40 Y5 A20', 'X60 A-15', 'X80 C30']
+    lines += ['G61', 'X100 C50', 'G64', 'X101 C52', 'X120 C60', 'X140 A20']
+
+    def kinds(lines):
+        blocks = read_text('\n'.join(lines), 't.ngc', TableAC(), Settings()).blocks
+        return dict(zip(blocks.line_number.tolist(), blocks.interpolation.tolist(), strict=True))
+
+    found = kinds(lines)
+    # X60 and X140 pass the pole. The chain ends at the exact stop of line 8, and the short line 10
+    # stays a curve of poses, so nothing before line 11 follows the words to X140.
+    assert [found[line] for line in (3, 4, 5, 6, 8, 11, 12)] == [ROTARY_LINEAR] * 7
+    assert found[10] == POSES and found[2] == POSES
+    assert set(kinds([*lines[:4], 'X60 A15', *lines[5:11]]).values()) == {POSES}
+
+
 def test_many_turns_are_cut_into_pieces_of_eight():
     blocks = axes_block(0, 0, 0, 36000)
     assert len(blocks) - 1 == 13

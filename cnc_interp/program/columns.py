@@ -203,11 +203,11 @@ class TargetColumns:
             self._parts.append(self._beginning(rows[:1]))
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
-            moves = self._moves(rows)
+            moves = self._moves(self._before, rows)
             if moves.undecided and not last:
                 rows, later = np.split(rows, [len(rows) - moves.undecided])
                 self._rows = array('d', later.tobytes()) + self._rows
-                moves = self._moves(rows)
+                moves = self._moves(self._before, rows)
             if len(rows):
                 self._before, self._dense, self._led = rows[-1], moves.dense, moves.led
             for part in _portions(moves):
@@ -223,9 +223,9 @@ class TargetColumns:
         waits[-1] = _waits(row)[0]
         return replace(curve, exact_stop=stop, program_stop=waits)
 
-    def _moves(self, rows: FloatArray) -> Moves:
-        """Return the motions from the last target that became a block through these rows."""
-        before = np.vstack([self._before, rows])[:-1]
+    def _moves(self, start: FloatArray, rows: FloatArray) -> Moves:
+        """Return the motions from a start target, shape (29,), through these rows."""
+        before = np.vstack([start, rows])[:-1]
         return Moves(
             self._geometry, self._zero, before, rows, self._settings, self._dense, self._led
         )

@@ -12,7 +12,7 @@ from cnc_interp_msgs.msg import (
     G1BlockBatch,
     LoadedProgram,
     MachineState,
-    PathSegment,
+    PathSegmentBatch,
     SetpointChunk,
     StreamStatus,
 )
@@ -44,7 +44,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'loaded_program': (LoadedProgram, qos.LOADED),
     'blocks': (G1Block, qos.STREAM),
     'block_batches': (G1BlockBatch, qos.STREAM),
-    'segments': (PathSegment, qos.STREAM),
+    'segments': (PathSegmentBatch, qos.STREAM),
     'setpoints': (SetpointChunk, qos.SETPOINTS),
     'executed_setpoints': (SetpointChunk, qos.STREAM),
     'stream_status': (StreamStatus, qos.STATUS),

@@ -163,9 +163,11 @@ def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
         If one is missing.
 
     """
-    messages: Iterable[Any] = bag.read(stream)
+    messages: Iterable[Any]
     if stream == 'blocks':
-        messages = chain(messages, *map(blocks_of, bag.read('block_batches')))
+        messages = chain(bag.read(stream), *map(blocks_of, bag.read('block_batches')))
+    else:
+        messages = chain.from_iterable(batch.segments for batch in bag.read(stream))
     found = {m.sequence: m for m in messages if run_id_of(m).same_attempt(run_id)}
     missing = next((k for k in range(len(found)) if k not in found), None)
     if missing is not None or not found:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import sys
 import time
+from operator import attrgetter
 from typing import Any
 
-from cnc_interp_msgs.msg import MachineState, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import MachineState, PathSegment, PathSegmentBatch, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core.arrays import FloatArray
@@ -84,8 +85,8 @@ class FeedrateNode(LifecycleNode):
         self._session = PlanningSession(self, period, values['plan_ahead'])
         self._inlet = Inlet(
             self, WindowedReceiver('segments', values['segment_window']),
-            {'segments': PathSegment}, self._check, self._take, self._session.end_path,
-            self._diagnostics,
+            {'segments': PathSegmentBatch}, self._check, self._take, self._session.end_path,
+            self._diagnostics, gate=attrgetter('segments'),
         )  # fmt: skip
         self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
         self._inputs = OperatorInputs(self)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 
-from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, PathSegmentBatch
 from rclpy.node import Node
 
 from cnc_interp.core.errors import InterpError, Refusal
@@ -27,6 +27,8 @@ from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Segments that may wait for the planner before smoothing goes on.
 MOST_WAITING = 1024
+#: Most segments in one message.
+MOST_TOGETHER = 32
 
 
 class LookaheadNode(Node):
@@ -44,8 +46,9 @@ class LookaheadNode(Node):
             self, self._diagnostics, 'blocks', 'program_node', values['peer_timeout']
         )
         self._outlet = Outlet(
-            self, 'segments', PathSegment, values['resend_after'], lambda message, _: message
-        )
+            self, 'segments', PathSegmentBatch, values['resend_after'],
+            lambda segments, _: PathSegmentBatch(segments=segments),
+        )  # fmt: skip
         check = partial(check_block, extra_count=len(self._transform.extra_names))
         self._inlet = Inlet(
             self, WindowedReceiver('blocks', values['block_window']),
@@ -101,8 +104,9 @@ class LookaheadNode(Node):
 
     def _send(self, segments: list[PathSegment]) -> None:
         """Queue segments and send as much as the window allows."""
-        for segment in segments:
-            self._outlet.sender.put(segment)
+        for first in range(0, len(segments), MOST_TOGETHER):
+            together = segments[first : first + MOST_TOGETHER]
+            self._outlet.sender.put(together, len(together))
         self._outlet.pump()
 
     def close(self) -> None:

@@ -112,8 +112,9 @@ def test_the_path_of_a_run_is_that_of_its_recorded_segments(tmp_path, capsys):
         if topic != 'segments':
             return data
         message = deserialize_message(data, TOPICS[topic][0])
-        for k in range(0, len(message.bottom.control_points), 3):
-            message.bottom.control_points[k] += 1e-3
+        for segment in message.segments:
+            for k in range(0, len(segment.bottom.control_points), 3):
+                segment.bottom.control_points[k] += 1e-3
         return sealed(message)
 
     copied(HELD, tmp_path / 'shifted', shift)
@@ -129,7 +130,7 @@ def test_plan_files_of_a_run_have_its_blocks_segments_and_feeds(tmp_path):
     plan = read_plan(tmp_path)
     assert len(plan.blocks['tip']) == len(run.blocks)
     assert summary['segments'] == len(run.segments)
-    s, time = plan.setpoints['s'], plan.setpoints['time']
+    s, time = np.asarray(plan.setpoints['s']), np.asarray(plan.setpoints['time'])
     assert plan.path['s'][-1] == pytest.approx(s[-1], abs=1e-9)
     middle = s[200:-200:50]  # the feed column against differences of the executed setpoints
     k = np.searchsorted(s, middle)
@@ -168,8 +169,10 @@ def test_other_readers_understand_the_bag():
         for channel in summary.channels.values():
             assert channel.message_encoding == 'cdr'
             assert 'reliability: reliable' in channel.metadata['offered_qos_profiles']
-        assert schemas['cnc_interp_msgs/msg/PathSegment'].encoding == 'ros2msg'
-        assert b'MSG: cnc_interp_msgs/BSpline' in schemas['cnc_interp_msgs/msg/PathSegment'].data
+        assert schemas['cnc_interp_msgs/msg/PathSegmentBatch'].encoding == 'ros2msg'
+        assert (
+            b'MSG: cnc_interp_msgs/BSpline' in schemas['cnc_interp_msgs/msg/PathSegmentBatch'].data
+        )
         counted = sum(1 for _ in reader.iter_messages())
     assert counted == summary.statistics.message_count > 50
     with Reader(HELD) as bag:

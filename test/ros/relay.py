@@ -3,14 +3,14 @@
 import threading
 
 import rclpy
-from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegmentBatch, SetpointChunk
 from rclpy.executors import SingleThreadedExecutor
 
 from cnc_interp.nodes import qos
 
 KINDS = ('dropped', 'duplicated', 'reordered', 'corrupted')
 STREAMS = {
-    'block_batches': G1BlockBatch, 'segments': PathSegment, 'setpoints': SetpointChunk,
+    'block_batches': G1BlockBatch, 'segments': PathSegmentBatch, 'setpoints': SetpointChunk,
     'blocks': G1Block,
 }  # fmt: skip
 #: Each stream with its sender; what it sends goes through the relay.

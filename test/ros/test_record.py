@@ -4,14 +4,16 @@ import math
 import os
 import subprocess
 import sys
+from itertools import chain
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.bag import TOPICS, Bag
-from cnc_interp.wire.path_messages import blocks_of
 
+#: Topic of the batches.
+TRAVEL_AS = {'blocks': 'block_batches', 'segments': 'segments'}
 #: So short that the run is over before the slower topics have been published again.
 SHORT = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX5\nY5\nM2\n'
 #: 5,000 blocks a second, which nobody could send as so many messages.
@@ -47,16 +49,18 @@ def messages(request, tmp_path_factory):
 
 @pytest.mark.parametrize('topic', ['blocks', 'segments'])
 def test_streams_have_every_message_to_the_end_of_the_program(messages, topic):
-    found = [block for batch in messages['block_batches'] for block in blocks_of(batch)]
-    found = messages['segments'] if topic == 'segments' else found
+    found = list(
+        chain.from_iterable(getattr(batch, topic) for batch in messages[TRAVEL_AS[topic]])
+    )
     assert [m.sequence for m in found] == list(range(len(found)))
     assert [m.end_of_program for m in found] == [False] * (len(found) - 1) + [True]
 
 
-def test_blocks_travel_together(messages):
-    sizes = [len(batch.blocks) for batch in messages['block_batches']]
+@pytest.mark.parametrize(('topic', 'together'), [('blocks', 32), ('segments', 8)])
+def test_they_travel_together(messages, topic, together):
+    sizes = [len(getattr(batch, topic)) for batch in messages[TRAVEL_AS[topic]]]
     assert not messages['blocks']
-    assert len(sizes) <= 2 + sum(sizes) / 32
+    assert len(sizes) <= 4 + sum(sizes) / together
 
 
 @pytest.mark.parametrize('topic', ['setpoints', 'executed_setpoints'])

@@ -5,8 +5,9 @@ Mutated programs, planned and checked by the commands: refusals, unproven plans,
 
 The programs are the first lines of those of ``test/unit/test_program_fuzz.py``, changed in a few
 places by chance. A plan that ``check`` does not prove, a refusal of more than one line and a
-traceback are printed with the seed that makes the program again. A program that takes longer than
-60 s is counted and left: a mutated feed can make a motion of days.
+traceback are printed with the seed that makes the program again. Each program has a process of its
+own, forked from one that has loaded the kernels. A program that takes longer than 60 s is counted
+and left: a mutated feed can make a motion of days.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import contextlib
 import io
 import json
+import os
 import random
 import signal
 import sys
@@ -22,7 +24,6 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from types import FrameType
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 from test_program_fuzz import EXAMPLES, mutated, seeds
@@ -32,15 +33,6 @@ from cnc_interp.cli import main as command
 MACHINES = ('xyzac', 'xyzbc', 'bc_trunnion')
 #: Longest time for one program [s].
 PATIENCE = 60
-
-
-class TooLongError(Exception):
-    """A program takes too long."""
-
-
-def too_long(_number: int, _frame: FrameType | None) -> None:
-    """End a program that takes too long."""
-    raise TooLongError
 
 
 def said_by(words: list[str]) -> tuple[int, str]:
@@ -68,6 +60,33 @@ def outcome(text: bytes, machine: str, folder: Path) -> tuple[str, str]:
     return {0: 'proven', 1: 'not proven by check'}.get(code, 'refused by check'), said
 
 
+def tried(text: bytes, machine: str) -> tuple[str, str]:
+    """Return the outcome of a program that is planned and checked in a fork."""
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile() as told:
+        child = os.fork()
+        if not child:
+            signal.alarm(PATIENCE)  # ends the fork
+            try:
+                found = outcome(text, machine, Path(folder))
+            except KeyboardInterrupt:
+                os._exit(130)
+            except BaseException as fault:
+                found = 'traceback', f'{type(fault).__name__}: {fault}'
+            told.write(json.dumps(found).encode())
+            told.flush()
+            os._exit(0)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if code == 130:
+            raise KeyboardInterrupt
+        if code == -signal.SIGALRM:
+            return f'longer than {PATIENCE} s', ''
+        if code:
+            return 'ended by a signal', f'signal {-code}'
+        told.seek(0)
+        what, said = json.loads(told.read())
+        return what, said
+
+
 def main() -> None:
     """Try programs and print a line of counts."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -80,21 +99,11 @@ def main() -> None:
     slowest, begun = 0.0, time.monotonic()
     with tempfile.TemporaryDirectory() as folder:  # kernels are compiled, without an alarm
         outcome((EXAMPLES / 'pyramid.ngc').read_bytes(), MACHINES[0], Path(folder))
-    signal.signal(signal.SIGALRM, too_long)
     with contextlib.suppress(KeyboardInterrupt):
         for seed in range(options.first, options.first + options.count):
             text, machine = mutated(random.Random(seed), texts), MACHINES[seed % len(MACHINES)]
             started = time.monotonic()
-            with tempfile.TemporaryDirectory() as folder:
-                try:
-                    signal.alarm(PATIENCE)
-                    what, said = outcome(text, machine, Path(folder))
-                except TooLongError:
-                    what, said = f'longer than {PATIENCE} s', ''
-                except Exception as fault:
-                    what, said = 'traceback', f'{type(fault).__name__}: {fault}'
-                finally:
-                    signal.alarm(0)
+            what, said = tried(text, machine)
             found[what] += 1
             slowest = max(slowest, time.monotonic() - started)
             if what not in ('refused', 'proven'):

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Plane, Torus
 from cnc_interp.cam.spline_surfaces import BSplineSurface
-from cnc_interp.cam.step_file import read_step_face
+from cnc_interp.cam.step_process import read_step_safely
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.small_files import UnreadableError, read_json
@@ -96,7 +96,7 @@ def read_surface(
 
     """
     if path.suffix.lower() in STEP_SUFFIXES:
-        return read_step_face(path, face, note)
+        return read_step_safely(path, face, note)
     if face is not None:
         raise SurfaceError(f'{path}: --face is for STEP files ({", ".join(STEP_SUFFIXES)})')
     try:

@@ -21,11 +21,13 @@ class BoundedMemory:
     ----------
     files : Path
         The files that are read.
+    room : int
+        What it may take beside [bytes].
 
     """
 
-    def __init__(self, *files: Path):
-        room = ROOM + TIMES * sum(file.stat().st_size for file in files)
+    def __init__(self, *files: Path, room: int = ROOM):
+        room += TIMES * sum(file.stat().st_size for file in files)
         pages = Path('/proc/self/statm').read_text(encoding='ascii').split()
         used = int(pages[5]) * resource.getpagesize()
         self._before = [resource.getrlimit(kind) for kind in _KINDS]

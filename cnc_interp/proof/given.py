@@ -88,6 +88,10 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
     override = float(summary.get('largest_override', 1.0))
     if override != 1.0:
         rows.append(Given('feed override', f'up to {override:.1%}', of_summary))
+    if (source / 'segments.npz').is_file():
+        rows.append(
+            Given('not checked', 'segments.npz, which only the report draws', 'its folder')
+        )
     return tuple(rows)
 
 

@@ -16,7 +16,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof import columns
 from cnc_interp.proof.columns import held, spans
-from cnc_interp.proof.plan_files import PATH_CELLS, PlanFiles
+from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles
 from cnc_interp.proof.verdict import Ledger
 
 # Largest accepted distance between setpoints, forward kinematics and the path file [m, rad].
@@ -55,6 +55,7 @@ def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     for a, b in spans(points - 1):
         largest = np.maximum(largest, np.abs(path['cell_left'][:, a:b]).max(axis=1))
     jumps = dict.fromkeys(JUMPS, 0)
+    written = _written_feeds(plan, rows)
     for a, b in spans(points):
         own, tip, axis = rows[a:b], *transform.forward(path['q'][a:b])
         gap = np.linalg.norm(tip - path['tip'][a:b], axis=1)
@@ -75,6 +76,7 @@ def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             jumps[order] += int(np.count_nonzero(~(share <= 1.0)))
         _prove_cells(ledger, plan, machine, rows, (a, b))
         _prove_feeds(ledger, plan, machine, rows, (a, b))
+        _prove_programmed_feed(ledger, plan, rows, (a, b), written)
     ledger.require(rising, 'path.npz: s must increase at every grid point')
     for order, count in jumps.items():
         ledger.require(
@@ -129,6 +131,48 @@ def _prove_feeds(
     bounded, name = limit > 0.0, 'largest_feed_over_limit'
     over = float(np.max(feed[bounded] / limit[bounded], initial=0.0))
     ledger.remarks[name] = max(over, ledger.remarks.get(name, 0.0))
+
+
+def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:
+    """
+    Return the rows that the path names, and the highest feed of the blocks around each [m/s].
+
+    A curve names one row for each of its halves, so the rows up to the next ones that are named
+    count. Rapids, durations, turns about a resting tip and linear rotary axes have no bound.
+    """
+    blocks = plan.blocks
+    length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
+    free = blocks['rapid'] | np.isfinite(blocks['duration']) | (blocks['interpolation'] != 0)
+    free |= (length <= NO_LENGTH) | np.isnan(blocks['feed'])
+    feed = np.where(free, np.inf, blocks['feed'])
+    named = np.unique(rows)
+    first = np.maximum(np.r_[named[:1], named[:-1]], 1)
+    last = np.maximum(np.r_[named[1:], named[-1:]], first)
+    spans_of_rows = np.stack([first, last + 1], axis=1).ravel()
+    return named, np.asarray(np.maximum.reduceat(np.r_[feed, -np.inf], spans_of_rows)[::2])
+
+
+def _prove_programmed_feed(
+    ledger: Ledger,
+    plan: PlanFiles,
+    rows: IntArray,
+    part: tuple[int, int],
+    written: tuple[IntArray, FloatArray],
+) -> None:
+    """
+    Demand that the path has no higher programmed feed than its blocks, at some grid points.
+
+    The path length may count more than the way of the tip; then the speed is higher by as much.
+    """
+    (a, b), path, (named, feed) = part, plan.path, written
+    way = np.linalg.norm(np.diff(held(path['tip'], a, b, 1, 1), axis=0), axis=1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        longer = np.fmax(np.diff(held(path['s'], a, b, 1, 1)) / way, 1.0)
+    allowed = feed[np.searchsorted(named, rows[a:b])] * np.maximum(longer[:-1], longer[1:])
+    programmed = np.where(np.isfinite(allowed), path['programmed_feed'][a:b], 0.0)
+    ledger.check(
+        'programmed feed of path', programmed, allowed, allowed=ROUNDING, rows=rows[a:b]
+    )  # fmt: skip
 
 
 def _prove_setpoints(ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: IntArray) -> None:

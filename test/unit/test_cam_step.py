@@ -1,7 +1,8 @@
 """Faces of STEP files: surfaces against closed forms, and one line for what is not read."""
 
 import json
-import sys
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -546,9 +547,36 @@ def test_oblique_cut_of_a_cylinder_spans_its_highest_and_lowest_point(tmp_path):
 
 
 def test_missing_library_is_named_with_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, 'OCP.STEPControl', None)
+    (tmp_path / 'OCP.py').write_text('')  # a module without what is needed
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
     path = two_faces().write(tmp_path / 'a.step')
     with pytest.raises(SurfaceError, match='pip install cadquery-ocp-novtk'):
+        read_surface(path, 1)
+
+
+@pytest.mark.parametrize(
+    ('end', 'says'),
+    [
+        (signal.SIGSEGV, 'it ended by SIGSEGV'),
+        (signal.SIGXCPU, 'it takes longer than a file of this length may'),
+    ],
+)
+def test_a_reader_that_dies_is_one_line(end, says, monkeypatch, tmp_path):
+    (tmp_path / 'OCP.py').write_text(f'import os\nos.kill(os.getpid(), {int(end)})\n')
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(SurfaceError, match=says) as fault:
+        read_surface(two_faces().write(tmp_path / 'a.step'), 1)
+    assert '\n' not in str(fault.value)
+
+
+def test_time_and_memory_of_a_file_are_limited(monkeypatch, tmp_path):
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    path = two_faces().write(tmp_path / 'a.step')
+    (tmp_path / 'OCP.py').write_text('kept = [bytes(1 << 20) for _ in range(1 << 13)]\n')
+    with pytest.raises(SurfaceError, match='more memory than its length explains'):
+        read_surface(path, 1)
+    (tmp_path / 'OCP.py').write_text('while True:\n    pass\n')
+    with pytest.raises(SurfaceError, match='takes longer than a file of this length may'):
         read_surface(path, 1)
 
 

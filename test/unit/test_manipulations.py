@@ -156,6 +156,22 @@ for name, change in {'times 1.01': lambda f: f * 1.01, 'one row': at(0.5, 0.001)
                      'times 0.99': lambda f: f * 0.99}.items():  # fmt: skip
     for key in ('feed', 'feed_limit'):
         column(f'{key} of the path: {name}', CAUGHT, 'path', key, change)
+
+
+def faster_program(content):
+    """Say that the path was programmed faster, with the limit of Eq. 10 that belongs to it."""
+    path = content['path']
+    path['programmed_feed'] = 1.2 * path['programmed_feed']
+    bound = path['programmed_feed'].copy()
+    for cells, side in ((path['cell_left'], np.s_[:-1]), (path['cell_right'], np.s_[1:])):
+        for k, limits in enumerate(MACHINE.limits, start=1):
+            with np.errstate(divide='ignore'):
+                reach = (limits / np.abs(cells[k])) ** (1.0 / k)
+            bound[side] = np.minimum(bound[side], reach.min(axis=1))
+    path['feed_limit'] = bound
+
+
+manipulation('programmed feed of the path: higher than the program says', CAUGHT, faster_program)
 column('stop of the path: none', CAUGHT, 'path', 'stop', lambda stop: stop & False)
 column('stop of the path: everywhere', CAUGHT, 'path', 'stop', lambda stop: stop | True)
 column('block of the path: all of row 1', CAUGHT, 'path', 'block', np.ones_like)
@@ -299,6 +315,9 @@ def test_the_sound_plan_is_proven_and_says_what_is_given(sound, tmp_path, capsys
     for words in ('6 blocks of five_axes.ngc, from blocks.npz (sha256 ', 'xyzac, from the bundled',
                   '0.02 mm contour', '30 mm, from summary.json'):  # fmt: skip
         assert words in text
+    assert 'not checked    segments.npz' not in text
+    (tmp_path / 'segments.npz').write_bytes(b'nothing')
+    assert 'not checked    segments.npz' in check(tmp_path, capsys)[1]
     # The hash is that of the program: another tolerance is another program.
     found = re.search(r'blocks\.npz \(sha256 (\w+)\)', text)[1]
     other = copy.deepcopy(sound)

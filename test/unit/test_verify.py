@@ -182,6 +182,9 @@ def test_a_feed_override_of_the_run_is_allowed(tmp_path, words):
         content['blocks']['duration'] *= 1.2
     else:
         content['blocks']['feed'] /= 1.2
+        only_failure(proof_of(tmp_path, content), 'programmed feed of path')
+        for name in ('programmed_feed', 'feed_limit'):
+            content['path'][name] = content['path'][name] / 1.2
     only_failure(proof_of(tmp_path, content), 'tip feed')
     content['summary']['largest_override'] = 1.2
     proof = proof_of(tmp_path, content)

@@ -1,0 +1,95 @@
+"""
+STEP files are read by OpenCASCADE in a process of its own, with bounds on memory and time.
+
+OpenCASCADE may crash, or compute without end, for a file that is wrong on purpose. Then only that
+process ends, and the file is refused. It writes the surface, or why there is none, to its standard
+output.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from cnc_interp.cam.step_file import read_step_face
+from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.core.bounded_memory import BoundedMemory
+
+#: Time of a processor for a file [s], and for each MB of it. Memory beside what its length
+#: explains [bytes].
+SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
+
+
+def read_step_safely(
+    path: Path, face: int | None, note: Callable[[str], None] | None = None
+) -> Surface:
+    """
+    Read the surface of one face in a process of its own; as ``step_file.read_step_face``.
+
+    Raises
+    ------
+    SurfaceError
+        If there is no surface, also if the process ended without one.
+
+    """
+    words = [str(path), '' if face is None else str(face)]
+    command = [sys.executable, '-m', 'cnc_interp.cam.step_process', *words]
+    child = subprocess.run(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    if child.returncode:
+        raise SurfaceError(f'{path}: OpenCASCADE cannot read it: {_end(child.returncode)}')
+    surface, notes, refusal = pickle.loads(child.stdout)
+    if note:
+        for text in notes:
+            note(text)
+    if refusal:
+        raise SurfaceError(refusal)
+    read: Surface = surface
+    return read
+
+
+def _end(code: int) -> str:
+    """Say how the process ended."""
+    if code == -signal.SIGXCPU:
+        return 'it takes longer than a file of this length may'
+    return f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
+
+
+def answer(path: Path, face: int | None) -> tuple[Surface | None, list[str], str]:
+    """Read a face within bounds that stay; return it, notes, and why there is none."""
+    notes: list[str] = []
+    try:
+        length = path.stat().st_size if path.is_file() else 0
+        most = SECONDS + SECONDS_PER_MB * length // 1_000_000
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        BoundedMemory(*[path] * (length > 0), room=ROOM)
+        return read_step_face(path, face, notes.append), notes, ''
+    except SurfaceError as refusal:
+        return None, notes, str(refusal)
+    except MemoryError:
+        return None, notes, f'{path}: it needs more memory than its length explains'
+    except Exception as fault:  # bindings of OpenCASCADE raise anything
+        reason = ' '.join(str(fault).split())[:200] or type(fault).__name__
+        return None, notes, f'{path}: cannot be read ({reason})'
+
+
+def main() -> None:
+    """Read the file that the command line names, and write what was found."""
+    output = os.fdopen(os.dup(1), 'wb')
+    os.dup2(2, 1)  # what OpenCASCADE prints is no part of the answer
+    with output:
+        pickle.dump(answer(Path(sys.argv[1]), int(sys.argv[2]) if sys.argv[2] else None), output)
+        output.flush()
+        os._exit(0)  # destructors of OpenCASCADE may crash, too
+
+
+if __name__ == '__main__':
+    main()

@@ -42,6 +42,8 @@ FINI
 """
 LAST = (np.array([16.0, 12.0, 0.0]) * 1e-3, np.array([0.05, -0.12, 0.991514]))
 TOO_FAR = PROGRAM.replace('16.0,12.0', '1600.0,12.0')
+#: The table turns under a resting tool: both ends are inside the travel, the way is not.
+TOO_FAR_BETWEEN = 'G21 G90 G94\nM428\nG0 X0 Y569.8 Z0 A0 C0\nG1 C170 F2000\nM30\n'
 NO_NUMBER = PROGRAM.replace('10.0,8.0', '10.0,eight')
 
 RUN_FOR_EVER = """
@@ -107,6 +109,7 @@ def test_session_names_a_missing_program_and_a_wrong_machine(tmp_path):
     [
         (NO_NUMBER, Result.BAD_PROGRAM, ':7'),
         (TOO_FAR, Result.REFUSED, 'axis X'),
+        (TOO_FAR_BETWEEN, Result.REFUSED, ':4: axis Y would have to go to 501.548 mm'),
         ('', Result.BAD_PROGRAM, ''),
     ],
 )

@@ -84,7 +84,7 @@ def excesses_of(summary: dict[str, Any]) -> list[str]:
 
 def describe(summary: dict[str, Any]) -> str:
     """Return the summary in words and shop units."""
-    from cnc_interp.run.plan_figures import bound_text
+    from cnc_interp.run.plan_figures import bound_text, windows_text
 
     lines = [
         f'program        {summary["program"]} on {summary["machine"]}',
@@ -114,6 +114,8 @@ def describe(summary: dict[str, Any]) -> str:
         )
     if text := bound_text(summary):
         lines.append(f'bound          {text}')
+    if text := windows_text(summary):
+        lines.append(f'windows        {text}')
     return '\n'.join(lines)
 
 

@@ -9,6 +9,8 @@ is accepted only if it keeps every limit at all these instants.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 
@@ -292,7 +294,7 @@ def plan(
     -------
     Stretch or None
         A law that keeps every limit, or None if none was found. From rest on a finite path there
-        is always one.
+        is always one. Its ``converged`` tells whether it is the optimum.
 
     """
     options = options or PlanOptions()
@@ -315,7 +317,7 @@ def plan(
             reserved = reserved or converged
             # This law keeps the limits, but its distance to the optimum is unknown.
             if kept_all is None or stretch.duration.sum() < kept_all.duration.sum():
-                kept_all = stretch
+                kept_all = replace(stretch, converged=converged)
         elif stretch is not None:
             if best is None or stretch.use < best.use:
                 best = stretch
@@ -326,5 +328,5 @@ def plan(
         return kept_all
     if best is None:
         best = problem.check(problem.m.copy(), problem.reset_widths())
-    slow = None if best is None else problem.slowed(best)
+    slow = None if best is None else replace(problem.slowed(best), converged=False)
     return slow if slow is not None and np.isfinite(slow.use) else None

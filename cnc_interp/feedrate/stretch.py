@@ -32,6 +32,8 @@ class Stretch:
         Parts of velocity, acceleration, jerk and feed limits that each planner cell may use [-].
     use : float
         Largest use of a limit at the checked instants, divided by the accepted use [-].
+    converged : bool
+        Whether the solver came to the optimum. If not, the law may be far from it.
 
     """
 
@@ -43,6 +45,7 @@ class Stretch:
     nodes: IntArray
     scale: FloatArray
     use: float
+    converged: bool = True
 
     def after(self, cell: int) -> Stretch:
         """Return the part of the stretch that begins at a planner cell."""
@@ -56,6 +59,7 @@ class Stretch:
             nodes=self.nodes[cell:] - first,
             scale=self.scale[cell:],
             use=self.use,
+            converged=self.converged,
         )
 
     def law(self, start_time: float, last: int) -> MotionLaw:

@@ -6,6 +6,9 @@ the first part of its plan is committed. Committed motion is never changed. The 
 planned again in the next window. Windows depend only on the path, and neither on how it was
 divided into parts nor on when these arrived. So the same path always gives the same bits.
 
+If the solver does not converge, its law keeps the limits but may be far too slow. Then the window
+is divided by a rest where that law is slowest, if this is faster.
+
 A window fails if no law within the limits was found from the committed state. Then half of the
 older plan is committed instead, and after a second failure all of it. The older plan ends at
 rest. If even this is impossible, the path is refused with its block after a stop before it.
@@ -33,6 +36,13 @@ AT_REST = (0.0, 0.0)
 PART = 512
 """Largest number of path cells in a part that is handled as one."""
 
+CONVERGED, DIVIDED, NOT_CONVERGED, OLDER = 'converged', 'divided', 'not converged', 'older plan'
+SOLVED_BY = (CONVERGED, DIVIDED, NOT_CONVERGED, OLDER)
+"""How the law of a committed piece was found. A divided window has one rest more."""
+
+MOST_RESTS = 8
+"""Largest number of places at which a window is divided until its first part converges."""
+
 KEPT_PART = 0.5
 """Part of the horizon in which the next window keeps the cells of the older plan [-]."""
 
@@ -50,12 +60,15 @@ class PlannedPiece:
         The motion law along it, one piece per path cell; its clock continues between parts.
     least_time : float
         No motion within feed, velocities and accelerations is faster here [s]; 0 if not computed.
+    solved : str
+        One of ``SOLVED_BY``.
 
     """
 
     path: AxisPath
     law: MotionLaw
     least_time: float = 0.0
+    solved: str = CONVERGED
 
     @staticmethod
     def join(parts: list[PlannedPiece]) -> PlannedPiece:
@@ -69,7 +82,9 @@ class PlannedPiece:
             )
             first_cell += len(part.path.s) - 1
         least = sum(part.least_time for part in parts)
-        return PlannedPiece(AxisPath.join([p.path for p in parts]), MotionLaw.join(laws), least)
+        solved = max((part.solved for part in parts), key=SOLVED_BY.index)
+        path = AxisPath.join([part.path for part in parts])
+        return PlannedPiece(path, MotionLaw.join(laws), least, solved)
 
 
 def _unsound_cell(path: AxisPath) -> int | None:
@@ -239,12 +254,19 @@ class FeedPlanner:
         stretch = self._solve(known)
         if stretch is None and self._older is not None:
             return [self._drive_on(self._older)]
+        solved = CONVERGED
         while stretch is None:
             # No law reaches this point: stop at half the distance instead.
             last, at_stop, rests = last // 2, True, False
             if last == 0:
                 raise self._impossible(int(known.cell_block[0]))
             stretch = self._solve(cut(known, 0, last))
+        if not stretch.converged:
+            solved = NOT_CONVERGED
+            first = self._divided(known, stretch, MOST_RESTS)
+            if first is not None:
+                stretch, at_stop, rests = first, True, False
+                solved = DIVIDED if first.converged else NOT_CONVERGED
         cells = len(stretch.nodes) - 1
         if not at_stop:
             fine, s = stretch.path, stretch.path.s
@@ -260,7 +282,23 @@ class FeedPlanner:
                 return []
             cells = max(due, least, 1)
         self._failed = False
-        return [self._commit(stretch, cells, rests)]
+        return [self._commit(stretch, cells, solved, rests)]
+
+    def _divided(self, known: AxisPath, stretch: Stretch, rests: int) -> Stretch | None:
+        """Plan down to a rest on the way if this is faster than a law that has not converged."""
+        v = stretch.v[np.searchsorted(stretch.path.s, known.s)]
+        slow = 1 + np.flatnonzero((v[1:-1] <= v[:-2]) & (v[1:-1] <= v[2:]))
+        if not len(slow) or not rests:
+            return None
+        place, end = int(slow[np.argmin(v[slow])]), len(known.s) - 1
+        first = plan(cut(known, 0, place), self._table, self._start, self.options, self._kept)
+        second = plan(cut(known, place, end), self._table, AT_REST, self.options, None)
+        if first is None or second is None:
+            return None
+        if not first.converged:
+            first = self._divided(cut(known, 0, place), first, rests - 1) or first
+        divided = first.duration.sum() + second.duration.sum()
+        return first if divided < stretch.duration.sum() else None
 
     def _impossible(self, block: int) -> PlanningError:
         """Return the error for a path along which no motion is possible."""
@@ -276,9 +314,11 @@ class FeedPlanner:
         cells = len(older.nodes) - 1
         part = cells if self._failed else (cells + 1) // 2
         self._failed = part < cells
-        return self._commit(older, part)
+        return self._commit(older, part, OLDER)
 
-    def _commit(self, stretch: Stretch, cells: int, rests: bool = False) -> PlannedPiece:
+    def _commit(
+        self, stretch: Stretch, cells: int, solved: str, rests: bool = False
+    ) -> PlannedPiece:
         """
         Commit the first planner cells, and keep the rest of the plan for the next window.
 
@@ -286,7 +326,8 @@ class FeedPlanner:
         """
         last = int(stretch.nodes[cells])
         least = self._least_time(stretch, last, rests) if self.options.bound else 0.0
-        piece = PlannedPiece(cut(stretch.path, 0, last), stretch.law(self._time, last), least)
+        law = stretch.law(self._time, last)
+        piece = PlannedPiece(cut(stretch.path, 0, last), law, least, solved)
         self._time = piece.law.end_time
         s = stretch.path.s
         self._start = (float(stretch.v[last]), float(stretch.a[last]))

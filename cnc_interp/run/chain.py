@@ -73,6 +73,7 @@ class Chain:
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []
         self.moved = False
+        self.row_planned = 0  # last row of the program that has been planned
         self._unsampled: list[PlannedPiece] = []
         self._finished = False
 
@@ -124,7 +125,8 @@ class Chain:
 
     def _keep(self, pieces: list[PlannedPiece]) -> None:
         """Store what the planner committed."""
-        self.moved = self.moved or bool(pieces)
+        if pieces:
+            self.moved, self.row_planned = True, int(pieces[-1].path.cell_block[-1])
         self.pieces += pieces
         self._unsampled += pieces
 
@@ -198,7 +200,7 @@ def plan_to_files(
     settings : Settings, optional
         The user's choices.
     progress : callable, optional
-        Told the share of the text that has been planned, 0 to 1.
+        Told the share of the program that has been planned, 0 to 1.
 
     Returns
     -------
@@ -215,13 +217,17 @@ def plan_to_files(
     chain = Chain(machine, settings)
     with PlanWriter(directory, machine, settings) as writer:
         with at_fault(stream.source):
+            rows_read, told = 0, 0.0
             for part in stream:
                 writer.blocks(part)
+                rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)
                     chain.drain(writer)
-                if progress:
-                    progress(stream.share)
+                    if progress:
+                        # Reading is far ahead of planning, which takes most of the time.
+                        told = max(told, stream.share * chain.row_planned / rows_read)
+                        progress(told)
             chain.finish()
             chain.drain(writer)
             stream.note(chain.notice)

@@ -12,7 +12,7 @@ import numpy as np
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
-from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
@@ -47,6 +47,8 @@ class PlanFigures:
         self._on_curve, self._last_row = False, 0  # where the last segment ended
         self._tolerances = ToleranceUse()
         self._samples = self._segments = self._blocks = 0
+        self._windows = dict.fromkeys(SOLVED_BY, 0)
+        self._over_bound = 0.0  # of the windows that have not converged [s]
         self._planned = self._spanned = self._path_length = self._least = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
@@ -77,6 +79,9 @@ class PlanFigures:
         """Record the duration of the motion so far, and the least that is possible."""
         self._planned = piece.law.end_time
         self._least += piece.least_time
+        self._windows[piece.solved] += 1
+        if piece.solved != CONVERGED:
+            self._over_bound += float(piece.law.duration.sum()) - piece.least_time
 
     def setpoints(self, samples: Setpoints) -> None:
         """Measure the use of every limit by differences of the positions."""
@@ -129,6 +134,7 @@ class PlanFigures:
             'machine': machine.file or machine.name,
             'cycle_time': self.cycle_time,
             'time_bound': self._least or None,
+            'windows': {**self._windows, 'over_bound': self._over_bound},
             'interpolation_period': self._period,
             'flank_height': self._height,
             'settings': values_of(self._settings),
@@ -163,6 +169,21 @@ def bound_text(summary: Mapping[str, Any]) -> str:
         'no motion within these velocities and accelerations takes less than '
         f'{least:.3f} s; this one {summary["cycle_time"]:.3f} s'
     )
+
+
+def windows_text(summary: Mapping[str, Any]) -> str:
+    """Say how the windows were solved if not all have converged, else ''."""
+    windows = summary.get('windows')
+    if not isinstance(windows, dict):
+        return ''
+    counts = {how: windows.get(how) for how in SOLVED_BY}
+    over = windows.get('over_bound')
+    if not all(isinstance(count, int) for count in counts.values()):
+        return ''
+    if not isinstance(over, int | float) or not any(counts[how] for how in SOLVED_BY[1:]):
+        return ''
+    told = ', '.join(f'{count} {how}' for how, count in counts.items() if count)
+    return f'{told}; those not converged take {over:.3f} s more than the bound'
 
 
 def versions() -> dict[str, str]:

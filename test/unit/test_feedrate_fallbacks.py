@@ -6,13 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from feedrate_paths import XYZAC, line_path, polyline_path, sampled_ratios, scaled
+from feedrate_paths import (
+    XYZAC,
+    line_path,
+    polyline_path,
+    sampled_ratios,
+    scaled,
+)
 
 from cnc_interp.core.errors import PlanningError
-from cnc_interp.feedrate import jerk_stage
+from cnc_interp.feedrate import jerk_stage, window
 from cnc_interp.feedrate.interior_point import BROKEN, STALLED
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
+from cnc_interp.feedrate.window import (
+    CONVERGED,
+    DIVIDED,
+    NOT_CONVERGED,
+    FeedPlanner,
+    PlannedPiece,
+    plan_path,
+)
 from cnc_interp.kinematics.axis_path import AxisPath
 
 CORNER = np.array([[0, 0, 0], [0.03, 0, 0], [0.03, 0.02, 0], [0.05, 0.02, 0.01]], dtype=float)
@@ -60,8 +73,6 @@ def test_a_solver_that_fails_in_motion_leaves_the_older_plan(monkeypatch, status
 
 def test_a_grid_too_coarse_is_refined(monkeypatch):
     """Cells of 50 ms cannot keep what bends inside them; half of them and less can."""
-    from cnc_interp.feedrate import window
-
     asked = []
 
     def counting(path, table, start, options, kept):
@@ -174,3 +185,34 @@ def test_after_driving_to_the_older_stop_planning_goes_on(monkeypatch):
     rests = np.flatnonzero(piece.law.s_dot[1:] == 0.0)
     assert len(rests) >= 1
     assert piece.law.s_dot[rests[-1] + 1 :].max() > 0.005
+
+
+def test_a_window_that_does_not_converge_is_divided_by_a_rest(monkeypatch):
+    """Long stretches end three times too slow; rests in the corners are faster."""
+
+    def failing(path, *rest):
+        law = jerk_stage.plan(path, *rest)
+        if len(path.s) <= 20:
+            return law
+        return replace(
+            law, v=law.v / 3, a=law.a / 9, jerk=law.jerk / 27, duration=3 * law.duration,
+            converged=False,
+        )  # fmt: skip
+
+    path = polyline_path(CORNER, 0.05)
+    best = plan_path(path, XYZAC)
+    monkeypatch.setattr(window, 'plan', failing)
+    piece = plan_path(path, XYZAC)
+    assert best.solved == CONVERGED and piece.solved == DIVIDED
+    assert_sound(piece, path)
+    assert 1 <= np.count_nonzero(piece.law.s_dot[1:] == 0.0) <= 3
+    assert best.law.end_time < piece.law.end_time < 1.5 * best.law.end_time
+
+
+def test_a_law_that_has_not_converged_is_told(monkeypatch):
+    solve = jerk_stage.solve
+    monkeypatch.setattr(jerk_stage, 'solve', lambda *rest: (STALLED, *solve(*rest)[1:]))
+    path = polyline_path(CORNER, 0.05)
+    piece = plan_path(path, XYZAC)
+    assert piece.solved == NOT_CONVERGED
+    assert_sound(piece, path)

@@ -19,6 +19,7 @@ from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
 from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
@@ -88,11 +89,32 @@ def test_streamed_files_are_those_of_the_whole_plan(program, tmp_path):
 def test_a_program_planned_while_it_is_read_is_proven(program, tmp_path):
     shares = []
     plan_to_files(opened(program), MACHINE, tmp_path, progress=shares.append)
-    assert shares == sorted(shares) and 0.0 < shares[-1] <= 1.0
+    assert shares == sorted(shares) and 0.0 <= shares[-1] <= 1.0
     assert verify_plan(tmp_path, MACHINE).ok
     whole = plan_program(opened(program).read(), MACHINE)
     with np.load(tmp_path / 'setpoints.npz') as samples:
         assert abs(len(samples['time']) - len(whole.setpoints)) <= 1
+
+
+def test_progress_counts_what_is_planned_not_what_is_read(tmp_path, monkeypatch):
+    """The reader is done at once, and the path of many blocks waits for its windows."""
+    path = tmp_path / 'long.ngc'
+    path.write_text(zigzag(300))
+    read = opened(path).read()
+    planned, told = [0], []
+
+    def piece(writer, piece):
+        planned[0] = int(piece.path.cell_block[-1])
+        kept(writer, piece)
+
+    kept = PlanWriter.piece
+    monkeypatch.setattr(PlanWriter, 'piece', piece)
+    plan_to_files(
+        AtOnce(read), MACHINE, tmp_path / 'out', progress=lambda x: told.append((x, planned[0]))
+    )
+    assert len(told) > 5 and told[-1][0] > 0.6
+    for share, row in told:
+        assert share == pytest.approx(row / len(read.blocks), abs=1e-9)
 
 
 def test_written_path_and_figures_are_those_of_the_joined_pieces(program, tmp_path):

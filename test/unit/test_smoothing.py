@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from programs import blocks_of, pyramid, zigzag
 from scipy.interpolate import BSpline
@@ -18,6 +18,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
+from cnc_interp.smoothing.corners.vertices import SWIVEL
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segment_curves import corner_jets, line_jets
@@ -232,6 +233,7 @@ def test_deviations_are_bounds_within_tolerance_by_dense_sampling(blocks):
 def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, tolerance):
     """Angles 1-176 deg, lengths 3 um - 0.3 m, rotations to 40 deg, tolerance 1 um - 4 mm."""
     a, b = 10.0 ** lengths[0], 10.0 ** lengths[1]
+    assume(max(swings[0] * DEG / a, swings[1] * DEG / b) < 0.999 * SWIVEL)
     corner_axis = np.array([0.3, -0.2, 0.9])
     corner_axis /= np.linalg.norm(corner_axis)
     across = np.cross(corner_axis, [1.0, 0.0, 0.0])
@@ -301,6 +303,16 @@ def test_pure_rotation_rests_before_and_after():
     assert list(segments.kind) == [LINE, ROTATION, LINE] and segments.stop.all()
     assert segments.length[1] == pytest.approx(HEIGHT * 0.3)
     assert np.isinf(segments.feed[1]).all()
+
+
+@pytest.mark.parametrize('way, rests', [(1e-3, True), (0.014, True), (0.016, False)])
+def test_a_tip_that_hardly_moves_under_a_rotation_rests_before_and_after(way, rests):
+    """0.3 rad over 15 um are 20 rad/mm: rotary axes at 20 rev/min move the tip at 0.1 mm/s."""
+    tips = np.array([[0, 0, 0], [10, 0, 0], [10, way, 0], [20, way, 0]]) * MM
+    lean = np.array([0.2, 0.2, 0.5, 0.5])
+    segments = smooth(blocks_of(tips, np.c_[np.sin(lean), np.zeros(4), np.cos(lean)]))
+    assert segments.stop[:-1].all() if rests else not segments.stop[:-1].any()
+    assert (list(segments.kind) == [LINE] * 3) == rests
 
 
 @pytest.mark.parametrize('swing, sharpest', [(0.0, 178.0), (0.1, 176.0)])

@@ -8,6 +8,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.units import MM
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners
 from cnc_interp.smoothing.corners.axis_legs import AxisLegs
@@ -20,6 +21,10 @@ from cnc_interp.smoothing.pole_room import shares_near_pole
 
 #: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9
+#: Rotation over the way of the tip above which the tip counts as resting, with a stop at both ends
+#: of the block [rad/m]. Rotary axes at 20 rev/min move such a tip at 0.1 mm/s. A rounded corner
+#: would be smaller than that way, and no feed solver converges on its derivatives by path length.
+SWIVEL = 20.0 / MM
 #: Kinds of vertices: the path passes, is rounded, or the tool rests.
 PASS, ROUND, STOP = 0, 1, 2
 
@@ -148,7 +153,8 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
     blocks, curve = rows.blocks, rows.count > 0
     kind = np.full(len(blocks), STOP)
     before, after = slice(None, -1), slice(1, None)
-    resting = legs.resting[before] | legs.resting[after]
+    still = legs.resting | (legs.turn > SWIVEL * legs.length)
+    resting = still[before] | still[after]
     cosine = dot(legs.direction[before], legs.direction[after])
     turning = (legs.turn[before] > 0.0) | (legs.turn[after] > 0.0)
     sharpest = np.where(turning, machine.sharpest_swing, machine.sharpest_turn)

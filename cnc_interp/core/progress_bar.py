@@ -39,6 +39,7 @@ class ProgressBar:
         self._redraws = stream is not None and redraws(stream)
         self._steps = 100 if self._redraws else 10
         self._began = time.monotonic()
+        self._first = (self._began, 0.0)  # when the first part was done, and how much it was
         self._work = ''
         self._step = 0
         self._width = 0  # width of the line on the terminal [characters]
@@ -60,19 +61,23 @@ class ProgressBar:
         note : str
             Text after the percentage.
         left : float
-            Remaining time [s]. If it is NaN, it is estimated from the time spent so far.
+            Remaining time [s]. If it is NaN, it is estimated from the speed since the first part
+            was done, because the time before it is also that of loading.
 
         """
         now = time.monotonic()
         if work != self._work:
             self.end(complete=False)
-            self._work, self._step, self._began = work, 0, now
+            self._work, self._step, self._began, self._first = work, 0, now, (now, 0.0)
+        if self._first[1] == 0.0:
+            self._first = now, share
         step = int(self._steps * share)
         if self._stream is None or step == self._step or now - self._began < PATIENCE:
             return
         self._step = step
-        if math.isnan(left) and share > 0.0:
-            left = (now - self._began) * (1.0 - share) / share
+        begun, done = self._first
+        if math.isnan(left) and share > done:
+            left = (now - begun) * (1.0 - share) / (share - done)
         estimated = share >= ESTIMATED_FROM and math.isfinite(left)
         notes = [note, f'about {left:.0f} s left' if estimated and left >= 0.5 else '']
         shown = min(share, BEFORE_THE_END) if left > 0.0 else share

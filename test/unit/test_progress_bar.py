@@ -56,8 +56,22 @@ def test_the_remaining_time_is_not_guessed_from_the_first_moments(clock):
     clock.now += 2.0
     bar.show('planning', 0.01)
     assert 'left' not in terminal.getvalue()
+    clock.now += 4.9
     bar.show('planning', 0.5)
-    assert terminal.getvalue().endswith('50%  about 4 s left')
+    assert terminal.getvalue().endswith('50%  about 5 s left')
+
+
+def test_the_time_left_is_true_from_a_tenth_on_though_loading_took_long(clock):
+    log = io.StringIO()
+    show = ProgressBar(log).of('planning')
+    show(0.0)
+    clock.now += 30.0
+    for k in range(4, 100):
+        clock.now += 0.4
+        show(k / 100)
+        if k % 10 == 0:
+            told = float(log.getvalue().splitlines()[-1].split('about ')[1].split()[0])
+            assert abs(told - 0.4 * (100 - k)) < 1.0
 
 
 def test_a_line_covers_the_longer_one_before_and_ends_full(clock):

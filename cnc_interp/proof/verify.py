@@ -21,8 +21,7 @@ Native splines are first replaced by chords (``programmed_splines.py``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,33 +29,26 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.columns import Stored, gathered, held, spans
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
-from cnc_interp.proof.programmed_axes import ProgrammedAxes
-from cnc_interp.proof.programmed_path import (
-    WINDOW,
-    Deviation,
-    ProgrammedPath,
-    distances_to_vertices,
+from cnc_interp.proof.program_shapes import (
+    REACH,
+    SLACK,
+    Program,
+    measure,
+    measure_widely,
 )
+from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
+from cnc_interp.proof.vertex_search import VertexSearch
 
 # Uses of limits agree when they differ by less [-].
 SAME_USE = 1e-6
-# Distances below this are zero [m].
-SLACK = 1e-9
 # Largest accepted distance between an exact stop and its vertex [m].
 STOP_DISTANCE = 1e-6
-# A search is widened by this number of tolerances where blocks are tiny. There one path segment
-# covers many rows, but each of its halves names one row: the middle one, or the first or last row
-# of a curve. A half is 50 tolerances long at most, counted as the root mean square of tip and
-# point at flank height. Way of the tip plus rotation at flank height is up to sqrt(8) times that.
-REACH = 142.0
 # Where the plan does not say which blocks may become curves: those up to this length [m].
 LONGEST_BLOCK = 5e-3
 # Rotary words are met within this at an exact stop [rad].
@@ -143,56 +135,6 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     if plan.path:
         _prove_path(ledger, plan, program)
     return replace(ledger.close(), blocks=programmed)
-
-
-@dataclass(frozen=True)
-class Program:
-    """
-    What a plan was made for, in the shapes that its motion is compared with.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan, with M program rows.
-    machine : Machine
-        The machine.
-    transform : Transform
-        Its forward kinematics.
-    path : ProgrammedPath
-        The rows as lines and great circles.
-    lines : ProgrammedAxes or None
-        Rows whose rotary axes run linearly.
-    contour, orientation : ndarray, shape (M,)
-        Tolerances at the vertices [m].
-
-    """
-
-    plan: PlanFiles
-    machine: Machine
-    transform: Transform
-    path: ProgrammedPath
-    lines: ProgrammedAxes | None
-    contour: FloatArray
-    orientation: FloatArray
-
-    @staticmethod
-    def of(plan: PlanFiles, machine: Machine) -> Program:
-        """Return the program of a plan."""
-        blocks = plan.blocks
-        path = ProgrammedPath.of(
-            blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height,
-            blocks['interpolation'] != POSES,
-        )  # fmt: skip
-        return Program(
-            plan, machine, Transform.of(machine), path, ProgrammedAxes.of(plan, machine),
-            *vertex_tolerances(plan),
-        )  # fmt: skip
-
-    def tolerances(self, deviation: Deviation) -> tuple[FloatArray, FloatArray]:
-        """Return contour and orientation tolerance at the vertex nearest to each pose [m]."""
-        before = np.maximum(deviation.row - 1, 0)
-        vertex = np.where(deviation.part >= 0.5, deviation.row, before)
-        return self.contour[vertex], self.orientation[vertex]
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
@@ -299,90 +241,6 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
             )
 
 
-def measure(program: Program, position: FloatArray, block: IntArray) -> Deviation:
-    """
-    Measure positions against a program.
-
-    Parameters
-    ----------
-    program : Program
-        The program.
-    position : ndarray, shape (K, n)
-        Axis positions [m, rad].
-    block : ndarray of int, shape (K,)
-        Program row that each of them executes.
-
-    Returns
-    -------
-    Deviation
-        Distances of the positions from the program.
-
-    """
-    tip, axis = program.transform.forward(position)
-    result = _measure_widely(program, tip, axis, block, position)
-    blocks = program.plan.blocks
-    ruled = program.path.by_axes[block] & (blocks['interpolation'][block] == POSES)
-    if ruled.any():
-        # Here the rotary axes move linearly: compare with their position at the same part of it.
-        row, position = block[ruled], position[ruled].copy()
-        rotary = blocks['rotary']
-        first, way = rotary[row - 1], rotary[row] - rotary[row - 1]
-        share = np.sum((position[:, 3:5] - first) * way, axis=1)
-        share = np.clip(share / np.maximum(np.sum(way**2, axis=1), 1e-300), 0.0, 1.0)
-        position[:, 3:5] = first + share[:, None] * way
-        turned = program.transform.forward(position)[1]
-        gap = tip[ruled] - blocks['tip'][row]
-        gap = gap + program.plan.flank_height * (axis[ruled] - turned)
-        distance = np.linalg.norm(gap, axis=1)
-        result.orientation[ruled] = np.minimum(result.orientation[ruled], distance)
-        result.twist[ruled] = np.minimum(result.twist[ruled], distance)
-    return result
-
-
-def _measure_widely(
-    program: Program, tip: FloatArray, axis: FloatArray, block: IntArray, position: FloatArray
-) -> Deviation:
-    """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
-    result = program.path.deviation(tip, axis, block)
-    if program.lines is not None:
-        program.lines.improve(result, position, block)
-    contour, top = program.tolerances(result)
-    far = (result.contour > contour + SLACK) | (result.orientation > top + SLACK)
-    if far.any():
-        reach = REACH * np.maximum(contour, top)[far]
-        wide = program.path.deviation(tip[far], axis[far], block[far], reach)
-        nearer = wide.contour <= result.contour[far]
-        for name in ('contour', 'row', 'part', 'twist'):
-            getattr(result, name)[far] = np.where(
-                nearer, getattr(wide, name), getattr(result, name)[far]
-            )
-        result.orientation[far] = np.minimum(result.orientation[far], wide.orientation)
-    return result
-
-
-def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
-    """
-    Return the tolerances at the program vertices: the smaller one of both adjacent blocks.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        Plan with M program rows.
-
-    Returns
-    -------
-    contour, orientation : ndarray, shape (M,)
-        Tolerances [m].
-
-    """
-    both = []
-    for name in ('contour_tolerance', 'orientation_tolerance'):
-        own = np.array(plan.blocks[name], dtype=float)
-        own[0] = own[1]
-        both.append(np.minimum(own, np.r_[own[1:], own[-1]]))
-    return both[0], both[1]
-
-
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
     """Judge contour and orientation errors of all samples, and the axes beside their lines."""
     twist = 0.0
@@ -414,7 +272,7 @@ def _prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> No
         return tip + height * axis
 
     contour, orientation = program.contour, program.orientation
-    search = _VertexSearch(plan)
+    search = VertexSearch(plan)
     nearest, _ = search.nearest(tips, blocks['tip'], contour)
     ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
     nearest_top, where = search.nearest(tops, vertex_top, orientation)
@@ -450,95 +308,6 @@ def _prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> No
             f'no rest at the exact stop of line {_first(blocks["line"][moving])}; '
             f'{len(moving)} stops missed',
         )
-
-
-class _VertexSearch:
-    """The search for the samples at which a motion passes vertices of its program."""
-
-    def __init__(self, plan: PlanFiles):
-        self.plan, self.count = plan, len(plan.position)
-        # First sample of each row or of a later one.
-        self.starts = np.full(len(plan.blocks['tip']) + 1, self.count)
-        before = -1
-        for a, b in spans(self.count):
-            label = np.maximum.accumulate(np.maximum(plan.block[a:b], before))
-            rows = np.arange(before + 1, label[-1] + 1)
-            self.starts[rows] = a + np.searchsorted(label, rows)
-            before = int(label[-1])
-
-    def nearest(
-        self,
-        points_of: Callable[[FloatArray], FloatArray],
-        vertices: FloatArray,
-        tolerance: FloatArray,
-        unit: FloatArray | None = None,
-    ) -> tuple[FloatArray, IntArray]:
-        """
-        Search each vertex among the samples of its rows; if it is missed, among more samples.
-
-        Parameters
-        ----------
-        points_of : callable
-            Points, shape (k, 3), of axis positions, shape (k, n).
-        vertices : ndarray, shape (M, 3)
-            A point for each program row.
-        tolerance : ndarray, shape (M,)
-            Largest distance from it.
-        unit : ndarray, shape (M, 3), optional
-            Units in which the distance counts; then the tolerance is 1 of them.
-
-        Returns
-        -------
-        distance : ndarray, shape (M,)
-            Distance of each vertex from the motion.
-        sample : ndarray of int, shape (M,)
-            Sample before the nearest point.
-
-        """
-        missed = tolerance + SLACK if unit is None else np.ones(len(vertices))
-        rows = np.arange(len(vertices))
-        unit = np.broadcast_to(np.ones(3) if unit is None else unit, vertices.shape)
-        # A vertex lies between its own row and the next. Rounding may shift the row of a sample by
-        # one more, except at a stop: a tool that turns back has passed the vertex in the row
-        # before.
-        spread = np.where(self.plan.blocks['exact_stop'], 0, 1)
-        nearest, where = self._among(rows - spread, rows + 1 + spread, points_of, vertices, unit)
-        far = nearest > missed
-        if far.any():
-            way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
-            reach = REACH * tolerance[far]
-            first = np.searchsorted(way, way[far] - reach)
-            last = np.searchsorted(way, way[far] + reach, 'right')
-            first, last = np.minimum(first, rows[far] - 1), np.maximum(last, rows[far] + 2)
-            nearest[far], where[far] = self._among(
-                first, last, points_of, vertices[far], unit[far]
-            )
-        return nearest, where
-
-    def _among(
-        self,
-        first: IntArray,
-        last: IntArray,
-        points_of: Callable[[FloatArray], FloatArray],
-        vertices: FloatArray,
-        unit: FloatArray,
-    ) -> tuple[FloatArray, IntArray]:
-        """Search vertices among the samples of rows, with one sample more on each side."""
-        end = len(self.starts) - 1
-        low = np.clip(self.starts[np.clip(first, 0, end)] - 1, 0, self.count - 2)
-        high = np.clip(self.starts[np.clip(last + 1, 0, end)], 1, self.count - 1)
-        nearest, where = np.full(len(vertices), np.inf), np.zeros(len(vertices), dtype=np.int64)
-        for a, b in spans(self.count):
-            k = np.flatnonzero((low < b) & (high > a) & (nearest > 0.0))
-            if not len(k):
-                continue
-            begin = max(a - 1, 0)
-            points = points_of(self.plan.position[begin : b + 2])
-            samples = np.maximum(low[k], a) - begin, np.minimum(high[k], b) - begin
-            found, at = distances_to_vertices(points, vertices[k], *samples, unit[k])
-            better = found < nearest[k]
-            nearest[k[better]], where[k[better]] = found[better], begin + at[better]
-        return nearest, where
 
 
 def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: Program) -> PlanFiles:
@@ -610,7 +379,7 @@ def longest_block(plan: PlanFiles) -> float:
 
 
 def _prove_rotary_words(
-    ledger: Ledger, plan: PlanFiles, program: Program, search: _VertexSearch, where: IntArray
+    ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
 ) -> None:
     """
     Check that rotary axes pass their words, each on its own branch and whole turn.
@@ -662,7 +431,7 @@ def _prove_rotary_words(
 
 
 def _prove_extra_words(
-    ledger: Ledger, plan: PlanFiles, program: Program, search: _VertexSearch, where: IntArray
+    ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
 ) -> None:
     """
     Demand that extra axes end on their words.
@@ -772,6 +541,6 @@ def _prove_path(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
     for a, b in spans(len(plan.path['block'])):
         rows, q = plan.path['block'][a:b], plan.path['q'][a:b]
         tip, axis = program.transform.forward(q)
-        deviation = _measure_widely(program, tip, axis, rows, q)
+        deviation = measure_widely(program, tip, axis, rows, q)
         contour, _ = program.tolerances(deviation)
         ledger.judge('contour error of path', deviation.contour, contour, slack=SLACK, rows=rows)

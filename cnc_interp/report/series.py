@@ -11,8 +11,8 @@ from cnc_interp.core.differences import BEFORE, largest_differences, limit_share
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.program_shapes import Program, measure
 from cnc_interp.proof.programmed_splines import with_chords
-from cnc_interp.proof.verify import Program, measure
 
 KINDS = ('velocity', 'acceleration', 'jerk')
 

@@ -408,7 +408,7 @@ def test_blocks_far_shorter_than_the_tolerance(tmp_path, monkeypatch):
     lay_path(MACHINE, content, 6000 * MM_PER_MIN)
     proof = proof_of(tmp_path, content)
     assert proof.ok, proof.failures
-    monkeypatch.setattr('cnc_interp.proof.verify.REACH', 0.0)
+    monkeypatch.setattr('cnc_interp.proof.program_shapes.REACH', 0.0)
     only_failure(verify_plan(tmp_path, MACHINE), 'contour error')
 
 

@@ -155,7 +155,7 @@ def test_the_preview_is_the_plan(planned):
     assert preview.length == plan.path['s'][-1]
     assert preview.time[0] == 0.0 and (np.diff(preview.time) >= 0.0).all()
     assert abs(preview.time[-1] - preview.cycle_time) <= 0.001
-    s, time = plan.setpoints['s'], plan.setpoints['time']
+    s, time = plan.setpoints['s'][:], plan.setpoints['time'][:]
     for k in np.flatnonzero(np.abs(s - 20 * MM) > 1 * MM)[10:-10:50]:
         programmed, limit, reached = preview.at(s[k])
         assert programmed == pytest.approx((3000 if s[k] < 20 * MM else 1500) * MM_PER_MIN)

@@ -105,7 +105,7 @@ def main() -> None:
     parser.add_argument('--elevation', type=float, default=28.0, help='of the eye [deg]')
     parser.add_argument('--azimuth', type=float, default=-58.0, help='of the eye [deg]')
     options = parser.parse_args()
-    plan = read_plan(options.directory)
+    plan = read_plan(options.directory).in_memory()
     series = series_of(plan, Machine.load(str(plan.summary['machine'])))
     mpl.use('agg')
     with mpl.rc_context(STYLE):

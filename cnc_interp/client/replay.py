@@ -197,7 +197,7 @@ def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
     parts: list[Setpoints] = []
     count = 0
     while count < wanted and (planner.stream.can_sample or planner.stream.can_plan):
-        for chunk in planner.work(True, -np.inf):
+        for chunk in planner.work(planner.stream.current, True, -np.inf):
             parts.append(chunk.samples)
             count += len(chunk.samples)
     return Setpoints.concatenate(parts)

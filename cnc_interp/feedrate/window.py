@@ -254,13 +254,16 @@ class FeedPlanner:
         stretch = self._solve(known)
         if stretch is None and self._older is not None:
             return [self._drive_on(self._older)]
+        if stretch is None and self._start != AT_REST:
+            raise self._impossible(int(known.cell_block[0]))  # who begins in motion knows a stop
         solved = CONVERGED
         while stretch is None:
             # No law reaches this point: stop at half the distance instead.
             last, at_stop, rests = last // 2, True, False
             if last == 0:
                 raise self._impossible(int(known.cell_block[0]))
-            stretch = self._solve(cut(known, 0, last))
+            known = cut(known, 0, last)
+            stretch = self._solve(known)
         if not stretch.converged:
             solved = NOT_CONVERGED
             first = self._divided(known, stretch, MOST_RESTS)

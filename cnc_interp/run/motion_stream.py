@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
@@ -71,6 +72,11 @@ class MotionStream:
         """Drop the path before a place that was executed [m]."""
         self._course.release(s)
         self._plan.release(s)
+
+    @property
+    def current(self) -> MotionPlan:
+        """The plan that counts now."""
+        return self._plan
 
     @property
     def settings(self) -> OperatorSettings:
@@ -155,19 +161,20 @@ class MotionStream:
             return None
         assert leg.number_of_zero is not None
         begun, period = number - leg.number_of_zero + 1, self._context.period
+        if not rests:
+            new = Leg(self._context.limits, period, begun, (v, a))
+            todo = finely(self._course.after(s))
+            plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self._plan)
+            with suppress(PlanningError):
+                while plan.can_plan and not plan.can_sample:
+                    plan.plan()
+                if not new.planner.stuck:
+                    return plan
+        # Stop; then go on from rest, where no law with the new feed was found from the motion.
         new = Leg(self._context.limits, period, begun, (v, a))
-        if rests:
-            new.drive(stop, Wait.OVERRIDE)
-            todo = finely(self._course.after(float(stop.path.s[-1])))
-            return MotionPlan(self._context, settings, todo, number + 1, new, before=self._plan)
-        todo = finely(self._course.after(s))
-        plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self._plan)
-        try:
-            while plan.can_plan and not plan.can_sample:
-                plan.plan()
-        except PlanningError:
-            return None
-        return None if new.planner.stuck else plan
+        new.drive(stop, Wait.OVERRIDE if rests else Wait.NOTHING)
+        todo = finely(self._course.after(float(stop.path.s[-1])))
+        return MotionPlan(self._context, settings, todo, number + 1, new, before=self._plan)
 
     def adopt(self, revision: MotionPlan) -> MotionPlan:
         """Replace the current plan by a revision, and return the replaced plan."""

@@ -32,6 +32,10 @@ SAMPLED_AHEAD = 0.6
 REVISE_AGAIN = 0.02
 """Time between the end of a revision and the next one [s]."""
 
+REFILLED, REFILLING = 0.8, 0.5
+"""Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
+sampled meanwhile; longest time between two where there is less [s]."""
+
 LEAD, LONGEST_LEAD = 0.08, 0.4
 """Motion ahead of the machine after which a revision joins; the most after a late one [s]."""
 
@@ -235,7 +239,13 @@ class PlanningSession:
             self._port.sender.sent > self._joins_at
             and not (self.path_end is PathEnd.QUEUED and self._is_last(number))
             and now - self._revised_at > REVISE_AGAIN
+            and (self._is_refilled() or now - self._asked_at > REFILLING)
         )
+
+    def _is_refilled(self) -> bool:
+        """Tell whether the machine has motion for the time that a revision takes."""
+        sent = self._port.sender.sent - self._received.executed
+        return sent * self._period > REFILLED or self.path_end is PathEnd.QUEUED
 
     def _is_last(self, number: int) -> bool:
         """Tell whether this setpoint is the last one that is queued."""
@@ -303,7 +313,8 @@ class PlanningSession:
         if sample or (ahead and stream.can_plan):
             mine = report is not None and report.run_id.same_attempt(self.run_id)
             executed = report.path_position if report is not None and mine else -math.inf
-            return Task(lambda: planner.work(sample, executed), self._planned)
+            plan = stream.current  # even if another one counts when this is done
+            return Task(lambda: planner.work(plan, sample, executed), self._planned)
         if self.activity is Activity.JOINING:
             return None  # more path is added when it is known which plan remains
         if wants and self._segments:

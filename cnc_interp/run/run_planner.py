@@ -152,12 +152,14 @@ class RunPlanner:
             raise PlanningError('the program ends before the place to go on from; reset')
         self.stream.end_leg(Wait.END)
 
-    def work(self, sample: bool, executed: float) -> list[Chunk]:
+    def work(self, plan: MotionPlan, sample: bool, executed: float) -> list[Chunk]:
         """
         Sample a slice of the motion, or plan another portion of the path.
 
         Parameters
         ----------
+        plan : MotionPlan
+            The plan.
         sample : bool
             Sample where there is planned motion; else plan.
         executed : float
@@ -175,10 +177,10 @@ class RunPlanner:
 
         """
         self.stream.release(executed)
-        if sample and self.stream.can_sample:
-            return self.stream.sample()
-        if self.stream.can_plan:
-            self.stream.plan()
+        if sample and plan.can_sample:
+            return plan.sample()
+        if plan.can_plan:
+            plan.plan()
         return []
 
     def resume(self, s: float, settings: OperatorSettings) -> list[Chunk]:

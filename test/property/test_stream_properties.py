@@ -163,7 +163,7 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     sent, queue, accepted, override = [], [], 0, 1.0
     while True:
         count = sum(len(chunk.samples) for chunk in sent)
-        wanted = float(rng.choice([0.0, 0.1, 0.5, 0.9, 1.2, 1.5]))
+        wanted = float(rng.choice([0.0, 0.01, 0.1, 0.5, 0.9, 1.2, 1.5]))
         if sent and revised(stream, count - 1, OperatorSettings(wanted)):
             queue, override, accepted = [], wanted, accepted + 1
         queue += drain(stream, until=int(rng.integers(20, 1200)))

@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 
 from cnc_interp.core.errors import PlanningError, Refusal
+from cnc_interp.run import planning_session
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import LEAD, LONGER, MARGIN, PlanningSession
+from cnc_interp.run.planning_session import (
+    LEAD,
+    LONGER,
+    MARGIN,
+    REFILLED,
+    REFILLING,
+    PlanningSession,
+)
 from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
@@ -22,20 +30,28 @@ SLOW = OperatorSettings(override=0.5)
 T = 1e-3
 
 
+def plan_of(settings):
+    """A plan of a hundred chunks, ten setpoints each."""
+    return SimpleNamespace(settings=settings, left=100)
+
+
 class Stream:
-    """A stream of a hundred chunks, ten setpoints each."""
+    """A stream with a plan."""
 
     def __init__(self, settings):
-        self.settings, self.left, self.planned, self.finds = settings, 100, 1.0, True
+        self.current, self.planned, self.finds = plan_of(settings), 1.0, True
         self.has_path, self.can_plan = False, False
 
     @property
+    def settings(self):
+        return self.current.settings
+
+    @property
     def can_sample(self):
-        return self.left > 0
+        return self.current.left > 0
 
     def adopt(self, plan):
-        before = SimpleNamespace(settings=self.settings)
-        self.settings = plan.settings
+        before, self.current = self.current, plan
         return before
 
 
@@ -52,19 +68,19 @@ class Planner:
     def finish(self):
         self.finished = True
 
-    def work(self, sample, executed):
-        self.stream.left -= 1
-        wait = Wait.NOTHING if self.stream.left else Wait.END
+    def work(self, plan, sample, executed):
+        plan.left -= 1
+        wait = Wait.NOTHING if plan.left else Wait.END
         return [SimpleNamespace(samples=range(10), wait=wait)]
 
     def revise(self, number, settings):
         if not self.stream.finds:
             return None
         chunk = SimpleNamespace(samples=range(10), wait=Wait.NOTHING)
-        return Revision(number, SimpleNamespace(settings=settings), [chunk])
+        return Revision(number, plan_of(settings), [chunk])
 
     def resume(self, s, settings):
-        self.resumed, self.stream.settings = s, settings
+        self.resumed, self.stream.current.settings = s, settings
         return []
 
 
@@ -146,7 +162,9 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
+def bench(monkeypatch):
+    """A bench whose machine never has too little motion for a revision."""
+    monkeypatch.setattr(planning_session, 'REFILLED', -np.inf)
     return Bench()
 
 
@@ -218,8 +236,10 @@ def test_where_the_machine_has_passed_the_plan_before_goes_on(bench):
     bench.receives = RUN
     void = bench.step()
     bench.turned_away = True
-    task = bench.step()
+    task, left = bench.step(), planner.stream.current.left
+    void.work()  # another thread does it, and may begin only now
     bench.finish(void)
+    assert planner.stream.current.left == left, 'the plan that goes on has lost nothing'
     assert session.task is task, 'what was sampled of the plan that did not join is void'
     assert session.activity is Activity.REVISING, 'it is tried again'
     assert (session.run_id, session.joins_at, session.path_end) == (RUN, 0, end)
@@ -240,6 +260,27 @@ def test_a_revision_that_was_not_found_is_tried_again_a_moment_later(bench):
     planner.stream.finds = True
     bench.finish(bench.step())
     assert bench.session.activity is Activity.JOINING and planner.stream.settings == SLOW
+
+
+def test_changes_in_quick_succession_wait_until_the_machine_has_motion_again():
+    bench = Bench()
+    bench.planning(window=10**6)
+    for _ in range(70):
+        bench.finish(bench.step())
+        bench.send()
+    sent = bench.port.sender.sent
+    bench.executed, bench.session.settings = sent - round(REFILLED / T) - 1, SLOW
+    late = bench.step()
+    assert bench.session.activity is Activity.REVISING
+    bench.executed += round(LEAD / T)
+    bench.step()
+    bench.finish(late)
+    bench.now -= 0.1
+    bench.finish(bench.step())
+    assert bench.session.activity is Activity.PLANNING, 'too little is sent to try it at once'
+    bench.now += REFILLING
+    bench.step()
+    assert bench.session.activity is Activity.REVISING, 'it does not wait for ever'
 
 
 def test_when_the_last_setpoint_is_sent_nothing_is_revised(bench):

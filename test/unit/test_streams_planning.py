@@ -45,7 +45,7 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     planner.finish()
     chunks = []
     while planner.stream.can_plan or planner.stream.can_sample:
-        chunks += planner.work(True, place)
+        chunks += planner.work(planner.stream.current, True, place)
     q = np.concatenate([chunk.samples.position for chunk in chunks])
     s = np.concatenate([chunk.samples.s for chunk in chunks])
     assert abs(s[0] - place) < 1e-12 and abs(s[-1] - path.s[-1]) < 1e-12

@@ -39,10 +39,14 @@ def read_step_safely(
 
     """
     words = [str(path), '' if face is None else str(face)]
-    command = [sys.executable, '-m', 'cnc_interp.cam.step_process', *words]
+    # -P: it imports this package and installed ones, and nothing from the folder of the user.
+    command = [sys.executable, '-P', '-m', 'cnc_interp.cam.step_process', *words]
+    given, own = os.environ.get('PYTHONPATH', ''), str(Path(__file__).parents[2])
+    places = os.pathsep.join(filter(None, [given, own]))
     child = subprocess.run(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
+        command, env=os.environ | {'PYTHONPATH': places},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
     if child.returncode:
         raise SurfaceError(f'{path}: OpenCASCADE cannot read it: {_end(child.returncode)}')
     surface, notes, refusal = pickle.loads(child.stdout)

@@ -344,7 +344,7 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: Program) -> PlanFi
         gap = np.where(
             early, path.way[low - 1] - path.way[row], path.way[row - 1] - path.way[high]
         )
-        # The vertex that the motion has left behind, or not yet reached.
+        # The vertex that the motion has passed, or not yet reached.
         vertex = np.where(early, row, np.maximum(row - 1, 0))
         tip, axis = program.transform.forward(position)
         tips, axes = blocks['tip'][vertex], blocks['axis'][vertex]

@@ -143,7 +143,7 @@ class MotionStream:
         -------
         MotionPlan or None
             The revision, to be adopted or dropped before the stream takes anything else. None
-            where no other motion was found from there: ask again at a later setpoint.
+            where no stop is known from there, or rest is near: ask again at a later setpoint.
 
         """
         found = self._plan.state_at(number)

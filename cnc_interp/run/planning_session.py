@@ -40,7 +40,7 @@ LEAD, LONGEST_LEAD = 0.08, 0.4
 """Motion ahead of the machine after which a revision joins; the most after a late one [s]."""
 
 LONGER = 1.3
-"""Time given to a revision behind a late one, relative to that one [-]."""
+"""Time given to a revision after a late one, relative to the time of that one [-]."""
 
 MARGIN = 0.03
 """A revision that joins less ahead of the machine than this is late [s]."""

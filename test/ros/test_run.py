@@ -230,7 +230,7 @@ def test_motion_ends_at_the_last_sound_block(nodes):
 
 def test_lost_repeated_and_foreign_blocks_do_not_move_the_machine_off_its_program(nodes):
     blocks = sound_blocks('patchy')
-    for i in (0, 0, 2):  # a repeat, and one behind a gap
+    for i in (0, 0, 2):  # a repeat, and one after a gap
         nodes.blocks.publish(blocks[i])
     nodes.blocks.publish(sound_blocks('foreign')[0])
     nodes.spin_until(named(nodes, 'foreign program foreign'))

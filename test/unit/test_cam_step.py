@@ -554,6 +554,12 @@ def test_missing_library_is_named_with_what_to_install(monkeypatch, tmp_path):
         read_surface(path, 1)
 
 
+def test_nothing_is_imported_from_the_folder_of_the_user(monkeypatch, tmp_path):
+    (tmp_path / 'OCP.py').write_text('raise SystemExit(3)\n')
+    monkeypatch.chdir(tmp_path)
+    assert read_surface(two_faces().write(tmp_path / 'a.step'), 1) is not None
+
+
 @pytest.mark.parametrize(
     ('end', 'says'),
     [

@@ -44,7 +44,7 @@ class Move:
     Parameters
     ----------
     line : int
-        Line of the text.
+        Line of the text; 0 where the reader does not know it.
     rapid : bool
         Whether it is a rapid.
     end : ndarray, shape (3,)
@@ -65,6 +65,12 @@ class Move:
         Centre of an arc in its plane [m].
     sweep : int
         1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
+    turns : int
+        Turns of an arc, the last one mostly not whole.
+    digit : float
+        Last digit of lengths that the reader knows [m]; 0 where it knows all.
+    unsure : float
+        Share of feed or duration up to which the reader knows it [-].
 
     """
 
@@ -80,6 +86,9 @@ class Move:
     plane: tuple[int, int, int] = (0, 1, 2)
     centre: FloatArray | None = None
     sweep: int = 0
+    turns: int = 1
+    digit: float = 0.0
+    unsure: float = 0.0
 
 
 def read_plainly(

@@ -1,22 +1,30 @@
-"""The program read once more: ends, arcs and feeds of its text compared with `blocks.npz`."""
+"""
+The program read once more: ends, arcs and feeds of its text compared with `blocks.npz`.
+
+G-code is read by LinuxCNC's interpreter, where it is installed, and by the reader of plain words.
+One of them is enough.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.proof.linuxcnc_reader import LAST_DIGIT, LinuxCNCError, read_by_linuxcnc
 from cnc_interp.proof.plain_reader import Move, read_plainly
-from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.plan_files import Columns, PlanFiles
 
-# Ends agree within this [m, -, rad], and feeds and durations by this share [-].
-SAME_PLACE, SAME_FEED = 2e-9, 1e-6
+# Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
+# share [-].
+SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
 # A row inside a motion may lie beside it by this share of the tolerances: some curves of the
 # machine become lines of poses.
 CHORD = 0.11
@@ -35,17 +43,20 @@ class Agreement:
         Motions of the text, and arcs among them.
     faults : tuple of str
         One sentence for each line that differs.
+    readers : str
+        Who has read the text, and who has not, and why.
 
     """
 
     motions: int
     arcs: int
     faults: tuple[str, ...]
+    readers: str = ''
 
 
 def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agreement:
     """
-    Read a program by the second reader and compare it with the rows of a plan.
+    Read a program by other readers and compare it with the rows of a plan.
 
     Parameters
     ----------
@@ -59,19 +70,20 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     Returns
     -------
     Agreement
+        Of both readers, where both can read it.
 
     Raises
     ------
     InterpError
-        If the text has a word that the second reader does not know, or cannot be read.
+        If no reader knows all words of the text, or it cannot be read.
 
     """
     settings = plan.summary.get('settings')
     settings = settings if isinstance(settings, dict) else {}
     if settings.get('setup') or settings.get('rotary_sense') == 'shortest':
         raise InterpError(
-            f'{program}: planned with --setup or --rotary-sense shortest, which the second '
-            'reader does not know; this program cannot be compared'
+            f'{program}: planned with --setup or --rotary-sense shortest, which no second '
+            'reader knows; this program cannot be compared'
         )
     try:
         with program.open('rb') as file:
@@ -80,35 +92,86 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         raise ProgramError(f'cannot be opened: {problem.strerror}', str(program)) from None
     if len(text) > LONGEST:
         raise InterpError(f'{program}: longer than {LONGEST >> 20} MB; cannot be compared')
-    feed = settings.get('feedrate')
-    moves = read_plainly(
-        text, str(program), machine.axis_names,
-        float(feed) if isinstance(feed, int | float) else None, bool(settings.get('skip_blocks')),
+    feed, skip = settings.get('feedrate'), bool(settings.get('skip_blocks'))
+    names = machine.axis_names
+    found, readers = [], []
+    try:
+        moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']))
+        found.append(compare_places(plan.blocks, machine, moves))
+        readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
+    except LinuxCNCError as reason:
+        readers.append(str(reason))
+    try:
+        default = float(feed) if isinstance(feed, int | float) else None
+        moves = read_plainly(text, str(program), names, default, skip)
+        found.append(_Comparison(plan.blocks, machine).follow(moves))
+        readers.append('read by the second reader of plain words')
+    except ProgramError as reason:
+        readers.append(str(reason))
+    if not found:
+        raise InterpError('; '.join(reversed(readers)))
+    return Agreement(
+        found[-1].motions, found[-1].arcs, tuple(fault for each in found for fault in each.faults),
+        '; '.join(readers),
     )  # fmt: skip
-    comparison = _Comparison(plan, machine)
-    for move in moves:
-        comparison.take(move)
-    comparison.end(moves)
-    return Agreement(len(moves), sum(move.sweep != 0 for move in moves), tuple(comparison.faults))
+
+
+def compare_places(blocks: Columns, machine: Machine, moves: Iterable[Move]) -> Agreement:
+    """
+    Compare rows with motions whose lines are not known.
+
+    Parameters
+    ----------
+    blocks : mapping
+        Columns of ``blocks.npz``.
+    machine : Machine
+        The machine.
+    moves : iterable of Move
+        All motions of the text in order.
+
+    Returns
+    -------
+    Agreement
+        If the end of a motion is not found, what follows is not compared.
+
+    """
+    return _FollowPlaces(blocks, machine).follow(moves)
 
 
 class _Comparison:
-    """Follows the rows of a plan with the motions of its text."""
+    """Follows the rows of a plan with the motions of its text, by the numbers of the lines."""
 
-    def __init__(self, plan: PlanFiles, machine: Machine):
-        self.blocks, self.machine = plan.blocks, machine
-        self.height, self.transform = plan.flank_height, Transform.of(machine)
+    def __init__(self, blocks: Columns, machine: Machine):
+        self.blocks, self.machine = blocks, machine
+        self.transform = Transform.of(machine)
         self.faults: list[str] = []
-        self.row = 0  # the first row that is not compared yet
+        self.row = self.motions = self.arcs = 0  # row: the first one that is not compared yet
         # Axis positions with the tip at the workpiece zero and the rotary axes at zero.
         count = len(machine.axis_names)
         self.zero = np.zeros((1, count))
         self.zero[0, :3] -= self.transform.forward(self.zero)[0][0]
         self.before: Move | None = None
+        self.linear: FloatArray | None = None
+
+    def follow(self, moves: Iterable[Move]) -> Agreement:
+        """Compare all motions."""
+        for move in moves:
+            if not self.take(move):
+                break
+        else:
+            self.end()
+        return Agreement(self.motions, self.arcs, tuple(self.faults))
 
     def fault(self, move: Move, text: str) -> None:
         """Record that a line differs."""
         self.faults.append(f'line {move.line} of the program: {text}')
+
+    def rows_of(self, move: Move) -> int:
+        """Return the row after those of a motion."""
+        lines, last = self.blocks['line'], self.row
+        while last < len(lines) and lines[last] == move.line:
+            last += 1
+        return last
 
     def pose(self, move: Move) -> tuple[FloatArray, FloatArray]:
         """Return tool tip and tool axis at the end of a motion."""
@@ -125,36 +188,36 @@ class _Comparison:
         tip, axes = self.transform.forward(q)
         return tip[0], axes[0]
 
-    def take(self, move: Move) -> None:
-        """Compare one motion with its rows."""
-        lines = self.blocks['line']
-        last = self.row
-        while last < len(lines) and lines[last] == move.line:
-            last += 1
+    def take(self, move: Move) -> bool:
+        """Compare one motion with its rows; return whether those of the next one are known."""
+        last = self.rows_of(move)
         rows = np.arange(self.row, last)
         tip, axis = self.pose(move)
         before, self.before, self.row = self.before, move, last
+        self.motions, self.arcs = self.motions + 1, self.arcs + (move.sweep != 0)
+        near, angle = _place(move), _angle(move)
         if not len(rows):
             self.unmoved(move, before, tip, axis)
-            return
+            return True
         end = rows[-1]
         off = float(np.linalg.norm(self.blocks['tip'][end] - tip))
-        if off > SAME_PLACE:
+        if off > near:
             self.fault(move, f'ends {off / MM:.4g} mm from the end of its row {end}')
         turned = float(np.linalg.norm(self.blocks['axis'][end] - axis))
-        if turned > SAME_PLACE:
+        if turned > angle:
             self.fault(move, f'its tool axis is {turned:.3g} rad from that of its row {end}')
-        rotary = self.blocks['rotary'][end]
+        rotary = self.blocks['rotary'][end, : len(move.rotary)]
         if len(move.rotary) and np.isfinite(rotary).all() and move.axis is None:
-            off = float(np.abs(rotary - move.rotary).max())
-            if off > SAME_PLACE:
-                self.fault(move, f'its rotary words are {off:.3g} rad from those of row {end}')
+            away = float(np.abs(rotary - move.rotary).max())
+            if away > angle:
+                self.fault(move, f'its rotary words are {away:.3g} rad from those of row {end}')
         extra = self.blocks['extra_axes'][end]
         if len(extra) and np.abs(extra - move.extra).max() > SAME_PLACE:
             self.fault(move, f'its extra axes are not those of row {end}')
         if before is not None:
             self.way(move, before, rows)
             self.speed(move, before, rows)
+        return off <= near or move.line > 0
 
     def unmoved(self, move: Move, before: Move | None, tip: FloatArray, axis: FloatArray) -> None:
         """Accept a motion without rows if it goes nowhere."""
@@ -164,69 +227,79 @@ class _Comparison:
         here, pointing = self.pose(before)
         gone = max(float(np.linalg.norm(tip - here)), float(np.linalg.norm(axis - pointing)))
         turned = np.abs(move.rotary - before.rotary).max(initial=0.0)
-        if max(gone, float(turned)) > SAME_PLACE or move.sweep:
+        if gone > _place(move) or turned > _angle(move) or move.sweep:
             self.fault(move, 'has no row in the plan')
+
+    def points(self, move: Move) -> FloatArray:
+        """Return X Y Z of all rows as the words of a motion mean them."""
+        if move.tcp or not self.machine.has_rotary:
+            tips: FloatArray = self.blocks['tip']
+            return tips
+        if self.linear is None:
+            rotary = np.nan_to_num(self.blocks['rotary'])
+            self.linear = self.transform.linear(self.blocks['tip'], rotary) - self.zero[0, :3]
+        return self.linear
 
     def way(self, move: Move, before: Move, rows: IntArray) -> None:
         """Compare the rows inside a motion with its line or arc."""
-        points = self.blocks['tip'][rows]
-        room = CHORD * float(self.blocks['contour_tolerance'][rows].min()) + SAME_PLACE
+        tolerance = float(self.blocks['contour_tolerance'][rows].min())
+        room = CHORD * tolerance + SAME_PLACE + 3.0 * move.digit
         if move.sweep:
-            self.arc(move, before, points, room)
+            self.arc(move, rows, room)
             return
         if len(rows) < 2 or not (move.tcp or np.allclose(move.rotary, before.rotary)):
             return
+        points = self.blocks['tip'][rows]
         start, end = self.pose(before)[0], self.pose(move)[0]
-        chord = end - start
-        share = (points - start) @ chord / max(float(chord @ chord), 1e-30)
+        chord, length = end - start, float(np.linalg.norm(end - start))
+        share = (points - start) @ chord / max(length**2, 1e-30)
         off = np.linalg.norm(points - start - np.clip(share, 0, 1)[:, None] * chord, axis=1)
-        if off.max() > room or (np.diff(share) < -SAME_PLACE).any():
+        unsure = SAME_PLACE + move.digit / max(length, 1e-15)
+        if off.max() > room or (np.diff(share) < -unsure).any():
             self.fault(move, f'rows {rows[0]} to {rows[-1]} are not on its line')
 
-    def arc(self, move: Move, before: Move, points: FloatArray, room: float) -> None:
+    def arc(self, move: Move, rows: IntArray, room: float) -> None:
         """Compare rows with an arc or a helix."""
-        a, b, across = move.plane
-        assert move.centre is not None
-        if not (move.tcp or np.allclose(move.rotary, before.rotary)):
+        if len(move.extra) and not move.tcp:
             return
-        shift = self.pose(move)[0] - move.end  # of a tilted workpiece
-        if not move.tcp and self.machine.has_rotary and np.abs(shift).max() > SAME_PLACE:
-            return
-        all_points = np.vstack([before.end, points])
-        arms = all_points[:, [a, b]] - move.centre
+        points = self.points(move)[rows[0] - 1 : rows[-1] + 1]
+        arms = _arms(move, points)
         radius = np.linalg.norm(arms, axis=1)
         # The radius changes evenly from start to end where both differ.
         turns = move.sweep * np.diff(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
-        angle = float(turns.sum())
-        first, last = arms[0], move.end[[a, b]] - move.centre
-        wanted = move.sweep * (np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
-        wanted = float(wanted % (2.0 * np.pi)) or 2.0 * np.pi
-        whole = np.linalg.norm(move.end[[a, b]] - before.end[[a, b]]) < SAME_PLACE
-        wanted = 2.0 * np.pi if whole else wanted
+        angle, wanted = float(turns.sum()), self.turn_of(move, points[0])
         share = np.r_[0.0, np.cumsum(turns)] / max(angle, 1e-12)
         even = np.abs(radius - (radius[0] + share * (radius[-1] - radius[0]))).max()
-        height = all_points[:, across]
+        height = points[:, move.plane[2]]
         straight = np.abs(height - (height[0] + share * (height[-1] - height[0]))).max()
-        if abs(angle - wanted) > 1e-6 or (turns < 0.0).any():
+        if abs(angle - wanted) > 1e-6 + _blur(move, points[0]) or (turns < 0.0).any():
             self.fault(move, f'turns by {np.degrees(wanted):.6g} deg, its rows by '
                        f'{np.degrees(angle):.6g} deg')  # fmt: skip
         elif max(float(even), float(straight)) > room:
             self.fault(move, 'its rows are not on the arc')
+
+    def turn_of(self, move: Move, start: FloatArray) -> float:
+        """Return the angle that an arc turns by [rad]."""
+        first, last = _arms(move, start), _arms(move, move.end)
+        turn = move.sweep * float(np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
+        whole = np.linalg.norm(last - first) <= _place(move)
+        turn = 2.0 * np.pi if whole else turn % (2.0 * np.pi)
+        return turn + 2.0 * np.pi * (move.turns - 1)
 
     def speed(self, move: Move, before: Move, rows: IntArray) -> None:
         """Compare rapids, feeds and durations."""
         if (self.blocks['rapid'][rows] != move.rapid).any():
             self.fault(move, f'is {"a" if move.rapid else "no"} rapid, its rows are not so')
             return
-        turns = np.abs(move.rotary - before.rotary).max(initial=0.0) > SAME_PLACE
+        turns = np.abs(move.rotary - before.rotary).max(initial=0.0) > _angle(move)
         duration, feed = self.blocks['duration'][rows], self.blocks['feed'][rows]
         if np.isfinite(move.duration):
             spent = float(duration.sum())
-            if not abs(spent - move.duration) <= SAME_FEED * move.duration:
+            if not abs(spent - move.duration) <= (SAME_FEED + move.unsure) * move.duration:
                 self.fault(move, f'lasts {move.duration:.6g} s, its rows {spent:.6g} s')
         elif np.isfinite(move.feed) and (move.tcp or not turns) and np.isnan(duration).all():
             moving = feed[np.isfinite(feed)]
-            if (np.abs(moving - move.feed) > SAME_FEED * move.feed).any():
+            if (np.abs(moving - move.feed) > (SAME_FEED + move.unsure) * move.feed).any():
                 worst = moving[np.argmax(np.abs(moving - move.feed))] / MM_PER_MIN
                 self.fault(
                     move, f'has F {move.feed / MM_PER_MIN:.6g} mm/min, a row of it {worst:.6g}'
@@ -234,12 +307,95 @@ class _Comparison:
         elif np.isnan(move.feed) and not move.rapid and np.isnan(duration).all():
             self.fault(move, 'has no feed')
 
-    def end(self, moves: list[Move]) -> None:
+    def end(self) -> None:
         """Record rows that no motion explains."""
         if self.row < len(self.blocks['line']):
             line = self.blocks['line'][self.row]
             self.faults.append(
                 f'row {self.row} of the plan (line {line}) is no motion of the text'
             )
-        if not moves:
+        if not self.motions:
             self.faults.append('the text has no motion')
+
+
+class _FollowPlaces(_Comparison):
+    """Follows the rows by their places, with motions whose lines are not known."""
+
+    def __init__(self, blocks: Columns, machine: Machine):
+        super().__init__(blocks, machine)
+        self.tiny = 0  # motions shorter than the last digit, which may have rows
+        # The row after those of the same line, for each row.
+        count = len(blocks['line'])
+        borders = np.append(1 + np.flatnonzero(np.diff(blocks['line'])), count)
+        self.stops = borders[np.searchsorted(borders, np.arange(count), side='right')]
+
+    def fault(self, move: Move, text: str) -> None:
+        """Record that a line differs, by the row where the motions are."""
+        line = self.blocks['line'][min(self.row, len(self.blocks['line'])) - 1]
+        self.faults.append(f'line {line} of the program, by LinuxCNC: {text}')
+
+    def take(self, move: Move) -> bool:
+        """Compare one motion; rapids before the start pose are the way to it."""
+        if self.before is None and move.rapid and not self.near(move, 0, 1)[0]:
+            return True
+        return super().take(move)
+
+    def rows_of(self, move: Move) -> int:
+        """Return the row after those of a motion: the first one at its end, in one line."""
+        before = self.before
+        if before is None:
+            return 1
+        while self.tiny and self.row < len(self.stops) and self.near(before, self.row, 1)[0]:
+            self.row, self.tiny = self.row + 1, self.tiny - 1
+        rests = not move.sweep and np.array_equal(move.end, before.end)
+        if rests and np.array_equal(move.rotary, before.rotary):
+            self.tiny += 1
+            return self.row
+        stop, some = int(self.stops[self.row]) if self.row < len(self.stops) else self.row, 4
+        while self.row < stop:
+            some = min(some, stop - self.row)
+            there = (self.swept if move.sweep else self.near)(move, self.row, some)
+            if there.any():
+                return self.row + int(np.argmax(there)) + 1
+            if self.row + some == stop:
+                break
+            some *= 4
+        return self.row if not move.sweep and self.near(move, self.row - 1, 1)[0] else stop
+
+    def near(self, move: Move, first: int, some: int) -> BoolArray:
+        """Return which of some rows are at the end of a motion."""
+        rows = slice(first, first + some)
+        turned = np.abs(self.blocks['rotary'][rows, : len(move.rotary)] - move.rotary)
+        away = np.linalg.norm(self.points(move)[rows] - move.end, axis=1)
+        turning = turned.max(axis=1, initial=0.0) > _angle(move)
+        return np.asarray((away <= _place(move)) & ~turning)
+
+    def swept(self, move: Move, first: int, some: int) -> BoolArray:
+        """Return at which of some rows an arc has turned by its angle."""
+        points = self.points(move)[first - 1 : first + some]
+        arms = _arms(move, points)
+        turned = np.unwrap(np.arctan2(arms[:, 1], arms[:, 0]))
+        turned = move.sweep * (turned[1:] - turned[0])
+        wanted = self.turn_of(move, points[0])
+        return np.asarray(turned >= wanted - 1e-6 - _blur(move, points[0]))
+
+
+def _place(move: Move) -> float:
+    """Return how far from the end of a motion its row may be [m]."""
+    return SAME_PLACE + DIGITS * move.digit
+
+
+def _angle(move: Move) -> float:
+    """Return by how much tool axis and rotary words may differ [rad]; digits are of degrees."""
+    return SAME_PLACE + (DIGITS * LAST_DIGIT * DEG if move.digit else 0.0)
+
+
+def _blur(move: Move, start: FloatArray) -> float:
+    """Return how well the angle of an arc is known [rad]."""
+    return 4.0 * move.digit / max(float(np.linalg.norm(_arms(move, start))), 1e-12)
+
+
+def _arms(move: Move, points: FloatArray) -> FloatArray:
+    """Return the way from the centre of an arc to points, in its plane [m]."""
+    assert move.centre is not None
+    return np.asarray(points[..., list(move.plane[:2])] - move.centre)

@@ -141,6 +141,7 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
     """Add to a proof what the comparison with the text of the program has found."""
     said = 'agree with' if not found.faults else 'were compared with'
     line = f'program text   {found.motions} motions, {found.arcs} arcs {said} the blocks'
+    line += f'; {found.readers}'
     return replace(proof, failures=(*proof.failures, *found.faults), program=line)
 
 

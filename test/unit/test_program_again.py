@@ -5,6 +5,8 @@ import pytest
 
 from cnc_interp.cli import main
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.proof import linuxcnc_reader
+from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.plain_reader import read_plainly
 from cnc_interp.proof.plan_files import read_plan
 
@@ -67,7 +69,15 @@ def test_both_readers_agree(name, tmp_path, capsys):
     said = capsys.readouterr().out.splitlines()
     assert said[-1] == 'proven'
     motions, arcs = MOTIONS[name]
-    assert said[-2] == f'program text   {motions} motions, {arcs} arcs agree with the blocks'
+    counts, *readers = said[-2].split('; ')
+    assert counts == f'program text   {motions} motions, {arcs} arcs agree with the blocks'
+    assert readers[-1] == 'read by the second reader of plain words'
+    if not interpreter():
+        assert readers[0] == "LinuxCNC's rs274 is not installed"
+    elif name in ('tcp.ngc', 'path.apt'):
+        assert readers[0].startswith("LinuxCNC's rs274 cannot read it: ")
+    else:
+        assert readers[0] == "read by LinuxCNC's rs274 to 0.0001 of its unit"
 
 
 @pytest.mark.parametrize(('name', 'word', 'other', 'wanted'), CHANGED)
@@ -93,13 +103,66 @@ def test_changed_rows_are_found(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('text', ['#1=5', 'G81 Z-2 R1', 'X[1+2]', 'M98 P5', 'G41 D1', 'G10 L2 P1'])
-def test_what_is_not_plain_is_refused(text, tmp_path, capsys):
+def test_what_is_not_plain_is_refused(text, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv('RS274', 'not installed')
     program, plan = planned('lines.ngc', PROGRAMS['lines.ngc'], tmp_path)
     program.write_text(f'G0 X0\n{text}\nG1 X5 F100\n')
     capsys.readouterr()
     assert main(['check', str(plan), '--program', str(program)]) == 2
     error = capsys.readouterr().err
     assert 'lines.ngc:2: ' in error and error.count('\n') == 1
+
+
+needs_linuxcnc = pytest.mark.skipif(not interpreter(), reason='no rs274: run tools/get_rs274')
+LOOP = 'G21 G0 X0 Y0 Z0\n#1=0\nO1 while [#1 LT 5]\nG1 X[#1*2+1] Y[SIN[#1*30]] F900\n#1=[#1+1]\n'
+LOOP += 'O1 endwhile\nG2 X20 Y0 I2 J-3 Z1 P2\nG81 X25 Z-2 R2\nX30\nG80\nM428\nG93 G1 X0 F9\nM2\n'
+LOOP = LOOP.replace('I2 J-3', 'R12').replace(' P2', '')
+
+
+@needs_linuxcnc
+def test_a_program_that_only_linuxcnc_reads(tmp_path, capsys):
+    program, plan = planned('loop.ngc', LOOP, tmp_path)
+    for word, other, wanted in (
+        ('', '', 'agree with the blocks; read by LinuxCNC'),
+        ('X30', 'X30.001', 'line 9 of the program, by LinuxCNC: ends 0.001 mm'),
+        ('#1*30', '#1*31', 'line 4 of the program, by LinuxCNC: ends'),
+        ('LT 5', 'LT 6', 'by LinuxCNC: ends'),
+        ('R12', 'R13', 'line 7 of the program, by LinuxCNC: '),
+        ('F900', 'F901', 'line 4 of the program, by LinuxCNC: has F 901 mm/min'),
+        ('F9\n', 'F9.1\n', 'line 12 of the program, by LinuxCNC: lasts'),
+        ('Z-2 R2', 'Z-2 R3', 'line 8 of the program, by LinuxCNC: '),
+    ):
+        program.write_text(LOOP.replace(word, other, 1))
+        capsys.readouterr()
+        assert main(['check', str(plan), '--program', str(program)]) == bool(word)
+        said = capsys.readouterr().out
+        assert wanted in said and 'loop.ngc:2: #1=0: the second reader knows plain' in said
+
+
+@needs_linuxcnc
+@pytest.mark.parametrize(
+    'text',
+    [
+        ';py,open("FILE", "w")', '(py,open("FILE", "w"))', '( (py,open("FILE", "w"))',
+        '(LOGOPEN,FILE)\n(LOG,a)', 'O1 while [1]\nG0 X0\nO1 endwhile', 'O<../part> call',
+        'O1 while [1]\n#1=[#1+1]\nO1 endwhile', 'O1 while [1]\nG1 X1 F9\nX2\nO1 endwhile',
+        'O1 sub\nO1 call\nO1 endsub\nO1 call', '#1=' + '[' * 5000, 'X' + '9' * 5000, '\0' * 99,
+    ],
+)  # fmt: skip
+def test_a_hostile_program_is_one_line(text, tmp_path, capsys, monkeypatch):
+    """LinuxCNC executes some comments as Python code; its loops may have no end."""
+    program, plan = planned('lines.ngc', PROGRAMS['lines.ngc'], tmp_path)
+    bait = tmp_path / 'bait'
+    monkeypatch.setattr(linuxcnc_reader, 'SECONDS', 1)
+    program.write_text(f'G0 X0 Y0\n{text.replace("FILE", str(bait))}\nG1 X5 #2=1 F100\n')
+    capsys.readouterr()
+    code = main(['check', str(plan), '--program', str(program)])
+    said = capsys.readouterr()
+    assert not bait.exists()
+    if code == 2:
+        assert said.err.count('\n') == 1
+    else:
+        assert code == 1 and 'by LinuxCNC' in said.out and not said.err
 
 
 def test_words_of_a_plain_program():

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from linuxcnc_oracle import PROGRAMS, compare, interpreter, judged, run_linuxcnc
+from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import read_program
+from cnc_interp.proof.linuxcnc_reader import interpreter
+from cnc_interp.proof.program_again import compare_places
 from cnc_interp.settings.choices import Settings
 
-if interpreter() is None:
+if not interpreter():
     pytest.skip('no rs274: run tools/get_rs274, set RS274', allow_module_level=True)
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
@@ -43,6 +45,7 @@ SNIPPETS = {
     'tools': 'T1 M6 G43 G0 Z5\nG43 H2 Z5\nG49 Z5\nG43.1 Z3\nZ5\nG53 G0 Z1\nX2',
     'reference': 'G0 X5 Y5 Z5\nG91 G28 Z1\nG90 G0 X3\nG28\nG0 X1 Y1\nG30 X2',
     'drilling': 'G0 Z5\nG98 G81 X1 Y1 Z-2 R2\nX2\nG99 X3\nX4 Y2\nG80 G0 Z9',
+    'drilling by default': 'G0 Z5\nG81 X1 Y1 Z-2 R2\nX2\nG80',
     'drilling by steps': (
         'G0 Z4\nG98 G91 G81 X1 Z-3 R-2 L3\nG90 G80 G0 X0\nG99 G82 X5 Z-1 R2 P1\nX6'
     ),
@@ -86,13 +89,14 @@ def test_each_kind_of_word(name, tmp_path):
 def test_the_comparison_sees_differences(tmp_path):
     path = tmp_path / 'snippet.ngc'
     path.write_text('G0 X0\nG3 X5 Y5 R5 F100\nG1 X9\nM2\n')
-    motions, _ = run_linuxcnc(path)
-    blocks = read_program(path, Transform.of(Machine.load('xyz')), Settings()).blocks
-    assert not compare(blocks, motions).faults
+    machine = Machine.load('xyz')
+    blocks = read_program(path, Transform.of(machine), Settings()).blocks
+    motions = list(motions_of(path, machine, len(blocks)))
+    assert not compare_places(columns_of(blocks), machine, motions).faults
     for changed in (
         replace(blocks, tip=blocks.tip + np.where(np.arange(len(blocks)) == 9, 1e-5, 0)[:, None]),
         replace(blocks, feedrate=blocks.feedrate * 1.01),
         replace(blocks, rapid=~blocks.rapid),
         blocks[: len(blocks) - 1],
     ):
-        assert compare(changed, motions).faults
+        assert compare_places(columns_of(changed), machine, motions).faults

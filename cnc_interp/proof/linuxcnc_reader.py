@@ -1,0 +1,249 @@
+"""
+LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
+
+``rs274`` prints what it would tell a machine to do, with four decimals of the unit of the program,
+in coordinates less the offsets that it prints, too. It runs in a process of its own, with bounds
+on time, memory and output. Comments are taken out before: it executes some of them as Python code.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, Move
+
+#: The last digit that is printed, in the unit of the program.
+LAST_DIGIT = 1e-4
+#: Processor time [s], also for each MB of the text; memory, and length of files written [bytes].
+SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
+#: Lines that may be printed: so many, and for each row of the plan and each line of the text.
+BESIDE, EACH = 1000, 20
+#: Comments, and words of other controls that LinuxCNC refuses and that move nothing: D and H
+#: beside a tool change, a dwell by F, rigid tapping.
+_COMMENT = re.compile(r'\([^()\n]*\)|;[^\n]*')
+_LEFT_OUT = re.compile(r'(?<=M6 )D\d+ H\d+|^D\d+$|G04F\d+|M29S\d+', re.MULTILINE | re.IGNORECASE)
+#: Switches of the tool-tip control become comments, which are printed.
+_SWITCH = re.compile(r'(?<![A-Z<_])(M(?:128|129|428|429))(?!\d)', re.IGNORECASE)
+_BLANK = re.compile(r'^[ \t]*/.*', re.MULTILINE)
+_SLASH = re.compile(r'^[ \t]*/', re.MULTILINE)
+_CALL = re.compile(r'^\s*\d+\s+N(?:\.+|\d+)\s*([A-Z]\w*)\((.*)\)\s*$')
+#: Cycles retract to their start unless told otherwise; a percent sign must remain the first line.
+_FIRST = re.compile(r'\A(\s*%[^\n]*\n)?')
+_NUMBER = re.compile(r'-?\d+\.?\d*')
+_PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
+
+
+class LinuxCNCError(InterpError):
+    """LinuxCNC is not installed, or does not read the program to its end."""
+
+
+def interpreter() -> str:
+    """Return how rs274 is called; '' where it is not installed."""
+    found = os.environ.get('RS274') or shutil.which('rs274') or ''
+    return found if Path(found).is_file() else ''
+
+
+def read_by_linuxcnc(
+    text: str,
+    axis_names: tuple[str, ...],
+    skip: bool,
+    rows: int,
+    tool_lengths: Mapping[int, float] | None = None,
+) -> Iterator[Move]:
+    """
+    Read a program.
+
+    Parameters
+    ----------
+    text : str
+        Its text.
+    axis_names : tuple of str
+        Axes of the machine: X Y Z, rotary axes, extra axes.
+    skip : bool
+        Leave out lines that begin with a slash.
+    rows : int
+        Number of rows of the plan; what may be printed depends on it.
+    tool_lengths : mapping, optional
+        Length of tools by their numbers [m]; 0 for others.
+
+    Yields
+    ------
+    Move
+        Motions in order, those that go nowhere included. The first one is the way to the start
+        pose. They have no line numbers.
+
+    Raises
+    ------
+    LinuxCNCError
+        If there is no interpreter, or it ends before the program does; after the motions so far.
+
+    """
+    command = interpreter()
+    if not command:
+        raise LinuxCNCError("LinuxCNC's rs274 is not installed")
+    if len(axis_names) > 5:
+        raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
+    text = _prepared(text, skip)
+    most = BESIDE + EACH * (rows + text.count('\n'))
+    seconds = SECONDS + SECONDS_PER_MB * (len(text) >> 20)
+
+    def bound() -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (FILES, FILES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+    with tempfile.TemporaryDirectory(prefix='cnc_interp_') as name:
+        folder = Path(name)
+        lengths = dict.fromkeys(range(1, 100), 0.0) | dict(tool_lengths or {})
+        table = ''.join(f'T{n} P{n} Z{length / MM / 25.4:.9f}\n' for n, length in lengths.items())
+        for file, content in (('tool.tbl', table), ('part.ngc', text), ('p.var', '')):
+            (folder / file).write_text(content, encoding='utf-8')
+        words = [command, '-t', 'tool.tbl', '-v', 'p.var', '-g', 'part.ngc']
+        with (folder / 'complaints').open('w+b') as complaints, subprocess.Popen(
+            words, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=complaints, text=True, errors='replace', preexec_fn=bound,
+        ) as child:  # fmt: skip
+            assert child.stdout is not None
+            try:
+                yield from _moves(child.stdout, axis_names, most)
+            finally:
+                child.kill()
+            child.wait()
+            complaints.seek(0)
+            _demand_end(complaints.read(4000).decode('utf-8', errors='replace'), child.returncode)
+
+
+def _demand_end(said: str, code: int) -> None:
+    """Raise if LinuxCNC complained, or ended otherwise than by itself."""
+    lines = [line.strip() for line in said.splitlines() if line.strip() not in ('', 'executing')]
+    if code < 0:
+        lines = ['it takes too long' if code == -signal.SIGXCPU else f'it ended by signal {-code}']
+    if lines or code:
+        raise LinuxCNCError(f"LinuxCNC's rs274 cannot read it: {' '.join(lines)[:100]}")
+
+
+def _prepared(text: str, skip: bool) -> str:
+    """Return a program without comments, and with an end."""
+    text = (_BLANK if skip else _SLASH).sub('', _COMMENT.sub(' ', text.replace('\r', '')))
+    if '(' in text or ';' in text or ')' in text:
+        raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
+    text = _SWITCH.sub(lambda word: f'({word[1].upper()})', _LEFT_OUT.sub('', text))
+    return _FIRST.sub(r'\1G98\n', f'{text}\nM2\n', count=1)
+
+
+def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> Iterator[Move]:
+    """Yield the motions of what LinuxCNC prints, at most so many lines."""
+    columns = ['ABC'.index(name) for name in axis_names[3:]]
+    state = _Printed()
+    for number, line in enumerate(printed):
+        if number == most:
+            raise LinuxCNCError("LinuxCNC's rs274 prints more than a plan of this length")
+        call = _CALL.match(line)
+        if call is None:
+            continue
+        move = state.take(call[1], call[2])
+        if move is not None:
+            unused = np.delete(state.here[3:], columns)
+            if unused.any():
+                raise LinuxCNCError("LinuxCNC's rs274 turns an axis that is not there")
+            yield replace(move, rotary=move.rotary[columns])
+
+
+class _Printed:
+    """What holds while the calls are followed; lengths in m, angles in rad."""
+
+    def __init__(self) -> None:
+        self.unit, self.plane, self.tcp = MM, PLANES['17'], False
+        self.feed, self.mode, self.spindle = float('nan'), 'G94', 0.0
+        self.offsets = {name: np.zeros(6) for name in ('G5X', 'G92', 'TOOL')}
+        self.here = np.zeros(6)
+
+    def take(self, name: str, text: str) -> Move | None:
+        """Take a call; return the motion that it is, with all three rotary axes."""
+        numbers = [float(word) for word in _NUMBER.findall(text)]
+        if name == 'STRAIGHT_TRAVERSE' or name == 'STRAIGHT_FEED':
+            return self.move(name == 'STRAIGHT_TRAVERSE', self.absolute(numbers[:6]))
+        if name == 'ARC_FEED':
+            return self.arc(numbers)
+        if name == 'USE_LENGTH_UNITS':
+            self.unit = 25.4 * MM if 'INCHES' in text else MM
+        elif name == 'SELECT_PLANE':
+            self.plane = _PLANES[text[-2:]]
+        elif name == 'SET_FEED_RATE':
+            self.feed = numbers[0] * self.unit / 60.0
+        elif name == 'SET_FEED_MODE':
+            self.mode = 'G95' if numbers[-1] else self.mode
+        elif name == 'COMMENT' and 'feed mode set to' in text:
+            self.mode = 'G93' if 'inverse' in text else 'G94'
+        elif name == 'COMMENT':
+            self.switch(text.strip('"'))
+        elif name in ('SET_G5X_OFFSET', 'SET_G92_OFFSET', 'USE_TOOL_LENGTH_OFFSET'):
+            kind = name.removesuffix('_OFFSET').split('_')[-1].replace('LENGTH', 'TOOL')
+            self.offsets[kind] = self.sized(numbers[name == 'SET_G5X_OFFSET' :][:6])
+        elif name == 'SET_XY_ROTATION' and numbers[0]:
+            raise LinuxCNCError("turned coordinates of LinuxCNC's rs274 are not compared")
+        return None
+
+    def switch(self, word: str) -> None:
+        """Switch the tool-tip control."""
+        if word not in (*TCP_ON, *TCP_OFF):
+            return
+        if self.here[3:].any() and self.tcp is not (word in TCP_ON):
+            # X Y Z change their meaning, and LinuxCNC does not know where they are then.
+            raise LinuxCNCError(f"LinuxCNC's rs274 does not know {word} at a turned axis")
+        self.tcp = word in TCP_ON
+
+    def sized(self, numbers: list[float]) -> FloatArray:
+        """Return printed X Y Z A B C in m and rad."""
+        return np.asarray(np.array(numbers) * np.repeat([self.unit, DEG], 3))
+
+    def absolute(self, numbers: list[float]) -> FloatArray:
+        """Return printed coordinates with the offsets added."""
+        return np.asarray(self.sized(numbers) + sum(self.offsets.values()))
+
+    def move(
+        self, rapid: bool, end: FloatArray, centre: FloatArray | None = None, turns: int = 0
+    ) -> Move:
+        """Return the motion to a position, which is then the present one."""
+        before, self.here = self.here, end
+        feed, duration, unsure, digit = float('nan'), float('nan'), 0.0, LAST_DIGIT * self.unit
+        if not rapid and self.mode == 'G94':
+            feed, unsure = self.feed, digit / 60.0 / self.feed
+        elif not rapid and self.mode == 'G95':
+            raise LinuxCNCError("feeds per turn of LinuxCNC's rs274 are not compared")
+        elif not rapid and not turns:
+            # It prints length / duration: of the line of X Y Z, or of A B C in deg if that is 0.
+            line = float(np.linalg.norm(end[:3] - before[:3]))
+            line = line or float(np.linalg.norm(end[3:] - before[3:])) / DEG * self.unit
+            if line:
+                duration, unsure = line / self.feed, digit * (2.0 / line + 1.0 / 60.0 / self.feed)
+        sweep = (turns > 0) - (turns < 0)
+        return Move(
+            0, rapid, end[:3], end[3:], None, np.zeros(0), feed, duration, self.tcp, self.plane,
+            centre, sweep, max(abs(turns), 1), digit, unsure,
+        )  # fmt: skip
+
+    def arc(self, numbers: list[float]) -> Move:
+        """Return the motion of an arc: first and second end, centres, turns, axial end, A B C."""
+        a, b, across = self.plane
+        end = np.zeros(6)
+        end[[a, b, across]] = numbers[0], numbers[1], numbers[5]
+        end[3:] = numbers[6:9]
+        offset = np.sum(list(self.offsets.values()), axis=0)[[a, b]]
+        centre = np.asarray(np.array(numbers[2:4]) * self.unit + offset)
+        return self.move(False, self.absolute(list(end)), centre, int(numbers[4]))

@@ -29,7 +29,7 @@ from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.leg import LIVE
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
-from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.path_chain import motion_time, segments_of
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -84,11 +84,18 @@ def pole_program(transform: Transform) -> Blocks:
     return replace(ends, axis=np.cos(0.2) * pole + np.outer([np.sin(0.2), -np.sin(0.2)], side))
 
 
+def _endless(transform: Transform) -> Transform:
+    """Return the transformation of the machine without ends of travel."""
+    endless = np.tile([-np.inf, np.inf], (len(transform.machine.axis_names), 1))
+    return Transform.of(replace(transform.machine, travel=endless))
+
+
 @cache
 def warm_lookahead(machine: str) -> PathSegments:
-    """Load the kernels of the look-ahead, with curves and without; return the tiny path."""
+    """Load the kernels of the look-ahead and its trials; return the tiny path."""
     transform = Transform.of(Machine.load(machine))
     segments_of(dense_program(transform), transform, Settings())
+    motion_time(_endless(transform), Settings(), tiny_program(transform))
     return segments_of(tiny_program(transform), transform, Settings())
 
 
@@ -96,8 +103,7 @@ def warm_lookahead(machine: str) -> PathSegments:
 def warm_kinematics(machine: str, period: float) -> AxisPath:
     """Load the kernels from look-ahead to machine axes; return the tiny path in axes."""
     loaded = Machine.load(machine)
-    endless = np.tile([-np.inf, np.inf], (len(loaded.axis_names), 1))
-    free = Transform.of(replace(loaded, travel=endless))
+    free = _endless(Transform.of(loaded))
     made = [warm_lookahead(machine)]
     if loaded.has_rotary and free.pole is not None:
         made.append(segments_of(pole_program(free), free, Settings()))

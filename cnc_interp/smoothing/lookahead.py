@@ -3,9 +3,10 @@ The look-ahead: from blocks to smooth segments.
 
 Runs of short blocks first become curves (``compressor.py``). Then each vertex between the
 remaining blocks is classified: a corner is rounded, at a stop the tool rests, and otherwise the
-path continues straight. A corner is final when the next corner has its size, because both
-share a line between them that is too short. The result does not depend on how the blocks
-are divided into batches.
+path continues straight. Where a stop is faster than a rounded corner, the tool rests, too
+(``stop_trials.py``). A corner is final when the next corner has its size, because both share a
+line between them that is too short. The result does not depend on how the blocks are divided
+into batches.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners import corner
 from cnc_interp.smoothing.corners.corner import Corners, Style
 from cnc_interp.smoothing.corners.ratio import ratios_at
+from cnc_interp.smoothing.corners.stop_trials import StopTrials
 from cnc_interp.smoothing.corners.vertices import (
     ROUND,
     Legs,
@@ -61,6 +63,7 @@ class LookAhead:
         self._none = no_segments(self._style)
         self._compressor = Compressor(settings, machine, row, joined)
         self._rows: Rows | None = None
+        self._trials = StopTrials(machine, settings.flank_height)
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -112,10 +115,11 @@ class LookAhead:
         legs = Legs.of(blocks, self._machine, self._settings.flank_height)
         refuse_reversals(rows, legs)
         vertex = classify(rows, legs, self._settings.flank_height, self._machine)
+        decided = self._trials.decide(rows, legs, vertex, final)
         inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
         # A vertex is final when its own corner and the next one have their size (left-overs).
-        last = len(blocks) - 1 if final else len(blocks) - 3
+        last = len(blocks) - 1 if final else min(len(blocks) - 3, decided - 2)
         if last < 1:
             return self._none
         own_share = float(outer[last, 1])
@@ -125,6 +129,7 @@ class LookAhead:
         )
         self._outer_before = own_share
         self._rows = rows[last:]
+        self._trials.forget(int(rows.row[last]))
         return segments
 
     def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.axis_geometry import AxisGeometry
 from cnc_interp.smoothing.corners.ratio import AxisRates
 from cnc_interp.smoothing.orientation import angles_between
@@ -35,6 +37,9 @@ class MachineTraits:
         Kinematics for blocks whose rotary axes run linearly. Without it there are none.
     max_jerk : ndarray, shape (5 + k,), optional
         Jerk limits of X Y Z, of the rotary axes and of the extra axes.
+    motion_time : callable, optional
+        Time of the motion along a few blocks, corner by corner, from rest to rest [s]; infinite
+        where the machine cannot execute them. Without it no stop is tried at corners.
 
     """
 
@@ -45,6 +50,7 @@ class MachineTraits:
     sharpest_swing: float = 176.0 * DEG
     geometry: AxisGeometry | None = None
     max_jerk: FloatArray | None = None
+    motion_time: Callable[[Blocks], float] | None = None
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""

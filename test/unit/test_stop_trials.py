@@ -1,0 +1,75 @@
+"""Corners at which an exact stop is faster: found from few lines, however the blocks arrive."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from programs import blocks_of
+
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.feedrate.window import plan_path
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.path_chain import path_of, segments_of, smoother_of
+from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.segments import PathSegments
+
+XYZAC = Machine.load('xyzac')
+TRANSFORM = Transform.of(XYZAC)
+
+
+def tools(*tilt_and_heading):
+    """Tool axes from tilt and heading [deg]."""
+    tilt, heading = np.array(tilt_and_heading).T * DEG
+    return np.c_[np.sin(tilt) * np.sin(heading), np.sin(tilt) * np.cos(heading), np.cos(tilt)]
+
+
+def beside_the_pole():
+    """Two corners where the tool rests 0.001 deg beside the pole, and turns away from it."""
+    tips = [[0, 0, 0], [3, 1, 0.5], [3.02, 1.02, 0.5], [2.0, 3.2, 0.7], [4, 4, 0.7]]
+    axes = tools((3.5, 20), (1e-3, 200), (1e-3, 200), (0.3, 100), (0.3, 100))
+    return blocks_of(np.array(tips) * MM, axes, feed=10000 * MM_PER_MIN)
+
+
+def swivel():
+    """A tip that moves 5 um while the tool turns by 5 deg, between two ordinary lines."""
+    tips = [[0, 0, 0], [6, 0, 0], [6.004, 0.003, 0], [6.1, 8, 0]]
+    axes = tools((10, 20), (10.2, 20), (15, 22), (15.1, 22))
+    return blocks_of(np.array(tips) * MM, axes)
+
+
+def plain():
+    """Two ordinary corners far from the pole."""
+    tips = [[0, 0, 0], [10, 0, 0], [10, 10, 0], [20, 10, 5]]
+    return blocks_of(np.array(tips) * MM, tools((10, 20), (11, 21), (12, 22), (13, 25)))
+
+
+def time_of(blocks):
+    """Cycle time without curves [s]."""
+    path = path_of(blocks, TRANSFORM, Settings(compress=False))
+    return plan_path(path, XYZAC).law.end_time
+
+
+@pytest.mark.parametrize('make', [beside_the_pole, swivel, plain])
+def test_is_never_slower_than_with_a_stop_at_each_block(make):
+    blocks = make()
+    stops = replace(blocks, exact_stop=np.ones(len(blocks), dtype=bool))
+    assert time_of(blocks) <= time_of(stops) * (1 + 1e-4)
+
+
+def test_a_stop_is_taken_only_where_it_is_faster():
+    for make, stops in ((beside_the_pole, True), (plain, False)):
+        segments = segments_of(make(), TRANSFORM, Settings(compress=False))
+        assert segments.stop[:-1].any() == stops
+
+
+@pytest.mark.parametrize('batch', [1, 2])
+def test_stops_do_not_depend_on_how_the_blocks_arrive(batch):
+    blocks, settings = beside_the_pole(), Settings(compress=False)
+    smoother = LookAhead(settings, smoother_of(TRANSFORM, settings).machine)
+    parts = [smoother.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
+    found = PathSegments.concatenate([part for part in [*parts, smoother.finish()] if len(part)])
+    whole = segments_of(blocks, TRANSFORM, settings)
+    assert (found.stop == whole.stop).all()
+    np.testing.assert_array_equal(found.bottom, whole.bottom)

@@ -60,7 +60,6 @@ def check_command(options: Namespace) -> int:
     from cnc_interp.proof.program_again import compare_with_text
     from cnc_interp.proof.verdict import with_program
     from cnc_interp.proof.verify import verify
-    from cnc_interp.run.plan_figures import windows_text
 
     with plan_files(options.directory, options.machine) as (folder, named):
         plan = read_plan(folder)
@@ -70,8 +69,6 @@ def check_command(options: Namespace) -> int:
         proof = replace(verify(plan, machine), given=given)
         if options.program is not None:
             proof = with_program(proof, compare_with_text(plan, machine, options.program))
-    if not options.json and (windows := windows_text(plan.summary)):
-        print(f'feed windows     {windows}')
     print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
     return FINE if proof.ok else FAILED
 

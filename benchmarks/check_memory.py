@@ -1,12 +1,13 @@
 """
 Most memory of `check` over the length of the motion.
 
-    python benchmarks/check_memory.py [SETPOINTS ...] [--dense]
+    python benchmarks/check_memory.py [SETPOINTS ...] [--dense] [--compressed]
 
 A 5-axis raster that ends where it begins is planned once. Its plan files are then repeated until
 the motion has about so many setpoints of 1 ms (1, 5, 15 and 45 million), and checked. The blocks
 of the raster are 10 mm long at F300; with --dense they are 0.4 mm long at F3000 and run as curves,
-so program and path grow with the motion, too. Prints a row for each length: setpoints, program
+so program and path grow with the motion, too. With --compressed the plan files are so, as those of
+others may be. Prints a row for each length: setpoints, program
 rows, grid points of the path, size of the plan files, the most memory that the process of `check`
 held, its time, and its processor time. 45 million setpoints need 8 GB on the disk.
 """
@@ -23,7 +24,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +59,11 @@ def columns_of(file: Path) -> Columns:
         return {name: archive[name] for name in archive.files}
 
 
-def write(file: Path, columns: Columns, parts: Mapping[str, Iterable[NDArray[Any]]]) -> None:
+def write(
+    file: Path, columns: Columns, parts: Mapping[str, Iterable[NDArray[Any]]], method: int
+) -> None:
     """Write columns of the shape and type of ``columns``, each from its parts."""
-    with ZipFile(file, 'w', allowZip64=True) as archive:
+    with ZipFile(file, 'w', method, allowZip64=True) as archive:
         for name, column in columns.items():
             with archive.open(f'{name}.npy', 'w', force_zip64=True) as out:
                 header = {
@@ -79,7 +82,7 @@ def grown(column: NDArray[Any], shared: str, by: Any, times: int) -> Iterator[ND
         yield column[first:last] if by is None else column[first:last] + k * by
 
 
-def repeat(base: Path, plan: Path, times: int) -> tuple[int, int, int]:
+def repeat(base: Path, plan: Path, times: int, method: int) -> tuple[int, int, int]:
     """Repeat a plan; return its numbers of setpoints, program rows and grid points."""
     plan.mkdir()
     setpoints, path, blocks = (
@@ -108,7 +111,9 @@ def repeat(base: Path, plan: Path, times: int) -> tuple[int, int, int]:
             else:
                 parts[name] = grown(column, shared, more.get(name), times)
         file = {'time': 'setpoints', 'q': 'path', 'line': 'blocks'}
-        write(plan / f'{next(v for k, v in file.items() if k in columns)}.npz', shapes, parts)
+        write(
+            plan / f'{next(v for k, v in file.items() if k in columns)}.npz', shapes, parts, method
+        )
         return int(next(iter(shapes.values())).shape[0])
 
     counts = repeated(setpoints, ''), repeated(blocks, 'first'), repeated(path, 'last')
@@ -139,7 +144,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('setpoints', nargs='*', type=int, default=LENGTHS)
     parser.add_argument('--dense', action='store_true', help='blocks of 0.4 mm')
+    parser.add_argument('--compressed', action='store_true', help='plan files are compressed')
     options = parser.parse_args()
+    method = ZIP_DEFLATED if options.compressed else ZIP_STORED
     print('| setpoints | program rows | grid points | GB | most memory, MB | time, s | CPU, s |')
     print('|---|---|---|---|---|---|---|', flush=True)
     with tempfile.TemporaryDirectory() as name:
@@ -151,7 +158,7 @@ def main() -> None:
         for setpoints in options.setpoints:
             with tempfile.TemporaryDirectory() as folder:
                 plan = Path(folder) / 'plan'
-                counts = repeat(base, plan, max(1, round(setpoints / samples)))
+                counts = repeat(base, plan, max(1, round(setpoints / samples)), method)
                 size = sum(file.stat().st_size for file in plan.iterdir()) / 1e9
                 memory, seconds, spent = command(['check', str(plan)])
             figures = ' | '.join(f'{count:,}' for count in counts)

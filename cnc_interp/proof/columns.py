@@ -6,10 +6,11 @@ A column is an array, or ``Stored`` in a file. Both have a shape, and give rows 
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Iterator
 from math import prod
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -50,6 +51,14 @@ class Stored:
         file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
         file.truncate(rows * np.dtype(dtype).itemsize)
         return Stored(file, 0, dtype, (rows,))
+
+    @staticmethod
+    def unpacked(values: IO[bytes], dtype: DTypeLike, shape: tuple[int, ...]) -> Stored:
+        """Return a column of the values of a stream, in a temporary file."""
+        file = tempfile.TemporaryFile()  # noqa: SIM115
+        shutil.copyfileobj(values, file, 1 << 20)
+        file.flush()
+        return Stored(file, 0, dtype, shape)
 
     def __len__(self) -> int:
         return self.shape[0]

@@ -308,12 +308,21 @@ def _read_columns(
 
 
 def _stored(file: Path) -> dict[str, Stored]:
-    """Return the columns of an archive that can stay in it: plain values as we compute with."""
+    """
+    Return the columns that stay in files: plain values as we compute with.
+
+    Those of compressed members are unpacked to temporary files.
+    """
     found = {}
     content = file.open('rb', buffering=0)
     with ZipFile(file) as archive:
         for member in archive.infolist():
+            name = member.filename.removesuffix('.npy')
             if member.compress_type != ZIP_STORED:
+                with archive.open(member) as column:
+                    shape, in_columns, kind = _array_header(column)
+                    if _plain(shape, in_columns, kind):
+                        found[name] = Stored.unpacked(column, kind, shape)
                 continue
             content.seek(member.header_offset)
             local = content.read(LOCAL_HEADER.size)
@@ -325,11 +334,16 @@ def _stored(file: Path) -> dict[str, Stored]:
                 start += column.tell()
                 while column.read(1 << 20):  # at its end, its checksum is compared
                     pass
-            plain = kind in (np.float64, np.int64, np.bool_) and (len(shape) < 2 or not in_columns)
-            if plain and shape and start + math.prod(shape) * kind.itemsize <= file.stat().st_size:
-                name = member.filename.removesuffix('.npy')
+            end = start + math.prod(shape) * kind.itemsize
+            if _plain(shape, in_columns, kind) and end <= file.stat().st_size:
                 found[name] = Stored(content, start, kind, shape)
     return found
+
+
+def _plain(shape: tuple[int, ...], in_columns: bool, kind: np.dtype[Any]) -> bool:
+    """Return whether an array can be read in rows as it is."""
+    plain = kind in (np.float64, np.int64, np.bool_) and (len(shape) < 2 or not in_columns)
+    return plain and len(shape) > 0
 
 
 def _array_header(column: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

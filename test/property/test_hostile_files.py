@@ -14,6 +14,7 @@ from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine, machines_directory
 from cnc_interp.program.job import JobSetup
+from cnc_interp.proof.columns import Stored
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 
@@ -146,6 +147,21 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path):
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows},), }}"
     archive_of(folder, header, bytes(8 * rows), zipfile.ZIP_DEFLATED)
     assert 'would unpack to' in refused(read_plan, folder)
+
+
+def test_compressed_columns_are_read_in_chunks(tmp_path):
+    """They are unpacked to temporary files; the memory does not grow with the motion."""
+    plain = read_plan(write(tmp_path / 'plain', line_x(MACHINE)))
+    folder = write(tmp_path / 'packed', line_x(MACHINE))
+    for name, columns in (('setpoints', plain.setpoints), ('path', plain.path)):
+        arrays = {key: np.asarray(column) for key, column in columns.items()}
+        np.savez_compressed(folder / f'{name}.npz', **arrays)
+    packed = read_plan(folder)
+    for columns, wanted in ((packed.setpoints, plain.setpoints), (packed.path, plain.path)):
+        for name, column in columns.items():
+            assert isinstance(column, Stored)
+            np.testing.assert_array_equal(np.asarray(column), np.asarray(wanted[name]))
+    assert verify(packed, MACHINE).ok
 
 
 @pytest.mark.parametrize('name', ['setpoints.npz', 'path.npz', 'blocks.npz', 'summary.json'])

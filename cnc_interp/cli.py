@@ -15,6 +15,7 @@ from cnc_interp.command_options import BAD_INPUT, FINE
 from cnc_interp.commands.bags import add_bag_commands
 from cnc_interp.commands.check import add_check_command, add_report_command
 from cnc_interp.commands.convert import add_convert_command
+from cnc_interp.commands.jog import add_jog_command
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
 from cnc_interp.commands.urdf import add_urdf_command
@@ -74,6 +75,7 @@ def parser() -> argparse.ArgumentParser:
     add_check_command(commands)
     add_report_command(commands)
     add_panel_command(commands)
+    add_jog_command(commands)
     add_urdf_command(commands)
     add_bag_commands(commands)
     add_cam_commands(commands)

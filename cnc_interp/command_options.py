@@ -46,6 +46,14 @@ def program_options(added: argparse.ArgumentParser) -> None:
     added.add_argument('--json', action='store_true', help='print the summary as JSON')
 
 
+def nodes_options(added: argparse.ArgumentParser) -> None:
+    """Add the options that find running nodes."""
+    added.add_argument(
+        '--namespace', default='/', metavar='NS', help='ROS namespace of the nodes (/)'
+    )
+    added.add_argument('--domain', type=int, metavar='N', help='ROS domain (ROS_DOMAIN_ID)')
+
+
 def page_options(added: argparse.ArgumentParser) -> None:
     """Add the options of the operator page."""
     added.add_argument(

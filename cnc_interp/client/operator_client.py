@@ -13,6 +13,7 @@ from typing import Any
 import rclpy
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram, MachineState
+from cnc_interp_msgs.srv import MoveAxes
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
@@ -51,6 +52,7 @@ class Answer:
 
     ok: bool
     message: str
+    response: Any = None
 
 
 class OperatorClient:
@@ -106,6 +108,7 @@ class OperatorClient:
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._single_block = node.create_client(SetBool, 'single_block')
+        self._move_axes = node.create_client(MoveAxes, 'move_axes')
         self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
         self._parameters = node.create_client(GetParameters, 'machine_node/get_parameters')
         self._action = ActionClient(node, RunProgram, 'run_program')
@@ -178,6 +181,15 @@ class OperatorClient:
     def set_single_block(self, on: bool) -> Future[Answer]:
         """Stop at the end of each block, or no longer."""
         return self._call(self._single_block, SetBool.Request(data=on), 'single_block')
+
+    @property
+    def can_move(self) -> bool:
+        """Tell whether the machine's service for moves by hand is there."""
+        return bool(self._move_axes.service_is_ready())
+
+    def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
+        """Move axes by hand; the answer carries the response of the service."""
+        return self._call(self._move_axes, request, 'move_axes')
 
     def set_override(self, share: float) -> None:
         """Set the feed override [-]."""
@@ -252,7 +264,8 @@ class OperatorClient:
             answer = next((answer for answer in sent if answer.done()), None)
             if answer is not None:
                 response = answer.result()
-                wanted.set_result(Answer(response.success, f'{name}: {response.message}'))
+                told = f'{name}: {response.message}'
+                wanted.set_result(Answer(response.success, told, response))
             elif waited > ANSWER:  # a repeated start may be too late
                 wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
             elif name in STOPS and waited > AGAIN * len(sent):

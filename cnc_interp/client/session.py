@@ -260,6 +260,12 @@ def chosen_domain() -> int:
     return int(chosen) if chosen.isdigit() else random.choice(DOMAINS)
 
 
+def domain_of_nodes(domain: int | None) -> int:
+    """Return the ROS domain of nodes that run: the one given, or the environment's."""
+    chosen = os.environ.get('ROS_DOMAIN_ID', '')
+    return (int(chosen) if chosen.isdigit() else 0) if domain is None else domain
+
+
 def check_place(namespace: str, domain: int) -> None:
     """
     Refuse a namespace or a domain that ROS 2 does not allow.

@@ -12,6 +12,7 @@ from cnc_interp.command_options import (
     FINE,
     command,
     machine_option,
+    nodes_options,
     page_options,
     program_options,
 )
@@ -55,10 +56,7 @@ def add_panel_command(commands: Any) -> None:
     panel.add_argument(
         '--attach', action='store_true', help='join nodes that run already; start none'
     )
-    panel.add_argument(
-        '--namespace', default='/', metavar='NS', help='ROS namespace of the nodes (/)'
-    )
-    panel.add_argument('--domain', type=int, metavar='N', help='ROS domain (ROS_DOMAIN_ID)')
+    nodes_options(panel)
     page_options(panel)
 
 

@@ -33,6 +33,7 @@ from cnc_interp.machine.cycle_kernels import (
     follow_ideally,
 )
 from cnc_interp.machine.drives import CycleDrives, DriveFaultError, Drives, FedDrives
+from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import NO_RUN, RunId
@@ -203,6 +204,36 @@ class Playback:
     def left(self) -> bool:
         """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
         return self._on_tail or self.state.plan_over
+
+    def check_jog(self) -> None:
+        """
+        Refuse motion by hand where it cannot begin or go on.
+
+        Raises
+        ------
+        StreamError
+            With the reason.
+
+        """
+        self.read()
+        if self.state.state is not State.JOGGING:
+            self.state.after(Event.JOG)
+            if self.buffer.count:
+                raise StreamError('jog is not possible: a program is about to start')
+
+    def begin_jog(self, run_id: RunId, chunk: Chunk) -> None:
+        """Begin a motion by hand at once, with its first setpoints."""
+        self.check_jog()
+        self._forget_run(run_id)
+        self.push_jog(chunk)
+        self.state = self.state.after(Event.JOG)
+        self.cycle.start(self.buffer.chunks[0].serial)
+
+    def push_jog(self, chunk: Chunk) -> None:
+        """Take the next setpoints of a motion by hand, checked as those of a program are."""
+        rows = np.concatenate([chunk.samples.position, chunk.tail.position])
+        refuse_setpoints(self.axes.machine, self.axes.period, self.buffer.newest, rows)
+        self.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
 
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk into the buffer, unless its plan was left."""

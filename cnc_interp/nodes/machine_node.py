@@ -19,6 +19,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.feed_override import FeedOverride
+from cnc_interp.nodes.jog_commands import JogCommands
 from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
@@ -80,6 +81,7 @@ class MachineNode(LifecycleNode):
         self._override = FeedOverride(self, self._diagnostics)
         self._reports = MachineReports(self, self._playback, values, self._override)
         self._controls = Controls(self, self._playback, self._give_up)
+        self._jog = JogCommands(self, self._playback, self._diagnostics)
         self.create_timer(0.005, self._work)
         self.create_timer(CLOCK_PERIOD, self._report_clock)
 
@@ -169,6 +171,7 @@ class MachineNode(LifecycleNode):
             level = LEVELS.get(state.state, OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._reports.publish_state()
+        self._jog.work(self._override.value)  # what was reached before is published
 
     def _report_clock(self) -> None:
         """Report how late the drives are stepped in this run, and how the clock is scheduled."""

@@ -139,9 +139,9 @@ class MarkersNode(Node):
 
     def _see_setpoints(self, chunk: SetpointChunk) -> None:
         """Add the last setpoint of the message that belongs to the program."""
-        self._begin(chunk.program_id)
         q = np.reshape(chunk.positions, (-1, chunk.axis_count))
-        if len(q) and chunk.sequences[-1] > 0:
+        if len(q) and chunk.sequences[-1] > 0:  # neither approach nor motion by hand
+            self._begin(chunk.program_id)
             tip, _ = self._transform.forward(q[-1:])
             self._executed.add(tip[0])
 

@@ -11,6 +11,7 @@ Quality of service of every topic, in one table.
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
 | ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
 | ``feed_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
+| ``jog`` | best effort | volatile | last 1 | a beat that is lost must not come late |
 | trajectories | reliable | volatile | last 1 | each replaces the one before |
 | ``markers`` | reliable | volatile | last 16 | what RViz asks for; all are sent again to a new listener |
 | ``blocks``, ``block_batches``, ``executed_setpoints`` for those who only look | best effort | volatile | last 4096 | no sender waits for a viewer |
@@ -66,3 +67,9 @@ LOADED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 OVERRIDE = _reliable(10)
+BEATS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)

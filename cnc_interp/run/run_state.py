@@ -27,6 +27,7 @@ class State(Enum):
     STARVED = 'starved'  # at rest on the path until setpoints come
     STOPPING = 'stopping'  # emergency stop or refused stream: slows down on the path
     FAULT = 'fault'  # at rest until reset
+    JOGGING = 'jogging'  # moves by hand, without a program
 
 
 class Event(Enum):
@@ -49,6 +50,7 @@ class Event(Enum):
     STOP = 'stop'  # operator: emergency_stop; or no further setpoints can be executed
     REFUSE = 'refuse'  # a setpoint message was refused: no further ones of this run come
     FAIL = 'fail'  # the drives refused a setpoint or reported a fault
+    JOG = 'jog'  # operator: a motion by hand begins
 
 
 class Reason(IntEnum):
@@ -137,6 +139,11 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.STARVED, Event.RESUME): State.STARVED,
     (State.STOPPING, Event.REST): State.FAULT,
     (State.FAULT, Event.RESET): State.IDLE,
+    (State.IDLE, Event.JOG): State.JOGGING,
+    (State.JOGGING, Event.HOLD): State.JOGGING,
+    (State.JOGGING, Event.STARVE): State.JOGGING,
+    (State.JOGGING, Event.FINISH): State.IDLE,
+    (State.JOGGING, Event.REST): State.IDLE,
     **{(state, Event.START): State.RUNNING for state in _ON_PATH_AT_REST},
     **{(state, Event.BEGIN): State.IDLE for state in _ON_PATH_AT_REST},
     **{(state, Event.RESET): State.IDLE for state in _ON_PATH_AT_REST},
@@ -193,7 +200,8 @@ class RunState:
     @property
     def leaves_plan(self) -> bool:
         """Tell whether the machine takes the next stop tail, though setpoints are buffered."""
-        return self.state in (State.HOLDING, State.STOPPING)
+        held = self.state is State.JOGGING and self.reason is Reason.FEED_HOLD
+        return held or self.state in (State.HOLDING, State.STOPPING)
 
     @property
     def may_start(self) -> bool:
@@ -225,6 +233,8 @@ class RunState:
         """Return the reason in words for the operator; empty when there is none."""
         if self.state is State.FILLING:
             return 'setpoints are being planned; motion goes on by itself'
+        if self.state in (State.IDLE, State.JOGGING):
+            return ''
         return TEXTS[self.reason].format(self.detail)
 
     def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:
@@ -249,8 +259,12 @@ class RunState:
         following = TRANSITIONS.get((self.state, event))
         if following is None:
             raise StreamError(self._refused(event))
-        if event in (Event.ACTIVATE, Event.DEACTIVATE, Event.BEGIN, Event.RESET):
+        if event in (Event.ACTIVATE, Event.DEACTIVATE, Event.BEGIN, Event.RESET, Event.JOG):
             return RunState(following)
+        if self.state is State.JOGGING and following is State.IDLE:
+            return RunState(following, self.reason)
+        if self.state is State.JOGGING and event is Event.REFUSE:
+            return self  # the setpoints of another sender are none of its concern
         if event is Event.RESUME:
             return replace(self, start_wanted=self.may_resume)
         if event is Event.REPLAN:

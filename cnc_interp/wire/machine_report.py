@@ -22,6 +22,7 @@ NUMBERS = {
     State.STARVED: MachineState.STARVED,
     State.STOPPING: MachineState.STOPPING,
     State.FAULT: MachineState.FAULT,
+    State.JOGGING: MachineState.JOGGING,
 }
 
 

@@ -85,6 +85,12 @@ class NodesUnderTest:
                 self.children.check()
             self.executor.spin_once(timeout_sec=0.05)
 
+    def spin_for(self, time_span):
+        """Spin for a time [s]; a busy computer may take longer."""
+        end = time.monotonic() + time_span
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=end - time.monotonic())
+
     def last_words(self):
         """Last diagnostics of each part of the nodes, and the state of the machine."""
         return dict(self.diagnostics), self.peers.state

@@ -98,9 +98,24 @@ def test_the_table_by_its_meaning():
         assert not {e for s, e in TRANSITIONS if s is state} & {
             Event.DEACTIVATE, Event.RESET, Event.BEGIN, Event.REPLAN,
         }  # fmt: skip
-    # Motion begins by START only, and never without the table: from rest on the path or idle.
+    # Motion begins by START and by JOG only, and never without the table: from rest on the path
+    # or idle.
     begins = {(s, e) for (s, e), to in TRANSITIONS.items() if s in AT_REST and to in MOVING}
-    assert {e for _, e in begins} == {Event.START}
+    assert {e for _, e in begins} == {Event.START, Event.JOG}
+    assert [s for s, e in begins if e is Event.JOG] == [State.IDLE]
+
+
+def test_motion_by_hand_leaves_an_idle_machine_and_no_alarm():
+    jogging = RunState(State.IDLE).after(Event.JOG)
+    assert not jogging.leaves_plan and not jogging.may_start and not jogging.may_resume
+    assert jogging.after(Event.FINISH) == jogging.after(Event.REFUSE).after(Event.REST)
+    assert jogging.after(Event.STARVE).after(Event.REST).state is State.IDLE
+    held = jogging.after(Event.HOLD, Reason.FEED_HOLD)
+    assert held.leaves_plan and not held.after(Event.REST).text and not held.text
+    assert held.after(Event.REST).reason is Reason.FEED_HOLD
+    assert held.after(Event.REST).after(Event.JOG) == jogging
+    with pytest.raises(StreamError, match='program stop'):
+        RunState(State.RUNNING).after(Event.WAIT, Reason.PROGRAM_STOP).after(Event.JOG)
 
 
 def held_by(event, reason):

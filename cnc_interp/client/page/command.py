@@ -15,7 +15,13 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cnc_interp.client.session import RunResult, check_place, chosen_domain, nodes_file
+from cnc_interp.client.session import (
+    RunResult,
+    check_place,
+    chosen_domain,
+    domain_of_nodes,
+    nodes_file,
+)
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.kinematics.machine import Machine
@@ -100,9 +106,8 @@ def run_panel(request: PanelRequest) -> None:
             file=sys.stderr,
         )
     domain = request.domain
-    if domain is None and request.attach:
-        unset = os.environ.get('ROS_DOMAIN_ID', '')
-        domain = int(unset) if unset.isdigit() else 0
+    if request.attach:
+        domain = domain_of_nodes(domain)
     elif domain is None:
         domain = chosen_domain()
     check_place(request.namespace, domain)

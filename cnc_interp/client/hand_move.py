@@ -1,0 +1,129 @@
+"""A move by hand from the command line: ask for it, wait for its end, tell where it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.srv import MoveAxes
+
+from cnc_interp.client.operator_client import SILENCE, OperatorClient
+from cnc_interp.client.session import check_place, domain_of_nodes
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
+from cnc_interp.kinematics.axes import Axis
+from cnc_interp.kinematics.machine import Machine
+
+#: Longest wait for the nodes [s].
+PATIENCE = 10.0
+#: Nearer than this to its target, a move has arrived [m, rad].
+THERE = 1e-6
+
+
+@dataclass(frozen=True)
+class HandMove:
+    """Values of axes [mm, deg], whether they are distances, a distance along the tool [mm]."""
+
+    values: Mapping[str, float]
+    relative: bool
+    tool: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class Ended:
+    """Where a move has ended, and why."""
+
+    axes: tuple[Axis, ...]
+    position: FloatArray
+    arrived: bool
+    message: str
+
+    def text(self) -> str:
+        """Return the place in words and shop units."""
+        place = '  '.join(
+            f'{axis.name} {axis.position_text(q)} {axis.shown_unit}'
+            for axis, q in zip(self.axes, self.position, strict=True)
+        )
+        return f'{self.message}: {place}'
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result for machines to read, in SI."""
+        names = [axis.name for axis in self.axes]
+        return {
+            'arrived': self.arrived,
+            'message': self.message,
+            'position': dict(zip(names, self.position.tolist(), strict=True)),
+        }
+
+
+def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
+    """
+    Move axes of a running machine and wait for the end; Ctrl-C stops them.
+
+    Raises
+    ------
+    InterpError
+        If no machine answers, or it refuses the move.
+
+    """
+    domain = domain_of_nodes(domain)
+    check_place(namespace, domain)
+    with OperatorClient('jog', namespace, domain) as client:
+        until = time.monotonic() + PATIENCE
+        while not (client.machine and client.state is not None and client.can_move):
+            if time.monotonic() > until:
+                raise InterpError(
+                    f'no machine_node answers in ROS domain {domain}, namespace {namespace}; '
+                    'start the nodes, or name their --domain and --namespace'
+                )
+            client.serve()
+        machine = Machine.load(client.machine)
+        request = MoveAxes.Request(relative=wanted.relative, speed=wanted.speed)
+        request.tool = wanted.tool * MM
+        for name, value in wanted.values.items():
+            if name not in machine.axis_names:
+                raise InterpError(
+                    f'the machine has no axis {name} ({" ".join(machine.axis_names)})'
+                )
+            request.axes.append(name)
+            request.values.append(value * machine.axis(name).shown_size)
+        try:
+            return _followed(client, machine, request)
+        except KeyboardInterrupt:
+            answer = client.trigger('feed_hold')
+            while not answer.done():
+                client.serve()
+            raise
+
+
+def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
+    """Send the request and watch the machine until it rests."""
+    answer = client.move_axes(request)
+    while not answer.done():
+        client.serve()
+    if not answer.result().ok:
+        raise InterpError(answer.result().message)
+    target, moved = np.array(answer.result().response.positions), False
+    state, heard = client.state, time.monotonic()
+    while True:
+        client.serve()
+        if client.state is not state:
+            heard = time.monotonic()
+        elif time.monotonic() - heard > SILENCE:
+            raise InterpError('machine_node does not answer any more')
+        state = client.state
+        assert state is not None
+        moved = moved or state.state == MachineState.JOGGING
+        position = np.array(state.commanded_positions)
+        arrived = bool((np.abs(position - target) <= THERE).all())
+        rests = state.resting and (moved or arrived)
+        if rests or state.state in (MachineState.FAULT, MachineState.INACTIVE):
+            held = state.reason == MachineState.REASON_FEED_HOLD
+            short = state.message or ('feed hold' if held else 'stopped')
+            return Ended(machine.axes, position, arrived, 'there' if arrived else short)

@@ -1,0 +1,269 @@
+"""
+Motion by hand: what the operator wants, and the setpoints of it for the playback.
+
+A *beat* asks for velocities for a short time, a *move* for a target. Both become pieces of
+setpoints with their stops, some hundredths of a second ahead of the machine. So a motion changes
+soon after its command, and the cycle stops by itself where this thread is late.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.jog_motion import LEAST_SHARE, THERE, JogMotion, Slides
+from cnc_interp.machine.playback import Playback
+from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import Reason, State
+
+#: The motion stops where no beat has come for this time [s].
+LATE = 0.2
+#: Motion handed to the machine ahead of time, and in one piece [s].
+AHEAD, PIECE = 0.05, 0.01
+#: Name of motions by hand in the record of executed setpoints; their attempts count them.
+JOG = 'jog'
+
+
+@dataclass(frozen=True, eq=False)
+class Beat:
+    """Velocities for ``LATE`` seconds, as shares of the limits, shape (m,) [-]."""
+
+    slides: Slides
+    shares: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Coordinates to go to, shape (m,) [m, rad], and the share of the velocity limits [-]."""
+
+    slides: Slides
+    target: FloatArray
+    speed: float
+
+
+class Jog:
+    """
+    The operator's motion by hand.
+
+    Parameters
+    ----------
+    playback : Playback
+        The machine's buffer, which plays it.
+
+    """
+
+    def __init__(self, playback: Playback):
+        self._playback, self._machine = playback, playback.axes.machine
+        self._period = playback.axes.period
+        self._axes = Slides.of_axes(self._machine)
+        self._wish: Beat | Move | None = None
+        self._beat_at = -math.inf
+        self._released = True  # after a hold the keys must be let go
+        self._seen = playback.state
+        self._motion: JogMotion | None = None
+        self._override = 1.0
+        self._steered: tuple[Beat | Move | None, float] = (None, 0.0)  # wish and override
+        self._count = 0  # motions
+
+    # What the operator asks for -----------------------------------------------------------------
+
+    def beat(self, shares: Mapping[str, float], tool: float, now: float) -> None:
+        """
+        Take a beat.
+
+        Parameters
+        ----------
+        shares : mapping
+            Velocity of each axis that moves, as a share of its limit, -1 to 1 [-].
+        tool : float
+            The same along the tool, away from the workpiece.
+        now : float
+            Time of any steady clock [s].
+
+        Raises
+        ------
+        StreamError
+            If it cannot be followed.
+
+        """
+        wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
+        self._check(shares, tool)
+        if not (np.abs(wanted) <= 1.0).all():
+            raise StreamError('jog: shares lie between -1 and 1')
+        moves, fresh = bool(wanted.any()), now - self._beat_at > LATE
+        if moves and isinstance(self._wish, Move):
+            raise StreamError('a move is under way; feed_hold ends it')
+        self._beat_at = now
+        self._released = self._released or fresh or not moves
+        if not moves:
+            self._wish = None if isinstance(self._wish, Beat) else self._wish
+            return
+        self._playback.check_jog()
+        slides, before = self._slides(bool(tool)), self._wish
+        if slides is None or not self._released:
+            self._wish = None
+        elif not (isinstance(before, Beat) and np.array_equal(before.shares, wanted)):
+            self._wish = Beat(slides, wanted)
+
+    def move(
+        self, values: Mapping[str, float], relative: bool, tool: float, speed: float
+    ) -> FloatArray:
+        """
+        Take a move; return where the axes will rest, shape (n_axes,) [m, rad].
+
+        Parameters
+        ----------
+        values : mapping
+            Position of each axis that moves, or its distance [m, rad].
+        relative : bool
+            True for distances: from the target of the move that is under way, or from where the
+            axes stand.
+        tool : float
+            Distance along the tool, away from the workpiece [m].
+        speed : float
+            Share of the velocity limits; 0 means 1 [-].
+
+        Raises
+        ------
+        StreamError
+            If it cannot be followed.
+
+        """
+        wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
+        self._check(values, tool)
+        if not (values or tool):
+            raise StreamError('move_axes: name an axis and where to, or a distance along the tool')
+        if speed and not LEAST_SHARE <= speed <= 1.0:
+            raise StreamError(f'move_axes: the speed is {speed:g}; from {LEAST_SHARE:g} to 1')
+        self._playback.check_jog()
+        if self._override * (speed or 1.0) < LEAST_SHARE:
+            raise StreamError(f'the feed override is {self._override:g}; raise it')
+        if isinstance(self._wish, Beat):
+            raise StreamError('the axes are being jogged; let go first')
+        slides = self._slides(bool(tool))
+        if slides is None:
+            raise StreamError('the axes are still moving; wait until they rest')
+        base = slides.coordinates(self._playback.buffer.newest[-1])
+        base = self._wish.target if isinstance(self._wish, Move) else base
+        wanted = base + wanted if relative or tool else wanted
+        target = np.where(np.isfinite(wanted), wanted, base)
+        place: FloatArray = slides.positions(target[None, :])[0]
+        self._refuse_beyond(place)
+        self._wish = Move(slides, target, speed or 1.0)
+        return place
+
+    def _check(self, values: Mapping[str, float], tool: float) -> None:
+        """Refuse values that mean nothing."""
+        if values and tool:
+            raise StreamError('move either axes or along the tool')
+        if not np.isfinite([*values.values(), tool]).all():
+            raise StreamError('a value is not finite; send numbers')
+
+    def _of_axes(self, values: Mapping[str, float], nothing: float) -> FloatArray:
+        """Return a value for each axis of the machine."""
+        names = self._machine.axis_names
+        for name in values:
+            if name not in names:
+                raise StreamError(f'the machine has no axis {name!r} (axes: {" ".join(names)})')
+        return np.array([values.get(name, nothing) for name in names])
+
+    def _slides(self, tool: bool) -> Slides | None:
+        """Return what a wish moves; None if the axes first must come to rest for it."""
+        motion = self._motion
+        if motion is None:
+            stands = self._playback.buffer.newest[-1]
+            return Slides.along_tool(self._machine, stands) if tool else self._axes
+        return motion.slides if tool is (motion.slides is not self._axes) else None
+
+    def _refuse_beyond(self, place: FloatArray) -> None:
+        """Refuse a place outside the travel."""
+        for axis, value in zip(self._machine.axes, place, strict=True):
+            if not axis.travel[0] - THERE <= value <= axis.travel[1] + THERE:
+                low, high = map(axis.position_text, axis.travel)
+                raise StreamError(
+                    f'{axis.name} would go to {axis.position_text(value)} {axis.shown_unit}; '
+                    f'its travel is {low} to {high}'
+                )
+
+    # What the machine does ----------------------------------------------------------------------
+
+    def work(self, now: float, override: float) -> None:
+        """
+        Hand out what the machine needs next; to be called every few milliseconds.
+
+        Parameters
+        ----------
+        now : float
+            Time of the clock of ``beat`` [s].
+        override : float
+            The feed override [-].
+
+        Raises
+        ------
+        StreamError
+            If no motion was found. The axes come to rest.
+
+        """
+        playback, state, self._override = self._playback, self._playback.state, override
+        if state is not self._seen:
+            self._seen = state
+            by_hand = state.state in (State.IDLE, State.JOGGING)
+            if state.reason is Reason.FEED_HOLD or not by_hand:
+                self._wish, self._released = None, False
+        if isinstance(self._wish, Beat) and now - self._beat_at > LATE:
+            self._wish = None
+        try:
+            if state.state is not State.JOGGING:
+                self._motion = None
+                if self._wish is not None:
+                    self._begin(self._wish)
+            elif self._motion is not None and not (self._motion.over or playback.left):
+                self._steer(self._motion)
+                self._fill(self._motion)
+        except StreamError:
+            self._wish = None
+            raise
+
+    def _begin(self, wish: Beat | Move) -> None:
+        """Begin a motion from rest, if there is a way to go."""
+        stands = self._playback.buffer.newest[-1]
+        motion = JogMotion(wish.slides, self._period, wish.slides.coordinates(stands))
+        self._steer(motion)
+        if motion.over:
+            self._fill(motion)
+            return
+        self._count += 1
+        self._playback.begin_jog(RunId(JOG, self._count), motion.piece(self._setpoints(PIECE)))
+        self._motion = motion
+        self._fill(motion)
+
+    def _steer(self, motion: JogMotion) -> None:
+        """Make a motion follow the wish and the override, where they have changed."""
+        wish, override = self._wish, self._override
+        if motion is self._motion and self._steered == (wish, override):
+            return
+        self._steered = wish, override
+        if isinstance(wish, Beat):
+            shares = np.clip(override * wish.shares, -1.0, 1.0)
+            motion.run(shares * wish.slides.limits[0])
+        elif wish is not None and override * wish.speed >= LEAST_SHARE:
+            motion.go(wish.target, min(1.0, override * wish.speed))
+        else:
+            self._wish = None
+            motion.stop()
+
+    def _fill(self, motion: JogMotion) -> None:
+        """Hand setpoints to the machine until it has enough, or the motion ends."""
+        while not motion.over and self._playback.buffer.count < self._setpoints(AHEAD):
+            self._playback.push_jog(motion.piece(self._setpoints(PIECE)))
+        if motion.over and isinstance(self._wish, Move):
+            self._wish = None
+
+    def _setpoints(self, time: float) -> int:
+        """Return the number of setpoints in a time [s], at least one."""
+        return max(1, round(time / self._period))

@@ -1,0 +1,296 @@
+"""
+Motion by hand: any number of axes, with a velocity or to a target, from any state of motion.
+
+ruckig (Berscheid and Kroeger, 2021) gives the fastest motion within velocity, acceleration and
+jerk limits. The setpoints are samples of it. The motion is C2 and its jerk is bounded, so their
+differences keep the limits, too. A motion with a velocity towards an end of travel is a motion to
+that end with this velocity as its largest.
+
+A piece is handed out only if it, and the stop after it, stay within the travel. Else the motion
+stops before the piece, which is always possible: the piece before had a stop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import ruckig
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.interpolator import Setpoints
+
+#: A smaller share of a velocity limit is no motion; ruckig bounds the duration of a motion.
+LEAST_SHARE = 1e-3
+#: A motion with a velocity is planned for this time, and again after half of it [s].
+HORIZON = 10.0
+#: Nearer than this to its target, an axis is there [m, rad].
+THERE = TRAVEL_SLACK
+#: Smaller components of the tool's direction are rounding [-].
+NO_PART = 1e-12
+
+VELOCITY, POSITION = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
+EACH_ALONE, TOGETHER = ruckig.Synchronization.No, ruckig.Synchronization.Time
+
+
+@dataclass(frozen=True, eq=False)
+class Slides:
+    """
+    What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``.
+
+    Parameters
+    ----------
+    origin : ndarray, shape (n,)
+        Axis positions at x = 0 [m, rad].
+    direction : ndarray, shape (m, n)
+        Motion of the axes per unit of each coordinate x.
+    limits : ndarray, shape (3, m)
+        Velocity, acceleration and jerk limits of the coordinates [m or rad, per s, s2, s3].
+    travel : ndarray, shape (m, 2)
+        Smallest and largest coordinate [m, rad].
+
+    """
+
+    origin: FloatArray
+    direction: FloatArray
+    limits: FloatArray
+    travel: FloatArray
+
+    def positions(self, x: FloatArray) -> FloatArray:
+        """Return the axis positions, shape (K, n) [m, rad], at coordinates, shape (K, m)."""
+        q: FloatArray = self.origin + x @ self.direction
+        return q
+
+    def coordinates(self, q: FloatArray) -> FloatArray:
+        """Return the coordinates, shape (m,), of axis positions on the slides, shape (n,)."""
+        weights = self.direction / (self.direction**2).sum(axis=1, keepdims=True)
+        x: FloatArray = weights @ (q - self.origin)
+        return x
+
+    @staticmethod
+    def of_axes(machine: Machine) -> Slides:
+        """Return the axes of the machine, each its own slide; x is q."""
+        n = len(machine.axis_names)
+        return Slides(np.zeros(n), np.eye(n), machine.limits, machine.travel)
+
+    @staticmethod
+    def along_tool(machine: Machine, stands: FloatArray) -> Slides:
+        """
+        Return one slide: X Y Z move the tip along the tool axis; x = 0 where the machine stands.
+
+        The tip is an affine function of X Y Z, so its differences over 1 m are exact.
+
+        Parameters
+        ----------
+        machine : Machine
+            Axes, limits, travel and geometry.
+        stands : ndarray, shape (n,)
+            Axis positions [m, rad].
+
+        """
+        n = len(stands)
+        tip, axis = Transform.of(machine).forward(stands + np.eye(4, n, -1))
+        direction = np.zeros(n)
+        direction[:3] = np.linalg.solve((tip[1:] - tip[0]).T, axis[0])
+        direction[np.abs(direction) < NO_PART] = 0.0
+        moves = direction != 0.0
+        part = direction[moves]
+        ends = np.sort((machine.travel[moves] - stands[moves, None]) / part[:, None], axis=1)
+        return Slides(
+            origin=np.array(stands, dtype=float),
+            direction=direction[None, :],
+            limits=(machine.limits[:, moves] / np.abs(part)).min(axis=1, keepdims=True),
+            travel=np.array([[ends[:, 0].max(), ends[:, 1].min()]]),
+        )
+
+
+class JogMotion:
+    """
+    One motion by hand, from rest to rest.
+
+    Parameters
+    ----------
+    slides : Slides
+        What moves.
+    period : float
+        Interpolation period [s].
+    x : ndarray, shape (m,)
+        Where it begins, at rest [m, rad].
+
+    """
+
+    def __init__(self, slides: Slides, period: float, x: FloatArray):
+        self.slides, self._period = slides, period
+        self._solver = ruckig.Ruckig(len(x))
+        #: Position, velocity and acceleration at the last setpoint handed out, shape (3, m).
+        self._state = np.stack([x, np.zeros_like(x), np.zeros_like(x)])
+        self._velocity: FloatArray | None = None
+        self._count = 0  # setpoints handed out
+        self.stop()
+
+    @property
+    def x(self) -> FloatArray:
+        """Coordinates at the last setpoint handed out, shape (m,) [m, rad]."""
+        at: FloatArray = self._state[0]
+        return at
+
+    @property
+    def over(self) -> bool:
+        """Tell whether all setpoints are handed out; the last one is at rest."""
+        return self._next >= self._last
+
+    def stop(self) -> None:
+        """Come to rest as fast as the limits allow, each slide for itself."""
+        self._velocity = None
+        self._follow(self._stop(self._state), rests=True)
+
+    def run(self, velocity: FloatArray) -> None:
+        """
+        Move with a velocity until further notice; come to rest at an end of the travel.
+
+        Parameters
+        ----------
+        velocity : ndarray, shape (m,)
+            Velocities within the limits [m/s, rad/s].
+
+        """
+        self._velocity = velocity
+        largest, acceleration, jerk = self.slides.limits
+        x, v, a = self._state
+        end = np.where(velocity > 0.0, self.slides.travel[:, 1], self.slides.travel[:, 0])
+        share = np.abs(velocity) / largest
+        there = (np.abs(end - x) <= THERE) & (v == 0.0) & (a == 0.0)
+        wanted = np.where((share < LEAST_SHARE) | there, 0.0, velocity)
+        stop_length = largest * (largest / acceleration + acceleration / jerk)
+        near = (wanted != 0.0) & (np.abs(end - x) < HORIZON * np.abs(wanted) + stop_length)
+        planned = self._solve(self._state, wanted, np.where(near, end, np.nan), EACH_ALONE)
+        self._follow(planned, rests=not (wanted[~near]).any())
+
+    def go(self, target: FloatArray, share: float) -> None:
+        """
+        Move to a target; all slides arrive together.
+
+        Parameters
+        ----------
+        target : ndarray, shape (m,)
+            Coordinates within the travel [m, rad].
+        share : float
+            Part of the velocity limits that is used, up to 1 [-].
+
+        """
+        self._velocity = None
+        x, v, a = self._state
+        if (np.abs(target - x) <= THERE).all() and not (v.any() or a.any()):
+            self.stop()
+            return
+        most = share * self.slides.limits[0]
+        self._follow(self._solve(self._state, most, target, TOGETHER), rests=True)
+
+    def piece(self, count: int) -> Chunk:
+        """
+        Hand out the next setpoints with the stop after them.
+
+        Parameters
+        ----------
+        count : int
+            Setpoints; fewer where the motion ends.
+
+        """
+        if self._velocity is not None and self._next * self._period > 0.5 * HORIZON:
+            self.run(self._velocity)
+        rows, tail = self._next_rows(count)
+        if not (self._inside(rows) and self._inside(tail)):
+            self.stop()
+            rows, tail = self._next_rows(count)
+        before = self._state[2]
+        self._next += len(rows)
+        self._state = rows[-1]
+        samples = self._setpoints(rows, before, self._count)
+        self._count += len(rows)
+        stop = self._setpoints(tail, rows[-1, 2], self._count)
+        return Chunk(samples, stop, Wait.END if self.over else Wait.NOTHING)
+
+    def _solve(
+        self, state: FloatArray, velocity: FloatArray, target: FloatArray, together: object
+    ) -> ruckig.Trajectory:
+        """
+        Let ruckig find the motion to targets, or to velocities where the target is NaN.
+
+        The velocity of a slide with a target is the largest on the way.
+        """
+        acceleration, jerk = self.slides.limits[1:]
+        aims = np.isfinite(target)
+        wanted = ruckig.InputParameter(len(target))
+        wanted.current_position = state[0].tolist()
+        wanted.current_velocity = state[1].tolist()
+        wanted.current_acceleration = np.clip(state[2], -acceleration, acceleration).tolist()
+        wanted.target_position = np.where(aims, target, state[0]).tolist()
+        wanted.target_velocity = np.where(aims, 0.0, velocity).tolist()
+        wanted.max_velocity = np.where(aims, np.abs(velocity), self.slides.limits[0]).tolist()
+        wanted.max_acceleration, wanted.max_jerk = acceleration.tolist(), jerk.tolist()
+        wanted.per_dof_control_interface = [POSITION if aim else VELOCITY for aim in aims]
+        wanted.synchronization = together
+        found = ruckig.Trajectory(len(target))
+        try:
+            self._solver.calculate(wanted, found)
+        except ruckig.RuckigError as problem:
+            raise StreamError(f'no motion was found ({problem}); go nearer or faster') from None
+        return found
+
+    def _stop(self, state: FloatArray) -> ruckig.Trajectory:
+        """Return the fastest stop."""
+        still = np.zeros(state.shape[1])
+        return self._solve(state, still, np.full_like(still, np.nan), EACH_ALONE)
+
+    def _follow(self, planned: ruckig.Trajectory, rests: bool) -> None:
+        """Take a motion that begins at the last setpoint."""
+        self._planned, self._next = planned, 0  # the next row is that of period _next + 1
+        self._last = self._length(planned) if rests else math.inf
+
+    def _length(self, planned: ruckig.Trajectory) -> int:
+        """Return the number of setpoints of a motion to rest."""
+        return math.ceil(float(planned.duration) / self._period - 1e-9)
+
+    def _next_rows(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return the states of the next periods and of the stop after them, (K, 3, m) each."""
+        last = min(self._next + count, self._last)
+        rows = self._rows(self._planned, self._next, int(last), self._last)
+        stop = self._stop(rows[-1])
+        length = self._length(stop)
+        return rows, self._rows(stop, 0, length, length)
+
+    def _rows(self, planned: ruckig.Trajectory, first: int, last: int, end: float) -> FloatArray:
+        """Return the states at the ends of the periods ``first`` to ``last - 1``."""
+        longest = planned.duration if math.isfinite(end) else math.inf
+        times = [min(k * self._period, longest) for k in range(first + 1, last + 1)]
+        rows = np.array([planned.at_time(t) for t in times])
+        rows = rows.reshape(len(times), 3, self._state.shape[1])
+        if last >= end and len(rows):
+            rows[-1, 1:] = 0.0
+        return rows
+
+    def _inside(self, rows: FloatArray) -> bool:
+        """Tell whether all states lie within the travel."""
+        low, high = self.slides.travel.T
+        x = rows[:, 0]
+        return bool(((x >= low - THERE) & (x <= high + THERE)).all())
+
+    def _setpoints(self, rows: FloatArray, before: FloatArray, number: int) -> Setpoints:
+        """Return states as setpoints of the axes; ``before`` is the acceleration before them."""
+        count, direction = len(rows), self.slides.direction
+        jerk = np.diff(np.concatenate([before[None, :], rows[:, 2]]), axis=0) / self._period
+        return Setpoints(
+            time=(number + np.arange(count)) * self._period,
+            position=self.slides.positions(rows[:, 0]),
+            velocity=rows[:, 1] @ direction,
+            acceleration=rows[:, 2] @ direction,
+            jerk=jerk @ direction,
+            block=np.zeros(count, dtype=np.int64),
+            s=np.zeros(count),
+        )

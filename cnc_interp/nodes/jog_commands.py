@@ -1,0 +1,71 @@
+"""Motion by hand over ROS: topic ``jog`` and service ``move_axes`` of the machine node."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from cnc_interp_msgs.msg import Jog as JogMessage
+from cnc_interp_msgs.srv import MoveAxes
+
+from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.jog import Jog
+from cnc_interp.machine.playback import Playback
+from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.qos import BEATS
+
+
+class JogCommands:
+    """
+    Takes the operator's commands for motion by hand.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    playback : Playback
+        The machine's buffer.
+    diagnostics : Diagnostics
+        Where beats that cannot be followed are named.
+
+    """
+
+    def __init__(self, node: Any, playback: Playback, diagnostics: Diagnostics):
+        self._jog, self._diagnostics = Jog(playback), diagnostics
+        node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
+        node.create_service(MoveAxes, 'move_axes', self._move)
+        diagnostics.say('jog', OK, 'no motion by hand refused')
+
+    def _beat(self, message: JogMessage) -> None:
+        """Take a beat, or name on the diagnostics why not."""
+        try:
+            shares = _pairs(message.axes, message.shares)
+            self._jog.beat(shares, message.tool, time.monotonic())
+            self._diagnostics.say('jog', OK, 'follows jog')
+        except StreamError as problem:
+            self._diagnostics.say('jog', WARN, str(problem))
+
+    def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> Any:
+        """Answer ``move_axes``."""
+        try:
+            values = _pairs(request.axes, request.values)
+            place = self._jog.move(values, request.relative, request.tool, request.speed)
+            response.success, response.message = True, 'moving'
+            response.positions = place.tolist()
+        except StreamError as problem:
+            response.success, response.message = False, str(problem)
+        return response
+
+    def work(self, override: float) -> None:
+        """Hand out what the machine needs next; name what cannot be moved."""
+        try:
+            self._jog.work(time.monotonic(), override)
+        except StreamError as problem:
+            self._diagnostics.say('jog', WARN, str(problem))
+
+
+def _pairs(axes: list[str], values: Any) -> dict[str, float]:
+    """Return the value of each axis named."""
+    if len(axes) != len(values) or len(set(axes)) != len(axes):
+        raise StreamError('name each axis once, with one value for each')
+    return dict(zip(axes, values, strict=True))

@@ -1,0 +1,88 @@
+"""The joystick node: ``joy`` in, beats of ``jog`` out while its enable button is pressed."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from cnc_interp_msgs.msg import Jog
+from rclpy.node import Node
+from sensor_msgs.msg import Joy
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.nodes import parameters
+from cnc_interp.nodes.node_main import run_node
+from cnc_interp.nodes.parameters import MACHINE, Declared
+from cnc_interp.nodes.qos import BEATS
+
+#: Name by which the tool stands among the axes in the names of parameters.
+TOOL = 'tool'
+
+
+def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
+    """Return the parameters for the axes of a machine and for the tool."""
+    found = [
+        Declared('enable_button', 4, 'Button that must be pressed, number in joy', 0, 63),
+        Declared('deadband', 0.1, 'Deflections below this count as none [-]', 0.0, 0.9),
+    ]
+    for name in (*names, TOOL):
+        found += [
+            Declared(f'axis.{name}', -1, f'Axis of joy that moves {name}; -1: none', -1, 63),
+            Declared(f'scale.{name}', 1.0, 'Largest share of its velocity [-]', -1.0, 1.0),
+        ]
+    return tuple(found)
+
+
+class JoyJogNode(Node):
+    """Maps a joystick to the axes of the machine."""
+
+    def __init__(self) -> None:
+        super().__init__('joy_jog_node')
+        machine = parameters.declare(self, (MACHINE,))['machine']
+        self._names = Machine.load(machine).axis_names
+        self._values: dict[str, Any] = parameters.declare(self, declared(self._names))
+        self._enabled = False
+        self._beats = self.create_publisher(Jog, 'jog', BEATS)
+        self.create_subscription(Joy, 'joy', self._take, BEATS)
+
+    def _take(self, joy: Joy) -> None:
+        """
+        Publish a beat for each message while the button is pressed, and one when it is let go.
+
+        The beats are those of the joystick: where it is silent, the machine stops.
+        """
+        button = self._values['enable_button']
+        before, self._enabled = self._enabled, bool(joy.buttons[button : button + 1].count(1))
+        if not self._enabled:
+            if before:
+                self._beats.publish(Jog())
+            return
+        shares = {name: self._share(joy, name) for name in (*self._names, TOOL)}
+        tool = shares.pop(TOOL)
+        moved = {} if tool else {name: share for name, share in shares.items() if share}
+        beat = Jog(axes=list(moved), shares=list(moved.values()), tool=tool)
+        self._beats.publish(beat)
+
+    def _share(self, joy: Joy, name: str) -> float:
+        """Return the share of an axis, or of the tool, that a deflection asks for."""
+        number, deadband = self._values[f'axis.{name}'], self._values['deadband']
+        if not 0 <= number < len(joy.axes):
+            return 0.0
+        deflection = max(-1.0, min(1.0, float(joy.axes[number])))
+        if not abs(deflection) > deadband:
+            return 0.0
+        part = (abs(deflection) - deadband) / (1.0 - deadband)
+        share = float(self._values[f'scale.{name}']) * part
+        return share if deflection > 0.0 else -share
+
+    def close(self) -> None:
+        """Nothing is left to do: the machine stops where no beat comes."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(JoyJogNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

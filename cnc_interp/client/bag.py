@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import tempfile
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from cnc_interp_msgs.msg import (
     G1Block,
@@ -167,6 +169,44 @@ def why(fault: Exception) -> str:
     return ' '.join(str(fault).split())[:200] or type(fault).__name__
 
 
+class SpooledMessages(Sequence[Any]):
+    """
+    Messages in a file, each read when it is asked for.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        The serialised messages, one behind the other.
+    ends : sequence of int
+        Where the first one begins, and where each one ends.
+    read : callable
+        Makes a message of its bytes.
+    places : sequence of int, optional
+        Which of the messages these are; all if not given.
+
+    """
+
+    def __init__(
+        self, file: BinaryIO, ends: Sequence[int], read: Callable[[bytes], Any],
+        places: Sequence[int] | None = None,
+    ):  # fmt: skip
+        self._file, self._ends, self._read = file, ends, read
+        self._places = range(len(ends) - 1) if places is None else places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, key: Any) -> Any:
+        place = self._places[key]
+        self._file.seek(self._ends[place])
+        return self._read(self._file.read(self._ends[place + 1] - self._ends[place]))
+
+    def where(self, holds: Callable[[Any], bool]) -> SpooledMessages:
+        """Return the messages for which something holds."""
+        places = array('q', (k for k, m in zip(self._places, self, strict=True) if holds(m)))
+        return SpooledMessages(self._file, self._ends, self._read, places)
+
+
 class Bag:
     """
     A bag being read.
@@ -218,18 +258,48 @@ class Bag:
 
     def read(self, topic: str) -> list[Any]:
         """Return all sound messages of a topic."""
-        kind = TOPICS[topic][0]
-        found = []
+        return list(self.messages(topic))
+
+    def messages(self, topic: str) -> Iterator[Any]:
+        """Yield all sound messages of a topic, one at a time."""
         for _, _, data in self.raw(topic):
             try:
-                sealed = topic in SEALED
-                found.append(opened(data, kind) if sealed else deserialize_message(data, kind))
+                yield self.message(topic, data)
             except StreamError:  # damaged on the wire; its receiver asked for it again
                 continue
-            except Exception as fault:
-                reason = f'a message of {topic} cannot be read ({why(fault)})'
-                raise InterpError(f'{self.path}: {reason}') from None
-        return found
+
+    def spooled(self, topic: str) -> SpooledMessages:
+        """Return all messages of a topic, in a temporary file; the topic has no checksums."""
+        file, ends = tempfile.TemporaryFile(), array('q', [0])  # noqa: SIM115
+        try:
+            for _, _, data in self.raw(topic):
+                file.write(data)
+                ends.append(ends[-1] + len(data))
+            file.flush()
+        except OSError as fault:
+            raise InterpError(f'{self.path}: cannot be unpacked ({why(fault)})') from None
+        return SpooledMessages(file, ends, lambda data: self.message(topic, data))
+
+    def message(self, topic: str, data: bytes) -> Any:
+        """
+        Return a message.
+
+        Raises
+        ------
+        StreamError
+            If its checksum is wrong.
+        InterpError
+            If it is none of this topic.
+
+        """
+        kind = TOPICS[topic][0]
+        try:
+            return opened(data, kind) if topic in SEALED else deserialize_message(data, kind)
+        except StreamError:
+            raise
+        except Exception as fault:
+            reason = f'a message of {topic} cannot be read ({why(fault)})'
+            raise InterpError(f'{self.path}: {reason}') from None
 
     def close(self) -> None:
         """Close the files."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -51,8 +51,8 @@ class RecordedRun:
         The program, gap-free from the start pose.
     segments : list of PathSegment
         The smoothed path, gap-free from its first segment.
-    chunks : list of SetpointChunk
-        What the machine executed.
+    chunks : sequence of SetpointChunk
+        What the machine executed; a run may be longer than the memory.
     largest_override : float
         Largest feed override of the run, at least 1 [-].
 
@@ -63,7 +63,7 @@ class RecordedRun:
     machine: str
     blocks: list[G1Block]
     segments: list[PathSegment]
-    chunks: list[SetpointChunk]
+    chunks: Sequence[SetpointChunk]
     largest_override: float
 
     @property
@@ -82,9 +82,9 @@ class RecordedRun:
         settings = settings_of_block(self.blocks[0], Settings())
         return replace(settings, interpolation_period=self.period)
 
-    def setpoints(self) -> Setpoints:
+    def setpoints(self) -> Iterator[Setpoints]:
         """
-        Return what was executed, without the approach; time counts from the program's start.
+        Yield what was executed, without the approach; time counts from the program's start.
 
         Raises
         ------
@@ -92,21 +92,24 @@ class RecordedRun:
             If a setpoint is missing, or the period changes.
 
         """
-        parts, following = [], None
-        for chunk in sorted(self.chunks, key=lambda chunk: chunk.first_sample):
+        following, count, period = None, 0, self.period
+        for k in np.argsort([chunk.first_sample for chunk in self.chunks], kind='stable'):
+            chunk = self.chunks[k]
             if following is not None and chunk.first_sample > following:
                 missing = f'{following} to {chunk.first_sample - 1}'
                 raise InterpError(f'executed setpoints {missing} were not recorded')
             following = chunk.first_sample + len(chunk.sequences)
-            if chunk.period != self.period:
+            if chunk.period != period:
                 raise InterpError(
                     f'setpoints from {chunk.first_sample} on have the period {chunk.period:g} s, '
-                    f'those before {self.period:g} s; record the run again'
+                    f'those before {period:g} s; record the run again'
                 )
-            parts.append(setpoints_from(chunk))
-        executed = Setpoints.concatenate(parts)
-        program = part_of(executed, int(np.searchsorted(executed.block, 1)), len(executed))
-        return replace(program, time=np.arange(len(program)) * self.period)
+            part = setpoints_from(chunk)
+            if not count:
+                part = part_of(part, int(np.searchsorted(part.block, 1)), len(part))
+            if len(part):
+                yield replace(part, time=np.arange(count, count + len(part)) * period)
+                count += len(part)
 
     def paths(self, machine: Machine) -> Iterator[AxisPath]:
         """Yield the recorded path in machine axes, part by part."""
@@ -127,20 +130,20 @@ def recorded_run(bag: Bag) -> RecordedRun:
         If nothing was executed, or blocks or segments are missing.
 
     """
-    executed = bag.read('executed_setpoints')
+    executed = bag.spooled('executed_setpoints')
     if not executed:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
     last = run_id_of(executed[-1])
-    names = {m.program_id: m.name for m in bag.read('loaded_program')}
-    states = [m for m in bag.read('machine_state') if m.program_id == last.program_id]
+    names = {m.program_id: m.name for m in bag.messages('loaded_program')}
+    states = (m for m in bag.messages('machine_state') if m.program_id == last.program_id)
     return RecordedRun(
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
         machine=str(bag.parameters.get('machine_node.machine', '')),
         blocks=stream_of(bag, 'blocks', last),
         segments=stream_of(bag, 'segments', last),
-        chunks=[m for m in executed if m.program_id == last.program_id],
-        largest_override=max([1.0, *(m.feed_override for m in states)]),
+        chunks=executed.where(lambda message: message.program_id == last.program_id),
+        largest_override=max(chain([1.0], (m.feed_override for m in states))),
     )
 
 
@@ -200,24 +203,57 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
         The summary as written to ``summary.json``; SI units.
 
     """
-    samples = run.setpoints()
+    way = ExecutedWay(run.setpoints(), run.period)
     with PlanWriter(directory, machine, run.settings) as writer:
         writer.blocks(blocks_from(run.blocks))
         for first in range(0, len(run.segments), BATCH):
             writer.segments(segments_from(run.segments[first : first + BATCH]))
-        way, feed = executed_feed(samples, run.period)
         for path in run.paths(machine):
-            fine = refine(path, grid_points(path, samples.s[::GRID_EVERY]))
-            writer.path(fine, np.interp(fine.s[:-1], way, feed, right=0.0))
-        writer.setpoints(samples)
+            way.advance(float(path.s[0]), float(path.s[-1]))
+            fine = refine(path, grid_points(path, way.some()))
+            writer.path(fine, way.feed(fine.s[:-1]))
+        for samples in run.setpoints():
+            writer.setpoints(samples)
         return writer.finish(run.name, {}, run.largest_override)
 
 
-def executed_feed(samples: Setpoints, period: float) -> tuple[FloatArray, FloatArray]:
-    """Return increasing positions on the path [m] and the executed speed there [m/s]."""
-    speed = np.gradient(samples.s, period) if len(samples) > 1 else np.zeros(len(samples))
-    way, first = np.unique(samples.s, return_index=True)
-    return way, speed[first]
+class ExecutedWay:
+    """
+    The executed positions on the path, those beside one part of it at a time.
+
+    Parameters
+    ----------
+    setpoints : iterator of Setpoints
+        What was executed.
+    period : float
+        Interpolation period [s].
+
+    """
+
+    def __init__(self, setpoints: Iterator[Setpoints], period: float):
+        self._setpoints, self._period = setpoints, period
+        self._s, self._first = np.zeros(0), 0  # positions, and number of the first one
+
+    def advance(self, first: float, last: float) -> None:
+        """Take the setpoints of a part of the path [m], and two beside each of its ends."""
+        before = max(int(np.searchsorted(self._s, first)) - 2, 0)
+        parts, beyond = [self._s[before:]], int(np.count_nonzero(self._s[before:] > last))
+        while beyond < 2 and (part := next(self._setpoints, None)) is not None:
+            parts.append(part.s)
+            beyond += int(np.count_nonzero(part.s > last))
+        self._s, self._first = np.concatenate(parts), self._first + before
+
+    def some(self) -> FloatArray:
+        """Return the position of every ``GRID_EVERY``-th setpoint [m]."""
+        return self._s[-self._first % GRID_EVERY :: GRID_EVERY]
+
+    def feed(self, s: FloatArray) -> FloatArray:
+        """Return the executed speed at positions of the part [m/s]."""
+        if len(self._s) < 2:
+            return np.zeros(len(s))
+        speed = np.gradient(self._s, self._period)
+        way, first = np.unique(self._s, return_index=True)
+        return np.asarray(np.interp(s, way, speed[first], right=0.0))
 
 
 def grid_points(path: AxisPath, s: FloatArray) -> FloatArray:

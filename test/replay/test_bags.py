@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,13 @@ from record import PARAMETERS, record
 from rosbags.rosbag2 import Reader
 
 from cnc_interp.cli import main
-from cnc_interp.client.bag import TOPICS, Bag, BagWriter
+from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.nodes.message_seal import sealed
 from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.run.interpolator import Setpoints
 
 HERE = Path(__file__).parent
 HELD, FAULTY = HERE / 'held', HERE / 'faulty'
@@ -121,6 +123,18 @@ def test_the_path_of_a_run_is_that_of_its_recorded_segments(tmp_path, capsys):
     assert main(['check', str(tmp_path / 'shifted')]) == 1
     failures = [line for line in capsys.readouterr().out.splitlines() if 'contour error' in line]
     assert any('of path' in line and ' 1 mm' in line for line in failures), failures
+
+
+def test_executed_setpoints_are_read_one_message_at_a_time_and_in_order():
+    with Bag(HELD) as bag:
+        run = recorded_run(bag)
+    assert isinstance(run.chunks, SpooledMessages)
+    found = Setpoints.concatenate(list(run.setpoints()))
+    np.testing.assert_array_equal(found.time, np.arange(len(found)) * run.period)
+    assert found.block[0] >= 1 and (np.diff(found.s) >= 0.0).all()
+    turned = replace(run, chunks=list(run.chunks)[::-1])
+    again = Setpoints.concatenate(list(turned.setpoints()))
+    np.testing.assert_array_equal(again.position, found.position)
 
 
 def test_plan_files_of_a_run_have_its_blocks_segments_and_feeds(tmp_path):

@@ -55,11 +55,21 @@ class AlarmList:
     def __init__(self) -> None:
         self._alarms: deque[Alarm] = deque(maxlen=KEPT)
         self._last: dict[str, tuple[bytes, str]] = {}
+        self._cleared: set[Alarm] = set()
+
+    @property
+    def history(self) -> list[Alarm]:
+        """All alarms, the newest first."""
+        return list(self._alarms)[::-1]
 
     @property
     def newest_first(self) -> list[Alarm]:
-        """All alarms, the newest first."""
-        return list(self._alarms)[::-1]
+        """Alarms that are not cleared, the newest first."""
+        return [alarm for alarm in self.history if alarm not in self._cleared]
+
+    def clear(self) -> None:
+        """Hide what there is now. It stays in the history."""
+        self._cleared = set(self._alarms)
 
     def add(self, level: str, source: str, message: str) -> None:
         """Add an alarm with the time of day."""
@@ -71,8 +81,23 @@ class AlarmList:
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """Add a warning or an error of a node, unless the node reported the same one last."""
+        """
+        Add a warning or an error of a node, unless the node has just reported the same one.
+
+        Parts of a node that stop for one reason tell it each.
+        """
         news = (status.level, status.message)
-        if self._last.get(status.name) != news and status.level in LEVELS:
+        is_new = self._last.get(status.name) != news and status.level in LEVELS
+        if is_new and not self._is_told(status):
             self.add(LEVELS[status.level], status.name, status.message)
         self._last[status.name] = news
+
+    def _is_told(self, status: DiagnosticStatus) -> bool:
+        """Tell whether another part of the node has lately said the same."""
+        node = status.name.partition(':')[0]
+        return any(
+            alarm.message == status.message
+            and alarm.source.partition(':')[0] == node
+            and alarm.source != status.name
+            for alarm in list(self._alarms)[-COMPARED:]
+        )

@@ -30,10 +30,12 @@ from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, OVERRIDE, STATE
 from cnc_interp.nodes.this_host import stay_on_this_host
 
-__all__ = ['STOPS', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
+__all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 
 #: Commands without a value; each is a service of that name.
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
+#: Stop at the end of each line; stop at M1. Each is a service of that name.
+SWITCHES = ('single_block', 'optional_stop')
 #: Commands that may arrive twice or late. They are sent again until they are answered.
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
@@ -107,7 +109,7 @@ class OperatorClient:
         node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
-        self._single_block = node.create_client(SetBool, 'single_block')
+        self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
         self._move_axes = node.create_client(MoveAxes, 'move_axes')
         self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
         self._parameters = node.create_client(GetParameters, 'machine_node/get_parameters')
@@ -178,9 +180,9 @@ class OperatorClient:
         """Call one of ``TRIGGERS``."""
         return self._call(self._triggers[name], Trigger.Request(), name)
 
-    def set_single_block(self, on: bool) -> Future[Answer]:
-        """Stop at the end of each block, or no longer."""
-        return self._call(self._single_block, SetBool.Request(data=on), 'single_block')
+    def set_switch(self, name: str, on: bool) -> Future[Answer]:
+        """Turn one of ``SWITCHES`` on or off."""
+        return self._call(self._switches[name], SetBool.Request(data=on), name)
 
     @property
     def can_move(self) -> bool:

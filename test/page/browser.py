@@ -169,6 +169,14 @@ class Tab:
         for kind in ('rawKeyDown', 'keyUp') * times:
             self.send('Input.dispatchKeyEvent', type=kind, key=key, windowsVirtualKeyCode=code)
 
+    def type_key(self, key, code=0):
+        """Press a key of the keyboard, wherever the focus is; its character is typed."""
+        self.wait(lambda: self.run(IN_CONTACT))
+        text = {'text': key} if len(key) == 1 else {}
+        self.send('Input.dispatchKeyEvent', type='keyDown', key=key,
+                  windowsVirtualKeyCode=code, **text)  # fmt: skip
+        self.send('Input.dispatchKeyEvent', type='keyUp', key=key, windowsVirtualKeyCode=code)
+
     def show(self):
         """Bring it to the front, as its user does; the tabs behind are not shown anything."""
         self.send('Page.bringToFront')

@@ -1,6 +1,7 @@
 """What the operator page is made of: keys, read-outs, the path as a mesh, the plan beside it."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,17 +13,28 @@ pytest.importorskip(
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp_msgs.msg import MachineState
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from cnc_interp.cli import main
-from cnc_interp.client.alarms import Alarm
+from cnc_interp.client import page
+from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
+from cnc_interp.client.page.desk import Job
+from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
 from cnc_interp.client.page.preview import DRAWN, Preview, thinned
-from cnc_interp.client.page.readings import axis_words, clock, program_html, progress_words
-from cnc_interp.client.page.tube import INDISTINCT, SCALE, SIDES, UNSEEN, tube
+from cnc_interp.client.page.readings import (
+    axis_words,
+    clock,
+    history_text,
+    progress_words,
+    words_before_start,
+)  # fmt: skip
+from cnc_interp.client.page.tube import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.settings.choices import Settings
 
 PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F1500\nM30\n'
 
@@ -79,7 +91,7 @@ def test_the_tube_lies_around_the_path_and_takes_its_colours():
     points = np.c_[np.cos(angle), np.sin(angle), 0.2 * angle] * 50 * MM
     values = np.linspace(0.0, 2.0, len(points))
     mesh = next(iter(trimesh.load(
-        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)), file_type='glb'
+        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
     ).geometry.values()))  # fmt: skip
     vertices = mesh.vertices.reshape(len(points), SIDES, 3)
     assert np.linalg.norm(vertices - points[:, None], axis=2) == pytest.approx(0.5 * MM, abs=1e-8)
@@ -97,11 +109,14 @@ def test_a_dense_path_is_drawn_with_what_can_be_seen():
     points = np.c_[np.cos(angle), np.sin(angle), 0.02 * angle] * 50 * MM
     values = 1.0 + np.sin(3.0 * angle)
     mesh = next(iter(trimesh.load(
-        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)), file_type='glb'
+        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
     ).geometry.values()))  # fmt: skip
     drawn = mesh.vertices.reshape(-1, SIDES, 3).mean(axis=1)
     colours = mesh.visual.vertex_attributes['color'][::SIDES, :3].astype(float)
     assert len(drawn) < len(points) / 20
+    rows = tube(points, values, 2.0, 0.5 * MM)[1]
+    assert np.allclose(drawn, points[rows], atol=1e-6)
+    assert len(mesh.faces) == FACES * (len(rows) - 1)
     turned = np.unwrap(np.arctan2(drawn[:, 1], drawn[:, 0]))
     course = np.stack([np.interp(angle, turned, column) for column in drawn.T], axis=1)
     # Both are shares of one distance, and the course is compared at equal angles.
@@ -113,10 +128,10 @@ def test_a_dense_path_is_drawn_with_what_can_be_seen():
 
 
 def test_a_path_that_stands_still_is_a_mesh_too():
-    assert tube(np.zeros((3, 3)), np.ones(3), 1.0, 1e-3)[:4] == b'glTF'
+    assert tube(np.zeros((3, 3)), np.ones(3), 1.0, 1e-3)[0][:4] == b'glTF'
     to_and_fro = np.array([[0.0, 0.0, 0.0], [1e-6, 0.0, 0.0], [0.0, 0.0, 0.0]])
     with np.errstate(all='raise'):
-        assert tube(to_and_fro, np.ones(3), 1.0, 1e-3)[:4] == b'glTF'
+        assert tube(to_and_fro, np.ones(3), 1.0, 1e-3)[0][:4] == b'glTF'
 
 
 def test_read_outs_are_in_the_words_of_the_shop():
@@ -157,15 +172,18 @@ def test_the_preview_is_the_plan(planned):
     assert abs(preview.time[-1] - preview.cycle_time) <= 0.001
     s, time = plan.setpoints['s'][:], plan.setpoints['time'][:]
     for k in np.flatnonzero(np.abs(s - 20 * MM) > 1 * MM)[10:-10:50]:
-        programmed, limit, reached = preview.at(s[k])
-        assert programmed == pytest.approx((3000 if s[k] < 20 * MM else 1500) * MM_PER_MIN)
+        place = preview.at(s[k])
+        programmed = 3000 if s[k] < 20 * MM else 1500
+        assert place.programmed_feed == pytest.approx(programmed * MM_PER_MIN)
         speed = (s[k + 1] - s[k - 1]) / (time[k + 1] - time[k - 1])
-        assert speed <= limit * 1.05
-        assert abs(reached - time[k]) < 0.02
+        assert speed <= place.feed_limit * 1.05
+        assert abs(place.time - time[k]) < 0.02
+        end = 20 * MM if s[k] < 20 * MM else preview.length
+        assert place.block_end == pytest.approx(end, abs=0.1 * MM)
     left = progress_words(
         MachineState(path_position=preview.length / 2), preview, 0.5
     )['left']  # fmt: skip
-    assert left == clock((preview.cycle_time - preview.at(preview.length / 2)[2]) / 0.5)
+    assert left == clock((preview.cycle_time - preview.at(preview.length / 2).time) / 0.5)
 
 
 def test_long_paths_are_thinned_with_their_ends():
@@ -173,13 +191,58 @@ def test_long_paths_are_thinned_with_their_ends():
     assert len(rows) == DRAWN and rows[0] == 0 and rows[-1] == 5 * DRAWN - 1
 
 
-def test_program_text_is_shown_as_text():
-    class Job:
-        lines = PROGRAM.splitlines()
+def test_parts_of_a_node_that_stop_for_one_reason_tell_it_once():
+    def said(part, message):
+        return DiagnosticStatus(level=DiagnosticStatus.ERROR, name=part, message=message)
 
-    html = program_html(Job, 4)
-    assert '&lt;b&gt;' in html and '<b>' not in html
-    assert html.count('class="now"') == 1 and 'class="now"><i>4</i>G1 X20' in html
+    alarms = AlarmList()
+    alarms.hear(said('machine_node: drives', 'emergency stop'))
+    alarms.hear(said('machine_node: setpoints', 'emergency stop'))
+    alarms.hear(said('feedrate_node: setpoints', 'emergency stop'))
+    assert [a.source for a in alarms.history] == [
+        'feedrate_node: setpoints',
+        'machine_node: drives',
+    ]
+    for message in ('running', 'emergency stop'):
+        alarms.hear(said('machine_node: drives', message))
+    assert [a.count for a in alarms.history] == [2, 1, 1]
+
+
+def test_a_program_that_is_refused_marks_its_line(tmp_path):
+    job = Job('part.ngc', [], tmp_path / 'part.ngc', Settings())
+    job.refuse('part.ngc:3: F0: a feed above 0 is needed')
+    assert job.failed and job.fault_line == 3
+    job.refuse('the nodes do not answer')
+    assert job.failed and job.fault_line == 0
+
+
+def test_a_program_that_is_not_started_shows_its_cycle_time(planned):
+    plan = Preview.read(planned)
+    words = words_before_start(plan, 0.5)
+    assert words['left'] == clock(2.0 * plan.cycle_time)
+    assert {words[name] for name in ('line', 'progress', 'to go', 'elapsed')} == {'–'}
+    assert words_before_start(None, 1.0)['left'] == words_before_start(plan, 0.0)['left'] == '–'
+
+
+def test_cleared_messages_stay_in_the_history():
+    alarms = AlarmList()
+    alarms.add('warning', 'machine_node', 'no setpoints')
+    alarms.clear()
+    assert alarms.newest_first == [] and len(alarms.history) == 1
+    alarms.add('error', 'program', 'refused')
+    assert [alarm.message for alarm in alarms.newest_first] == ['refused']
+    lines = history_text(alarms.history).splitlines()
+    assert 'no setpoints' in lines[0] and 'refused' in lines[1]
+    alarms.clear()
+    alarms.add('error', 'program', 'refused')  # it came again: that is news
+    assert [alarm.count for alarm in alarms.newest_first] == [2]
+
+
+def test_what_is_listed_of_the_keyboard_is_on_the_page():
+    marks = (Path(page.__file__).parent / 'tab.py').read_text(encoding='utf-8')
+    assert all(f"'{mark}'" in marks for _, _, mark in KEYBOARD)
+    assert {mark for _, _, mark in KEYBOARD} >= MEANINGS.keys()
+    assert not {' ', 'Enter'} & {name for name, _, _ in KEYBOARD}
 
 
 def test_an_address_in_use_is_one_clear_line(capsys):

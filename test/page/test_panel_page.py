@@ -48,6 +48,17 @@ UPLOAD = """(() => {
 })()"""
 
 
+#: Corners of the triangles that the page draws as executed.
+DRAWN_AS_DONE = """(() => {
+  let count = -1;
+  const scene = Object.keys(mounted_app.elements).map(id => getElement(id)).find(e => e?.objects);
+  scene.objects.get('scene').mesh.traverse(part => {
+    if (part.isMesh && Array.isArray(part.material)) count = part.geometry.groups[0].count;
+  });
+  return count;
+})()"""
+
+
 @pytest.fixture(scope='module')
 def running():
     panel = PanelUnderTest()
@@ -374,6 +385,48 @@ document.documentElement.scrollWidth <= innerWidth &&
 """
 
 
+def test_the_keyboard(panel, long_program, short_program):
+    tab = panel.open_in_charge()
+    panel.load(tab, long_program)
+    # Before the start, the page shows what the program will take, and nothing of an earlier run.
+    assert seconds(tab, 'left') > 100 and tab.text('line') == tab.text('progress') == '–'
+    # Neither space nor Enter press a key that moves.
+    for key, code in ((' ', 32), ('Enter', 13)):
+        tab.run('document.querySelector(`[data-mark="cycle start"]`).focus()')
+        tab.type_key(key, code)
+    time.sleep(1.0)
+    assert panel.next_state().state == MachineState.IDLE
+    before = len(panel.loaded)
+    tab.type_key('R', 82)
+    panel.spin_until(lambda: len(panel.loaded) > before)
+    panel.spin_until(panel.is_on_its_way)
+    # The text follows the executed line until its user scrolls.
+    tab.wait(lambda: tab.run('document.querySelector(".lines .now") !== null'))
+    tab.run('document.querySelector(".lines").dispatchEvent(new Event("wheel"))')
+    tab.run('document.querySelector(".lines").scrollTop = 1e6')
+    tab.wait(
+        lambda: 'M30' in tab.run('document.querySelector(".lines li:last-child").textContent')
+    )
+    tab.click('to the line')
+    tab.wait(lambda: tab.run('document.querySelector(".lines .now") !== null'))
+    # Feed override, hold, emergency stop.
+    for key, percent in (('-', 95), ('-', 90), ('+', 95), ('0', 100)):
+        tab.type_key(key)
+        panel.spin_until(lambda percent=percent: panel.override == percent / 100)
+    tab.type_key('Escape', 27)
+    panel.until(MachineState.HELD)
+    tab.type_key('F1', 112)
+    panel.until(MachineState.FAULT)
+    # What was done is drawn as done, and another program shows nothing of it.
+    tab.wait(lambda: tab.run(DRAWN_AS_DONE) > 0)
+    panel.reset(tab)
+    panel.load(tab, short_program)
+    tab.wait(lambda: tab.text('line') == tab.text('progress') == '–')
+    assert tab.run('document.querySelector(".lines .now")') is None
+    assert 4 < seconds(tab, 'left') < 100
+    assert tab.faults == []
+
+
 @pytest.mark.thorough
 def test_the_page_fits_every_window(panel):
     tab = panel.open()
@@ -391,8 +444,16 @@ def test_what_is_wrong_with_a_program_is_said(panel, tmp_path):
     wrong = tmp_path / 'wrong.ngc'
     wrong.write_text('G21 G90 G94\nG0 X0 Y0 Z0\nG1 X10 F0\nM30\n')
     tab.choose_file('input[type=file]', wrong)
-    tab.wait(lambda: tab.text('program') == 'wrong.ngc' and tab.text('status') != 'planning')
-    assert 'wrong.ngc:3' in tab.text('status')
+    tab.wait(lambda: tab.text('status').startswith('wrong.ngc:3: '))
+    tab.wait(
+        lambda: tab.run('document.querySelector(".lines .wrong")?.textContent') == '3G1 X10 F0'
+    )
+    tab.wait(lambda: 'wrong.ngc:3' in tab.run('document.querySelector(".alarms").textContent'))
+    tab.click('cycle start')
+    tab.wait(lambda: tab.run('document.querySelector(".q-notification")?.textContent ?? ""'))
+    assert panel.next_state().state == MachineState.IDLE
+    tab.click('clear messages')
+    tab.wait(lambda: tab.run('document.querySelector(".alarms").textContent') == '')
 
     # What has no effect is told, too.
     passed = tmp_path / 'passed.ngc'

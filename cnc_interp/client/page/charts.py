@@ -43,12 +43,13 @@ class Charts:
     def show(self, desk: Desk) -> None:
         """Draw the last half minute."""
         now = time.monotonic()
-        moments = list(desk.history)
+        moments = [m for m in list(desk.history) if m.time >= now - SPAN]
         asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
         usual = float(np.median(asked)) if asked else 0.0
-        ceiling = HEADROOM * max([usual, *(m.feed for m in moments)])
+        fast = [m.feed for m in moments if not m.programmed > HEADROOM * usual]
+        ceiling = HEADROOM * max([usual, *fast])
         columns = (
-            [m.feed for m in moments],
+            [min(m.feed, ceiling) for m in moments],
             [min(m.programmed, ceiling) for m in moments],
             [min(m.limit, ceiling) for m in moments],
         )

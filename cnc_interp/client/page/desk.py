@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from collections import deque
 from dataclasses import dataclass, replace
@@ -49,20 +50,55 @@ class Moment:
 
 @dataclass
 class Job:
-    """A program on the desk."""
+    """
+    A program on the desk.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    lines : list of str
+        Its text; empty where that is too long to be shown.
+    path : Path
+        File with the text.
+    settings : Settings
+        The choices that it is planned and run with.
+    number : int
+        Counts the programs of the desk, from 1.
+    plan : Preview, optional
+        Its plan, once there is one.
+    status : str
+        What is being done with it, or why it cannot be run.
+    failed : bool
+        Whether it cannot be run.
+    fault_line : int
+        Line that is wrong; 0 if none is.
+    proven : bool, optional
+        Result of the last check.
+
+    """
 
     name: str
     lines: list[str]
     path: Path
     settings: Settings
+    number: int = 0
     plan: Preview | None = None
     status: str = 'planning'
+    failed: bool = False
+    fault_line: int = 0
     proven: bool | None = None
 
     def is_run(self, program: LoadedProgram, settings: Settings) -> bool:
         """Tell whether a run has the text and all the settings of this job."""
         same_text = self.name == program.name and self.lines == program.text.splitlines()
         return same_text and texts_of(self.settings) == texts_of(settings)
+
+    def refuse(self, reason: str) -> None:
+        """Store why it cannot be run, and the line that is named in the reason."""
+        self.status, self.failed = reason, True
+        named = re.match(rf'{re.escape(self.name)}:(\d+):', reason)
+        self.fault_line = int(named[1]) if named else 0
 
     def goal(self) -> RunProgram.Goal:
         """Return the goal that runs it, with its text and the choices that are not defaults."""
@@ -89,8 +125,10 @@ class Desk:
         self.description: Description | None = None
         self.job: Job | None = None
         self.settings = Settings()
-        self.single_block = False
+        self.single_block = self.optional_stop = False
         self.tube, self.tube_number = b'', 0
+        self.tube_rows = np.zeros(0, dtype=int)
+        self._jobs = 0
         self._planner: Planner | None = None
         self._running: Job | None = None
         self._adopted = ''
@@ -124,13 +162,28 @@ class Desk:
         same = state.program_id == program.program_id == self._adopted
         return job.plan if same else None
 
+    def shows_run(self, state: MachineState) -> bool:
+        """Tell whether the program on the desk is what the machine executes or has executed."""
+        return self.job is self._running and state.program_id == self._adopted
+
+    def shown_plan(self, state: MachineState) -> Preview | None:
+        """Return the plan on the desk where ``shows_run``."""
+        return self.plan_of(state) if self.shows_run(state) else None
+
+    def drawn_until(self, s: float) -> int:
+        """Return the number of the drawn point that lies before a path length [m]."""
+        plan = self.job.plan if self.job is not None else None
+        if plan is None:
+            return 0
+        return max(0, int(np.searchsorted(plan.s[self.tube_rows], s, side='right')) - 1)
+
     def feeds(self, state: MachineState) -> tuple[float, float]:
         """Return programmed feed and limit of the axes where the machine is; NaN if unknown."""
         plan = self.plan_of(state)
         if plan is None or state.path_position <= 0.0 or state.state == MachineState.IDLE:
             return np.nan, np.nan
-        programmed, limit, _ = plan.at(state.path_position)
-        return programmed, limit
+        place = plan.at(state.path_position)
+        return place.programmed_feed, place.feed_limit
 
     async def watch(self) -> None:
         """Once in a while: learn which machine it is, adopt a program that others have started."""
@@ -201,7 +254,9 @@ class Desk:
 
     def _set_job(self, planner: Planner, job: Job) -> Job:
         """Make a job the loaded one and plan it."""
-        job.status, job.proven = 'planning', None
+        self._jobs += 1
+        job.number, job.status, job.proven = self._jobs, 'planning', None
+        job.failed, job.fault_line = False, 0
         self.job = job
         self._begin(self._plan(planner, job))
         return job
@@ -212,16 +267,23 @@ class Desk:
         task.add_done_callback(self._tasks.discard)
 
     async def _plan(self, planner: Planner, job: Job) -> None:
+        def see_progress(said: str) -> None:
+            job.status = said
+
         try:
-            plan = await planner.plan(job.path, job.settings)
+            plan = await planner.plan(job.path, job.settings, see_progress)
         except InterpError as problem:
-            job.status = str(problem)
+            job.refuse(str(problem))
+            if self.job is job:
+                self.nodes.alarms.add('error', 'program', str(problem))
             return
         if self.job is not job:
             return
-        top = float(plan.feed.max(initial=0.0))
         size = float(np.ptp(plan.tip, axis=0).max())
-        self.tube = await asyncio.to_thread(tube, plan.tip, plan.feed, top, max(size, 0.02) / 250)
+        radius = max(size, 0.02) / 250
+        self.tube, self.tube_rows = await asyncio.to_thread(
+            tube, plan.tip, plan.feed, plan.usual_feed, radius
+        )
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
         for notice in plan.notices:
@@ -240,9 +302,10 @@ class Desk:
         try:
             proof = await planner.check()
         except InterpError as problem:
-            job.status = str(problem)
+            job.refuse(str(problem))
             return
         job.proven = bool(proof['ok'])
+        job.failed = not job.proven
         job.status = 'every setpoint proven' if job.proven else 'NOT proven: see cnc-interp check'
 
     # Commands -----------------------------------------------------------------------------------
@@ -258,6 +321,8 @@ class Desk:
             return Answer(False, f'{self.nodes.silent} does not answer')
         if self.job is None:
             return Answer(False, 'no program is loaded: press load')
+        if self.job.failed:
+            return Answer(False, self.job.status)
         started = self.nodes.start_program(self.job.goal())
         return await asyncio.wrap_future(started)
 
@@ -270,9 +335,16 @@ class Desk:
 
     async def set_single_block(self, on: bool) -> Answer:
         """Stop at the end of each block, or no longer."""
-        answer = await asyncio.wrap_future(self.nodes.set_single_block(on))
+        answer = await asyncio.wrap_future(self.nodes.set_switch('single_block', on))
         if answer.ok:
             self.single_block = on
+        return answer
+
+    async def set_optional_stop(self, on: bool) -> Answer:
+        """Stop at M1, or no longer."""
+        answer = await asyncio.wrap_future(self.nodes.set_switch('optional_stop', on))
+        if answer.ok:
+            self.optional_stop = on
         return answer
 
     def close(self) -> None:

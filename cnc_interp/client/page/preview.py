@@ -10,14 +10,16 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.temporary_folder import TemporaryFolder
 from cnc_interp.run.plan_figures import bound_text
@@ -26,8 +28,32 @@ from cnc_interp.settings.command_line import command_words
 
 #: Largest number of points drawn.
 DRAWN = 20000
+#: A line of progress of a command.
+PROGRESS = re.compile(r'\w+ \d+%.*')
 #: Niceness of the planning process: lower priority than the nodes.
 NICENESS = 5
+
+
+@dataclass(frozen=True)
+class Place:
+    """
+    What is planned at one place of the path.
+
+    Parameters
+    ----------
+    programmed_feed, feed_limit : float
+        Programmed feed and limit of the axes [m/s].
+    time : float
+        Time since the start of the program [s].
+    block_end : float
+        Path length at the end of the block [m].
+
+    """
+
+    programmed_feed: float
+    feed_limit: float
+    time: float
+    block_end: float
 
 
 @dataclass(frozen=True)
@@ -45,6 +71,10 @@ class Preview:
         Planned and programmed feed, and the limit of the axes [m/s].
     time : ndarray, shape (N,)
         Time at which the point is reached [s].
+    block_end : ndarray, shape (N,)
+        Path length at the end of the block that leads to the point [m].
+    rapid : ndarray of bool, shape (N,)
+        Whether that block is a rapid.
     cycle_time : float
         Of the whole program [s].
     notices : tuple of str
@@ -61,6 +91,8 @@ class Preview:
     programmed_feed: FloatArray
     feed_limit: FloatArray
     time: FloatArray
+    block_end: FloatArray
+    rapid: BoolArray
     cycle_time: float
     notices: tuple[str, ...] = ()
     bound: str = ''
@@ -70,11 +102,21 @@ class Preview:
         """Length of the path [m]."""
         return float(self.s[-1])
 
-    def at(self, s: float) -> tuple[float, float, float]:
-        """Return programmed feed, limit of the axes [m/s] and time [s] at a path length."""
+    @property
+    def usual_feed(self) -> float:
+        """The largest planned feed outside of rapids; of all where there are only rapids [m/s]."""
+        cutting = self.feed[~self.rapid]
+        return float((cutting if cutting.max(initial=0.0) > 0.0 else self.feed).max(initial=0.0))
+
+    def at(self, s: float) -> Place:
+        """Return what is planned at a path length [m]."""
         k = int(np.searchsorted(self.s, s, side='right').clip(1, len(self.s) - 1))
-        programmed = float(self.programmed_feed[k - 1])
-        return programmed, float(self.feed_limit[k - 1]), float(np.interp(s, self.s, self.time))
+        return Place(
+            programmed_feed=float(self.programmed_feed[k - 1]),
+            feed_limit=float(self.feed_limit[k - 1]),
+            time=float(np.interp(s, self.s, self.time)),
+            block_end=float(self.block_end[k]),
+        )
 
     @staticmethod
     def read(directory: Path, notices: tuple[str, ...] = ()) -> Preview:
@@ -82,16 +124,23 @@ class Preview:
         with np.load(directory / 'path.npz') as path, np.load(directory / 'setpoints.npz') as run:
             s = path['s']
             rows = thinned(path['tip'], path['axis'])
+            block = path['block']
+            last = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
+            block_end = s[last[np.searchsorted(last, rows)]]
             way, first = np.unique(run['s'], return_index=True)
             time = np.interp(s[rows], way, run['time'][first])
             columns = {
                 name: path[name][rows]
                 for name in ('tip', 'axis', 'feed', 'programmed_feed', 'feed_limit')
             }
+        with np.load(directory / 'blocks.npz') as blocks:
+            rapid = blocks['rapid'][block[rows]]
         summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
         return Preview(
             s=s[rows],
             time=time,
+            block_end=block_end,
+            rapid=rapid,
             cycle_time=summary['cycle_time'],
             notices=notices,
             bound=bound_text(summary),
@@ -128,29 +177,42 @@ class Planner:
         path.write_text(text.replace('\0', '\ufffd'), encoding='utf-8')  # a message ends at \0
         return path
 
-    async def plan(self, program: Path, settings: Settings) -> Preview:
+    async def plan(
+        self, program: Path, settings: Settings, see_progress: Callable[[str], None]
+    ) -> Preview:
         """
         Plan a program.
+
+        Parameters
+        ----------
+        program : Path
+            Its file, as ``keep`` has written it.
+        settings : Settings
+            The choices of the run.
+        see_progress : callable
+            Told how far it is, as `cnc-interp plan` says it.
 
         Raises
         ------
         InterpError
-            With the line that `cnc-interp plan` says.
+            With the line that `cnc-interp plan` says; it names the program without its folder.
 
         """
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
-        _, said = await self._run([*words, *command_words(settings)])
+        _, said = await self._run([*words, *command_words(settings)], see_progress)
         notes = [line.removeprefix('note: ') for line in said if line.startswith('note: ')]
         # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
         return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))
 
     async def check(self) -> dict[str, Any]:
         """Prove the plan; returns the proof as `check --json` prints it."""
-        out, _ = await self._run(['check', str(self._plan), '--json'], fine=(0, 1))
+        out, _ = await self._run(['check', str(self._plan), '--json'], lambda _: None, fine=(0, 1))
         proof: dict[str, Any] = json.loads(out)
         return proof
 
-    async def _run(self, words: list[str], fine: tuple[int, ...] = (0,)) -> tuple[str, list[str]]:
+    async def _run(
+        self, words: list[str], see_progress: Callable[[str], None], fine: tuple[int, ...] = (0,)
+    ) -> tuple[str, list[str]]:
         """Run one command of `cnc-interp`; returns what it printed, and what it said beside."""
         self.stop()
         process = await asyncio.create_subprocess_exec(
@@ -161,14 +223,25 @@ class Planner:
             preexec_fn=be_last,
         )  # fmt: skip
         self._process = process
-        out, said = await process.communicate()
+        assert process.stdout is not None
+        assert process.stderr is not None
+        lines: list[str] = []
+
+        async def hear(said: asyncio.StreamReader) -> None:
+            async for line in said:
+                lines.append(line.decode(errors='replace').rstrip())
+                if PROGRESS.fullmatch(lines[-1]):
+                    see_progress(lines[-1])
+
+        out, _ = await asyncio.gather(process.stdout.read(), hear(process.stderr))
+        await process.wait()
         if self._process is not process:
             raise InterpError('another program was loaded')
         self._process = None
-        lines = said.decode(errors='replace').splitlines()
         if process.returncode not in fine:
             last = lines[-1] if lines else f'exit code {process.returncode}'
-            raise InterpError(last.removeprefix('cnc-interp: '))
+            folder = f'{self._folder.name}/'
+            raise InterpError(last.removeprefix('cnc-interp: ').replace(folder, ''))
         return out.decode(), lines
 
     def stop(self) -> None:

@@ -7,15 +7,13 @@ from html import escape
 
 from cnc_interp.client.alarms import Alarm
 from cnc_interp.client.operator_client import MachineState
-from cnc_interp.client.page.desk import Desk, Job
+from cnc_interp.client.page.desk import Desk
 from cnc_interp.client.page.preview import Preview
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.wire.machine_report import state_of
 
 NOTHING = '–'
-#: Lines of the program shown around the one that is executed.
-BEFORE, AFTER = 9, 22
 
 
 def readings(desk: Desk) -> dict[str, str]:
@@ -26,7 +24,11 @@ def readings(desk: Desk) -> dict[str, str]:
     if state is None or machine is None:
         return words
     words |= axis_words(state, machine) | feed_words(desk, state)
-    words |= progress_words(state, desk.plan_of(state), desk.nodes.override)
+    job = desk.job
+    if job is not None and not desk.shows_run(state):
+        words |= words_before_start(job.plan, desk.nodes.override)
+    else:
+        words |= progress_words(state, desk.plan_of(state), desk.nodes.override)
     words['state'] = 'no answer' if silent else state_of(state).value
     words['why'] = f'{silent} does not answer' if silent else state.message
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'
@@ -63,13 +65,27 @@ def feed_words(desk: Desk, state: MachineState) -> dict[str, str]:
 def progress_words(state: MachineState, plan: Preview | None, override: float) -> dict[str, str]:
     """Return line, progress and times; the time left assumes the override to stay."""
     words = {'line': str(state.line_number) if state.line_number else NOTHING}
-    words['progress'] = words['left'] = NOTHING
+    words['progress'] = words['left'] = words['to go'] = NOTHING
     if plan is not None:
+        place = plan.at(max(0.0, state.path_position))
         words['progress'] = f'{progress(state, plan):.1%}'
-        left = plan.cycle_time - plan.at(max(0.0, state.path_position))[2]
-        words['left'] = clock(left / override) if override > 0.0 else NOTHING
+        words['left'] = time_at(plan.cycle_time - place.time, override)
+        words['to go'] = f'{max(0.0, place.block_end - state.path_position) / MM:.3f}'
     words['elapsed'] = clock(state.samples * state.interpolation_period)
     return words
+
+
+def words_before_start(plan: Preview | None, override: float) -> dict[str, str]:
+    """Return the words of a program that is not started."""
+    words = dict.fromkeys(('line', 'progress', 'to go', 'elapsed', 'left'), NOTHING)
+    if plan is not None:
+        words['left'] = time_at(plan.cycle_time, override)
+    return words
+
+
+def time_at(seconds: float, override: float) -> str:
+    """Write the time that a motion takes if the override stays as it is."""
+    return clock(seconds / override) if override > 0.0 else NOTHING
 
 
 def progress(state: MachineState, plan: Preview | None) -> float:
@@ -86,24 +102,18 @@ def clock(seconds: float) -> str:
     return f'{hours}:{minutes:02d}:{rest:04.1f}' if hours else f'{minutes}:{rest:04.1f}'
 
 
-def program_html(job: Job | None, line: int) -> str:
-    """Return the lines around the one being executed, which is marked."""
-    if job is None:
-        return '<p>no program loaded</p>'
-    if not job.lines:
-        return '<p>the text is too long to be shown</p>'
-    first = max(0, min(line - 1 - BEFORE, len(job.lines) - BEFORE - AFTER))
-    rows = []
-    for k in range(first, min(first + BEFORE + AFTER, len(job.lines))):
-        mark = ' class="now"' if k == line - 1 else ''
-        rows.append(f'<li{mark}><i>{k + 1}</i>{escape(job.lines[k][:200]) or "&nbsp;"}</li>')
-    return f'<ol>{"".join(rows)}</ol>'
-
-
 def alarms_html(alarms: list[Alarm]) -> str:
     """Return alarms as paragraphs."""
     return ''.join(
         f'<p class="{alarm.level}">{alarm.time} {escape(alarm.source)}: {escape(alarm.message)}'
         + (f' <b>({alarm.count} times)</b></p>' if alarm.count > 1 else '</p>')
         for alarm in alarms
+    )
+
+
+def history_text(alarms: list[Alarm]) -> str:
+    """Return alarms as lines of a file, the oldest first."""
+    return ''.join(
+        f'{alarm.time}  {alarm.level:<8}{alarm.source}: {alarm.message}  ({alarm.count})\n'
+        for alarm in reversed(alarms)
     )

@@ -9,6 +9,7 @@ from nicegui import ui
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.client.page.preview import Preview
+from cnc_interp.client.page.tube import FACES
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.description.links import (
     BASE,
@@ -19,7 +20,35 @@ from cnc_interp.description.links import (
 )
 from cnc_interp.description.shapes import Colour, Shape
 
-GROUND = '#12181d'
+GROUND = '#26323c'
+#: Directions from which one looks [-], by name; the first is the usual one.
+VIEWS = {
+    'iso': (0.55, -0.70, 0.46),
+    'top': (0.0, -0.001, 1.0),
+    'front': (0.0, -1.0, 0.0),
+    'right': (1.0, 0.0, 0.0),
+}
+#: Axes of the workpiece: their colours, and their length and radius relative to what is looked at.
+TRIAD = {'X': '#ff6b6b', 'Y': '#5fd38d', 'Z': '#5aa9e6'}
+TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006
+#: Part of the path that is executed already.
+DONE = '#5d6d79'
+#: Gives the executed part of the path its own colour.
+SHOW_DONE = """(() => {
+  const path = getElement(SCENE).objects.get('OBJECT')?.mesh;
+  path?.traverse(part => {
+    if (!part.isMesh) return;
+    if (!Array.isArray(part.material)) {
+      const done = part.material.clone();
+      done.vertexColors = false;
+      done.color.set('COLOUR');
+      part.material = [done, part.material];
+    }
+    part.geometry.clearGroups();
+    part.geometry.addGroup(0, COUNT, 0);
+    part.geometry.addGroup(COUNT, Infinity, 1);
+  });
+})()"""
 RAY, RAY_COLOUR = 0.14, '#ffd166'
 FOV = 40.0
 #: What the view of the part leaves out.
@@ -41,7 +70,9 @@ class MachineView:
         self._description = description
         self._of_part = True
         self._path: Any = None
-        self._shown = -1
+        self._shown = self._done = -1
+        self._direction = np.array(VIEWS['iso'])
+        self._triad: Any = None
         self._hidden: list[Any] = []
         self._joints: dict[str, tuple[Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
@@ -112,6 +143,46 @@ class MachineView:
         with self._scene, self._workpiece:
             self._path = self._scene.gltf(f'/path/{number}.glb')
         self._extent = plan.tip.min(axis=0), plan.tip.max(axis=0)
+        self._done = 0
+        self._show_triad()
+        self.look_at_part(self._of_part)
+
+    def show_done(self, point: int) -> None:
+        """Show the path up to one of its drawn points as executed."""
+        if self._path is None or point == self._done:
+            return
+        self._done = point
+        words = {
+            'SCENE': str(self._scene.id), 'OBJECT': str(self._path.id), 'COLOUR': DONE,
+            'COUNT': str(3 * FACES * point),
+        }  # fmt: skip
+        script = SHOW_DONE
+        for name, value in words.items():
+            script = script.replace(name, value)
+        ui.run_javascript(script)
+
+    def _show_triad(self) -> None:
+        """Show the axes of the workpiece at its zero, as large as the path asks for."""
+        if self._triad is not None:
+            self._triad.delete()
+        low, high = self._extent
+        size = max(0.03, float(np.linalg.norm(high - low)))
+        length, radius = TRIAD_LENGTH * size, TRIAD_RADIUS * size
+        with self._scene, self._workpiece:
+            self._triad = self._scene.group()
+            with self._triad:
+                for along, (name, colour) in zip(np.eye(3), TRIAD.items(), strict=True):
+                    # The cylinders of the browser's library stand along y.
+                    turn, _ = Rotation.align_vectors(along[None], [[0.0, 1.0, 0.0]])
+                    arm = self._scene.cylinder(radius, radius, length, 12)
+                    arm.move(*(along * length / 2)).rotate_R(turn.as_matrix().tolist())
+                    arm.material(colour)
+                    label = self._scene.text(name, f'color: {colour}; font-weight: 700')
+                    label.move(*(along * 1.15 * length))
+
+    def look_from(self, name: str) -> None:
+        """Look from one of ``VIEWS``."""
+        self._direction = np.array(VIEWS[name])
         self.look_at_part(self._of_part)
 
     def look_at_part(self, of_part: bool) -> None:
@@ -128,7 +199,7 @@ class MachineView:
     def _look(self, centre: FloatArray, radius: float) -> None:
         """Place the camera so that a sphere fills the view."""
         distance = radius / np.sin(np.radians(FOV / 2))
-        place = centre + distance * np.array([0.55, -0.70, 0.46])
+        place = centre + distance * self._direction / np.linalg.norm(self._direction)
         self._scene.move_camera(
             *(float(x) for x in place), *(float(x) for x in centre), 0.0, 0.0, 1.0, duration=0.0
         )

@@ -13,6 +13,7 @@ from urllib.parse import quote
 from fastapi import HTTPException, Request, Response
 from nicegui import app, ui
 
+from cnc_interp.client.page import keyboard, listing
 from cnc_interp.client.page.access import Access, TooManyTriesError
 from cnc_interp.client.page.command import PARENT
 from cnc_interp.client.page.contact import Contact
@@ -85,7 +86,8 @@ def serve(served: Served, namespace: str, domain: int) -> None:
     async def page(request: Request, token: str = '') -> None:
         trusted = opens(access, request, token)
         ui.add_css(STYLE)
-        ui.add_head_html(Contact.script())
+        for script in (Contact.script(), listing.script(), keyboard.script()):
+            ui.add_head_html(script)
         ui.dark_mode(True)
         await ui.context.client.connected()
         await shown_when_known(desk)
@@ -98,6 +100,13 @@ def serve(served: Served, namespace: str, domain: int) -> None:
         if number != desk.tube_number:
             return Response(status_code=404)
         return Response(desk.tube, media_type='model/gltf-binary')
+
+    @app.get('/program/{number}.txt')
+    def program(number: int) -> Response:
+        job = desk.job
+        if job is None or number != job.number:
+            return Response(status_code=404)
+        return Response('\n'.join(job.lines), media_type='text/plain; charset=utf-8')
 
     app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)

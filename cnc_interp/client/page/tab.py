@@ -12,8 +12,11 @@ from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.charts import Charts
 from cnc_interp.client.page.contact import LATE, Contact, pressing
 from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
-from cnc_interp.client.page.readings import NOTHING, alarms_html, program_html, progress, readings
-from cnc_interp.client.page.scene import MachineView
+from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
+from cnc_interp.client.page.listing import Listing
+from cnc_interp.client.page.messages import Messages
+from cnc_interp.client.page.readings import NOTHING, progress, readings
+from cnc_interp.client.page.scene import VIEWS, MachineView
 from cnc_interp.client.page.settings_dialog import SettingsDialog
 from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
@@ -21,8 +24,8 @@ from cnc_interp.settings.choices import Settings
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
 PACE, CHART_EVERY = 0.1, 4
-ALARMS_SHOWN = 30
-MOST_OVERRIDE = 150
+#: Largest override, and the step of its keys [%].
+MOST_OVERRIDE, OVERRIDE_STEP = 150, 5
 
 
 def marked(element: Any, name: str) -> Any:
@@ -74,8 +77,10 @@ class Page:
             with ui.element('div').classes('charts'):
                 self._charts = Charts(desk.machine.axis_names if desk.machine else ())
         self._settings = SettingsDialog(self._use)
+        self._keyboard = self._build_keyboard()
         ui.timer(PACE, self._show)
         ui.context.client.on_connect(self._show_override_again)
+        ui.context.client.on_connect(self._listing.show_again)
 
     # Building -----------------------------------------------------------------------------------
 
@@ -89,9 +94,11 @@ class Page:
             self._label('state', 'state')
             self._label('why', 'grow')
             marked(ui.element('div').classes('contact'), 'contact')
+            keyboard = ui.button('?', on_click=lambda: self._keyboard.open())
+            marked(keyboard.props('dense outline no-caps'), 'keyboard').tooltip('keyboard')
             self._label('rights', '')
             self._take = ui.button('take over', on_click=self._take_over)
-            marked(self._take.props('dense outline no-caps size=sm'), 'take over')
+            marked(self._take.props('dense outline no-caps'), 'take over')
 
     def _build_readouts(self) -> None:
         axes = self._desk.machine.axes if self._desk.machine else ()
@@ -101,25 +108,29 @@ class Page:
                 ui.label(axis.name).classes('name')
                 self._label(f'axis {axis.name}')
                 ui.label('mm' if axis.linear else '°').classes('unit')
-        ui.html('<h2>tool tip in the workpiece, mm</h2>', sanitize=False)
-        with ui.element('div').classes('three'):
-            for name in 'xyz':
-                self._label(f'tip {name}')
-        ui.html('<h2>tool axis</h2>', sanitize=False)
-        with ui.element('div').classes('three'):
-            for name in 'xyz':
-                self._label(f'tool {name}')
+        for title, mark, letters in (
+            ('tool tip in the workpiece, mm', 'tip', 'XYZ'), ('tool axis', 'tool', 'IJK'),
+        ):  # fmt: skip
+            ui.html(f'<h2>{title}</h2>', sanitize=False)
+            with ui.element('div').classes('three'):
+                for letter, name in zip(letters, 'xyz', strict=True):
+                    with ui.element('div'):
+                        ui.label(letter).classes('name')
+                        self._label(f'{mark} {name}')
         ui.html('<h2>feed</h2>', sanitize=False)
         self._pair('actual', 'feed', 'mm/min', 'pair feed')
         self._pair('programmed', 'programmed', 'mm/min')
         self._pair('override', 'override', '')
         ui.html('<h2>run</h2>', sanitize=False)
-        for title, name in (
-            ('line', 'line'), ('done', 'progress'), ('time left', 'left'), ('time', 'elapsed'),
-            ('buffer', 'buffer'), ('lowest buffer', 'least'), ('underruns', 'missed'),
-            ('contour error', 'contour'),
-        ):  # fmt: skip
-            self._pair(title, name, '')
+        self._pair('distance to go', 'to go', 'mm')
+        with ui.element('div').classes('two'):
+            for title, name in (
+                ('line', 'line'), ('done', 'progress'),
+                ('time', 'elapsed'), ('time left', 'left'),
+                ('buffer', 'buffer'), ('lowest', 'least'),
+                ('underruns', 'missed'), ('contour', 'contour'),
+            ):  # fmt: skip
+                self._pair(title, name, '')
 
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
@@ -132,7 +143,10 @@ class Page:
         self._view = MachineView(description) if description else None
         with ui.element('div').classes('over'):
             looks = ui.toggle(['part', 'machine'], value='part', on_change=self._look)
-            marked(looks.props('dense no-caps size=sm unelevated color=blue-grey-9'), 'look')
+            marked(looks.props('dense no-caps unelevated color=blue-grey-9'), 'look')
+            for name in VIEWS:
+                key = ui.button(name, on_click=lambda _, name=name: self._look_from(name))
+                marked(key.props('dense no-caps unelevated color=blue-grey-9'), f'from {name}')
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
             ui.html(
@@ -142,7 +156,8 @@ class Page:
 
     def _build_program(self) -> None:
         with ui.element('div').classes('title'):
-            self._label('program', 'grow')
+            self._label('program', 'grow name')
+        with ui.element('div').classes('title keyrow'):
             upload = ui.upload(
                 on_upload=self._load, auto_upload=True, max_file_size=LONGEST_PROGRAM
             ).classes('hidden')
@@ -154,20 +169,20 @@ class Page:
             self._checker = ui.button('check', on_click=lambda: self._command(check))
             self._setter = ui.button('settings', on_click=self._open_settings)
             for button in (self._loader, self._follower, self._checker, self._setter):
-                button.props('dense no-caps size=sm unelevated color=blue-grey-8')
+                button.props('dense no-caps unelevated color=blue-grey-8')
                 marked(button, button.text)
             self._follower.tooltip('choose a program that starts when the running one has ended')
         for name in ('status', 'bound'):
-            self._label(name, '').style('font-size: 12px; color: #93a3af')
+            self._label(name, f'{name} small')
         with ui.element('div').classes('title') as self._next:
-            self._label('waiting', 'grow').style('font-size: 12px; color: #93a3af')
+            self._label('waiting', 'grow small')
             empty = self._answer(self._desk.empty_queue)
             clear = ui.button('clear queue', on_click=lambda: self._command(empty))
-            marked(clear.props('dense outline no-caps size=sm'), clear.text)
+            marked(clear.props('dense outline no-caps'), clear.text)
         with ui.element('div').classes('bar'):
             self._bar = ui.element('div')
-        self._lines = ui.html('', sanitize=False).classes('lines')
-        self._alarms = ui.html('', sanitize=False).classes('alarms')
+        self._listing = Listing()
+        self._messages = Messages(self._desk.nodes.alarms)
 
     def _build_keys(self) -> None:
         desk = self._desk
@@ -178,18 +193,49 @@ class Page:
                 'reset', 'blue-grey-7', lambda: self._command_in_sight(self._trigger('reset'))
             ),
         ]
-        with ui.element('div').classes('flex items-center'):
+        self._keys[0].classes('moves')
+        with ui.element('div').classes('switches'):
             self._single = ui.switch('single block', on_change=self._set_single_block)
             marked(self._single.props('dense'), 'single block')
+            self._optional = ui.switch('optional stop', on_change=self._set_optional_stop)
+            marked(self._optional.props('dense'), 'optional stop')
         self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
         self._stop.classes('wide')
         with ui.element('div').classes('slide'):
             ui.label('override')
             self._slider = HeldSlider(
-                min=0, max=MOST_OVERRIDE, step=5, value=100, on_change=self._set_override
-            ).props('dense')
+                min=0, max=MOST_OVERRIDE, step=OVERRIDE_STEP, value=100,
+                on_change=self._set_override,
+            ).props('dense')  # fmt: skip
             marked(self._slider, 'override slider')
             self._slid = ui.label('100%').classes('value')
+        with ui.element('div').classes('steps'):
+            self._steps = [
+                self._override_key('slower', '−', lambda: self._slider.value - OVERRIDE_STEP),
+                self._override_key('faster', '+', lambda: self._slider.value + OVERRIDE_STEP),
+                self._override_key('100%', '100%', lambda: 100),
+            ]
+
+    def _override_key(self, name: str, text: str, wanted: Callable[[], float]) -> Any:
+        """Make a key that moves the slider."""
+
+        def press() -> None:
+            self._slider.set_value(min(max(wanted(), 0), MOST_OVERRIDE))
+            self._slider.update()
+
+        key = ui.button(text, on_click=press, color='blue-grey-8')
+        return marked(key.props('dense unelevated no-caps'), name)
+
+    def _build_keyboard(self) -> Any:
+        """Make the list of the keyboard's keys."""
+        with ui.dialog() as dialog, ui.card().classes('settings'):
+            ui.label('keyboard').classes('title')
+            with ui.element('div').classes('map'):
+                for _, printed, mark in KEYBOARD:
+                    ui.html(f'<kbd>{printed}</kbd>', sanitize=False)
+                    ui.label(MEANINGS.get(mark, mark))
+            ui.label('Space and Enter never press a key that moves the machine.').classes('small')
+        return dialog
 
     @staticmethod
     def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
@@ -277,6 +323,11 @@ class Page:
             await self._command(lambda: self._desk.set_single_block(event.value))
             self._single.set_value(self._desk.single_block)  # where it was refused
 
+    async def _set_optional_stop(self, event: events.ValueChangeEventArguments) -> None:
+        if event.value != self._desk.optional_stop:
+            await self._command(lambda: self._desk.set_optional_stop(event.value))
+            self._optional.set_value(self._desk.optional_stop)  # where it was refused
+
     def _set_override(self, event: events.ValueChangeEventArguments) -> None:
         """
         Set the override where the user has moved the slider.
@@ -305,6 +356,10 @@ class Page:
         if self._view is not None:
             self._view.look_at_part(event.value == 'part')
 
+    def _look_from(self, name: str) -> None:
+        if self._view is not None:
+            self._view.look_from(name)
+
     # Showing ------------------------------------------------------------------------------------
 
     def _changed(self, what: str, value: Any) -> bool:
@@ -322,6 +377,9 @@ class Page:
         state, job = desk.nodes.state, desk.job
         words = readings(desk)
         words['program'] = job.name if job else 'no program'
+        if self._changed('failed', job is not None and job.failed):
+            failed = ' failed' if self._shown['failed'] else ''
+            self._labels['status'].classes(replace=f'status small{failed}')
         words['status'] = job.status if job else 'press load to choose a program'
         words['bound'] = job.plan.bound if job and job.plan else ''
         words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
@@ -339,7 +397,9 @@ class Page:
             self._view.show(dict(zip(desk.machine.axis_names, state.positions, strict=False)))
             if job is not None and job.plan is not None:
                 self._view.show_path(desk.tube_number, job.plan)
-                top = job.plan.feed.max() / MM_PER_MIN
+                if desk.shown_plan(state) is not None:
+                    self._view.show_done(desk.drawn_until(state.path_position))
+                top = job.plan.usual_feed / MM_PER_MIN
                 if self._changed('scale', f'0 to {top:.0f} mm/min, planned feed'):
                     self._labels['scale'].set_text(self._shown['scale'])
         self._count += 1
@@ -353,11 +413,14 @@ class Page:
             self._labels['rights'].set_text(rights)
             self._take.set_visibility(not self._in_charge)
             buttons = (self._loader, self._follower, self._checker, self._setter)
-            for element in (*self._keys, self._single, self._slider, self._upload, *buttons):
+            switches = (self._single, self._optional, self._slider, *self._steps)
+            for element in (*self._keys, *switches, self._upload, *buttons):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._trusted)
         if self._changed('single block', self._desk.single_block):
             self._single.set_value(self._desk.single_block)
+        if self._changed('optional stop', self._desk.optional_stop):
+            self._optional.set_value(self._desk.optional_stop)
         if self._changed('override set', self._desk.nodes.override):
             self._slider.set_value(round(100 * self._desk.nodes.override))
             self._slid.set_text(f'{self._desk.nodes.override:.0%}')
@@ -370,12 +433,10 @@ class Page:
     def _show_lists(self) -> None:
         """Show program text, progress and alarms."""
         desk, state = self._desk, self._desk.nodes.state
-        line = state.line_number if state is not None and desk.plan_of(state) is not None else 0
-        if self._changed('lines', (id(desk.job), line)):
-            self._lines.set_content(program_html(desk.job, line))
-        share = progress(state, desk.plan_of(state)) if state is not None else 0.0
+        plan = desk.shown_plan(state) if state is not None else None
+        line = state.line_number if state is not None and plan is not None else 0
+        self._listing.show(desk.job, line)
+        share = progress(state, plan) if state is not None else 0.0
         if self._changed('bar', round(share, 3)):
             self._bar.style(f'transform: scaleX({share:.3f})')
-        alarms = desk.nodes.alarms.newest_first[:ALARMS_SHOWN]
-        if self._changed('alarms', alarms):
-            self._alarms.set_content(alarms_html(alarms))
+        self._messages.show()

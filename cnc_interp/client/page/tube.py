@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 
 SIDES = 5
+#: Triangles between two neighbouring points.
+FACES = 2 * SIDES
 #: What is not drawn changes the course by less than this share of the radius, and red, green
 #: and blue by less than this share of full.
 UNSEEN, INDISTINCT = 0.25, 0.04
@@ -27,7 +29,9 @@ FLOAT, UNSIGNED_INT, UNSIGNED_BYTE = 5126, 5125, 5121
 ARRAY_BUFFER, ELEMENT_BUFFER = 34962, 34963
 
 
-def tube(points: FloatArray, values: FloatArray, top: float, radius: float) -> bytes:
+def tube(
+    points: FloatArray, values: FloatArray, top: float, radius: float
+) -> tuple[bytes, IntArray]:
     """
     Make a glTF file of a tube along points, coloured from 0 to ``top``.
 
@@ -42,18 +46,27 @@ def tube(points: FloatArray, values: FloatArray, top: float, radius: float) -> b
     radius : float
         Radius of the tube.
 
+    Returns
+    -------
+    bytes
+        The file.
+    ndarray of int
+        The points through which the tube goes, in order; between two of them it has ``FACES``
+        triangles.
+
     """
     colours = colours_of(values, top)
     kept = thinned(np.column_stack([points / (UNSEEN * radius), colours / (255.0 * INDISTINCT)]))
     points, colours = points[kept], colours[kept]
     moved = np.concatenate([[True], np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0])
-    points, colours = points[moved], colours[moved]
+    points, colours, kept = points[moved], colours[moved], kept[moved]
     if len(points) < 2:
         points = np.stack([points[0], points[0] + [0.0, 0.0, radius]])
-        colours = np.repeat(colours[:1], 2, axis=0)
+        colours, kept = np.repeat(colours[:1], 2, axis=0), kept[[0, -1]]
     vertices, normals = rings(points, radius)
     shades = np.repeat(colours, SIDES, axis=0)
-    return glb(vertices.astype('<f4'), normals.astype('<f4'), shades, faces(len(points)))
+    file = glb(vertices.astype('<f4'), normals.astype('<f4'), shades, faces(len(points)))
+    return file, kept
 
 
 def thinned(points: FloatArray) -> Any:

@@ -1,0 +1,22 @@
+// The keyboard of the page: what keyboard.py lists. A key that moves the machine is never pressed by
+// space or Enter, which act on whatever was pressed last.
+window.keyboard = {
+  names: KEYS,
+  typing: (element) => element.closest('input, textarea, select, [contenteditable], .q-dialog'),
+  press(event) {
+    const space = event.key === ' ' || event.key === 'Enter';
+    if (space && event.target.closest?.('.moves')) {
+      event.preventDefault();
+      event.stopImmediatePropagation();
+      return;
+    }
+    if (event.type !== 'keydown' || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+    const mark = this.names[event.key];
+    // A stop counts everywhere, even while its user types.
+    if (!mark || (this.typing(event.target) && event.key.length === 1)) return;
+    event.preventDefault();
+    document.querySelector(`[data-mark="${mark}"]:not([disabled])`)?.click();
+  },
+};
+for (const kind of ['keydown', 'keyup', 'keypress'])
+  document.addEventListener(kind, (event) => window.keyboard.press(event), true);

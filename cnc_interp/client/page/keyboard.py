@@ -1,0 +1,37 @@
+"""
+The keys of a keyboard and the keys of the page that they press.
+
+A key that stops is one stroke away. Cycle start takes two, so that no elbow starts a motion, and
+neither space nor Enter presses a key that moves the machine.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+SCRIPT = Path(__file__).with_name('keyboard.js')
+#: What the browser calls a key; what is printed on it; the key of the page.
+KEYBOARD = (
+    ('F1', 'F1', 'EMERGENCY STOP'),
+    ('Escape', 'Esc', 'feed hold'),
+    ('R', 'Shift + R', 'cycle start'),
+    ('-', '-', 'slower'),
+    ('+', '+', 'faster'),
+    ('0', '0', '100%'),
+    ('?', '?', 'keyboard'),
+)
+#: What is shown beside a key of the page that does not say it itself.
+MEANINGS = {
+    'slower': 'feed override 5 % less',
+    'faster': 'feed override 5 % more',
+    '100%': 'feed override 100 %',
+    'keyboard': 'show or hide this list',
+}
+
+
+def script() -> str:
+    """Return the script of the page's side, for the head of the page."""
+    marks = {name: mark for name, _, mark in KEYBOARD}
+    text = SCRIPT.read_text(encoding='utf-8').replace('KEYS', json.dumps(marks), 1)
+    return f'<script>{text}</script>'

@@ -1,0 +1,72 @@
+// The program text beside listing.py: only the lines in sight are made, however long it is.
+window.listing = {
+  ROW: 18, // height of a line [px]
+  MOST: 1500000, // lines; a browser cannot lay out more
+  AROUND: 8, // lines made above and below those in sight
+  lines: [],
+  number: 0,
+  now: 0,
+  wrong: 0,
+  follows: true,
+
+  parts() {
+    const box = document.querySelector('[data-mark="lines"]');
+    return box ? [box, box.firstElementChild] : [];
+  },
+  async load(number) {
+    this.number = number;
+    const answer = number ? await fetch(`/program/${number}.txt`) : null;
+    const text = answer?.ok ? await answer.text() : '';
+    if (number !== this.number) return; // another one was loaded meanwhile
+    this.lines = text.split('\n').slice(0, this.MOST);
+    this.follows = true;
+    const [box] = this.parts();
+    if (!box) return;
+    box.onscroll = () => this.draw();
+    for (const kind of ['wheel', 'pointerdown', 'keydown']) box.addEventListener(kind, () => this.let_go());
+    box.scrollTop = 0;
+    this.go();
+  },
+  mark(now, wrong) {
+    [this.now, this.wrong] = [now, wrong];
+    this.go();
+  },
+  let_go() {
+    this.follows = false;
+    this.say();
+  },
+  follow() {
+    this.follows = true;
+    this.go();
+  },
+  go() {
+    const [box] = this.parts();
+    const line = this.wrong || this.now;
+    if (box && this.follows && line) box.scrollTop = (line - 1) * this.ROW - 0.35 * box.clientHeight;
+    this.draw();
+  },
+  say() {
+    const key = document.querySelector('[data-mark="to the line"]');
+    if (key) key.style.visibility = this.follows || !(this.wrong || this.now) ? 'hidden' : '';
+  },
+  draw() {
+    const [box, list] = this.parts();
+    if (!box) return;
+    const count = this.lines.length;
+    const first = Math.max(0, Math.min(count, Math.floor(box.scrollTop / this.ROW)) - this.AROUND);
+    const last = Math.min(count, first + Math.ceil(box.clientHeight / this.ROW) + 2 * this.AROUND);
+    list.style.paddingTop = `${first * this.ROW}px`;
+    list.style.paddingBottom = `${(count - last) * this.ROW}px`;
+    list.replaceChildren(...this.lines.slice(first, last).map((text, k) => this.row(first + k + 1, text)));
+    this.say();
+  },
+  row(number, text) {
+    const row = document.createElement('li');
+    const label = document.createElement('i');
+    label.textContent = number;
+    row.append(label, text);
+    if (number === this.now) row.className = 'now';
+    if (number === this.wrong) row.className = 'wrong';
+    return row;
+  },
+};

@@ -36,11 +36,12 @@ REFILLED, REFILLING = 0.8, 0.5
 """Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
 sampled meanwhile; longest time between two where there is less [s]."""
 
-LEAD, LONGEST_LEAD = 0.08, 0.4
-"""Motion ahead of the machine after which a revision joins; the most after a late one [s]."""
+LEAD, LEAST_LEAD, LONGEST_LEAD = 0.08, 0.06, 0.4
+"""Motion ahead of the machine after which the first revision joins; the least after a quick one,
+the most after a late one [s]."""
 
 LONGER = 1.3
-"""Time given to a revision after a late one, relative to the time of that one [-]."""
+"""Time given to a revision, relative to the time of the one before [-]."""
 
 MARGIN = 0.03
 """A revision that joins less ahead of the machine than this is late [s]."""
@@ -266,21 +267,25 @@ class PlanningSession:
         """Send a revision that is ready in time; a late one is dropped."""
         planner = self.planner
         if revision is not None and self._is_late(revision.number):
-            # The next one is likely to take as long.
-            self._lead = max(LEAD, min(LONGER * (now - self._asked_at) + MARGIN, LONGEST_LEAD))
+            self._lead = self._lead_like_last(now)
             self._change(Step.DONE)
             return
         self._revised_at = now
         if revision is None or planner is None:
             self._change(Step.DONE)
             return
-        self._lead = max(LEAD, 0.5 * self._lead)
+        self._lead = max(0.5 * self._lead, self._lead_like_last(now))
         self._change(Step.JOIN)
         before = planner.stream.adopt(revision.plan)
         self._kept = Kept(self.run_id, self._joins_at, before, self.path_end)
         self._begin_plan(revision.number + 1)
         self._port.join(self.run_id, self._joins_at)
         self._put(revision.chunks)
+
+    def _lead_like_last(self, now: float) -> float:
+        """Return the lead of a revision that takes about as long as the last one [s]."""
+        needed = LONGER * (now - self._asked_at) + MARGIN
+        return min(max(needed, LEAST_LEAD), LONGEST_LEAD)
 
     def _is_late(self, number: int) -> bool:
         """Tell whether the machine may pass a setpoint before a plan can join there."""

@@ -12,6 +12,7 @@ from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (
     LEAD,
+    LEAST_LEAD,
     LONGER,
     MARGIN,
     REFILLED,
@@ -226,6 +227,24 @@ def test_a_late_revision_is_dropped_and_the_next_one_gets_the_time_it_takes(benc
     bench.finish(bench.step())  # at once; the late one took 0.1 s
     ahead = (bench.session.joins_at - bench.executed - 1) * T
     assert ahead == pytest.approx(LONGER * 0.1 + MARGIN, abs=1.001 * T)
+
+
+def test_after_a_quick_revision_the_next_one_joins_nearer_to_the_machine(bench):
+    bench.planning(window=400)
+    session = bench.session
+    leads = []
+    for settings in (SLOW, OperatorSettings(0.7)):
+        session.settings = settings
+        task = bench.step()
+        leads.append((session._join_after() - bench.executed) * T)
+        bench.finish(task)
+        bench.receives = session.run_id
+        bench.executed, bench.now = session.joins_at, bench.now + 1.0
+        bench.finish(bench.step())
+        for _ in range(60):
+            bench.finish(bench.step())
+            bench.send()
+    assert leads == pytest.approx([LEAD, LEAST_LEAD], abs=1.001 * T)
 
 
 def test_where_the_machine_has_passed_the_plan_before_goes_on(bench):

@@ -203,7 +203,7 @@ class LongRun(NodesUnderTest):
             f'clock      late by p50 {self.clock["late_p50_us"]} us, p99 '
             f'{self.clock["late_p99_us"]} us, p99.9 {self.clock["late_p999_us"]} us, largest '
             f'{self.clock["late_max_us"]} us; '
-            f'{self.clock["missed_periods"]} of {self.clock["periods"]} a period late '
+            f'{self.clock["missed_periods"]} of {self.clock["periods"]} periods caught up '
             f'({self.scheduling})'
         )
         slopes = self.slopes(result.blocks_executed)
@@ -227,10 +227,12 @@ class LongRun(NodesUnderTest):
 class Cyclictest:
     """The lateness that the kernel gives any thread, measured in the same minutes."""
 
-    def __init__(self, priority: int):
+    def __init__(self, priority: int, interval: float):
         path = shutil.which('cyclictest')
         scheduling = [f'-p{priority}'] if priority else ['--policy=other']
-        command = [path, '-m', '-q', '-i1000', f'-h{LATEST}', *scheduling] if path else []
+        command = (
+            [path, '-m', '-q', f'-i{interval:.0f}', f'-h{LATEST}', *scheduling] if path else []
+        )
         self._process = (
             subprocess.Popen(command, stdout=subprocess.PIPE, text=True) if command else None
         )
@@ -278,7 +280,7 @@ def main() -> int:
         text = waves(max(2, round(options.minutes * WAVES_A_MINUTE)))
     clock = {'realtime_priority': options.priority, 'lock_memory': not options.page_out}
     run = LongRun(options.period * 1e-3, clock)
-    kernel = Cyclictest(options.priority)
+    kernel = Cyclictest(options.priority, options.period * 1e3)
     busy = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(options.busy)]
     try:
         with tempfile.TemporaryDirectory() as folder:

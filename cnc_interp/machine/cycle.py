@@ -216,7 +216,7 @@ class Cycle:
 
     def lateness(self) -> Lateness:
         """Return how late the clock woke up."""
-        return Lateness(self._memory.late.copy(), self._period * 1e-9)
+        return Lateness(self._memory.late.copy())
 
     def forget_lateness(self) -> None:
         """Reset the figures of the clock."""

@@ -19,7 +19,7 @@ from cnc_interp.machine.native import (
     sleep_until,
     time_now,
 )
-from cnc_interp.machine.realtime import note_lateness
+from cnc_interp.machine.realtime import CAUGHT_UP, note_lateness
 
 #: What the cycle plays.
 REST, CHUNK, TAIL = 0, 1, 2
@@ -164,16 +164,17 @@ def run_periods(memory: Memory, step: int, period: int) -> None:
     due = time_now(spec)
     while control[QUIT] == 0:
         due += period
-        now = time_now(spec)
-        if now < due:
-            sleep_until(due, spec)
-            now = time_now(spec)
-        elif now - due > LONGEST_CATCH_UP:
-            due = now
         if control[FORGOTTEN] != control[FORGET]:
             control[FORGOTTEN] = control[FORGET]
             memory.late[:] = 0
-        note_lateness(memory.late, now - due)
+        now = time_now(spec)
+        if now < due:
+            sleep_until(due, spec)
+            note_lateness(memory.late, time_now(spec) - due)
+        else:
+            memory.late[CAUGHT_UP] += 1
+            if now - due > LONGEST_CATCH_UP:
+                due = now
         advance(memory, step)
 
 

@@ -15,9 +15,10 @@ from cnc_interp.core.units import UM
 #: Flags of `mlockall` in <sys/mman.h>: present and future pages, each once it is used.
 LOCK_CURRENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4
 NANO = 1e-9
-#: Width of a class of the histogram [ns], classes up to 100 ms, and words of the record.
+#: Width of a class of the histogram [ns], classes up to 100 ms; after them the largest lateness
+#: and the periods that were caught up; words of the record.
 CLASS, CLASSES = 2000, 50_000
-RECORD = CLASSES + 1
+LARGEST, CAUGHT_UP, RECORD = CLASSES, CLASSES + 1, CLASSES + 2
 
 
 def ask_for_priority(priority: int) -> str:
@@ -60,28 +61,29 @@ def note_lateness(record: IntArray, late: int) -> None:
     """Count one wake-up, ``late`` [ns] after its deadline."""
     late = max(late, 0)
     record[min(late // CLASS, CLASSES - 1)] += 1
-    record[CLASSES] = max(record[CLASSES], late)
+    record[LARGEST] = max(record[LARGEST], late)
 
 
 class Lateness:
     """
     Histogram of how late a periodic thread woke up; its memory does not grow.
 
+    Where it wakes up more than a period late, it catches up: the periods that are due begin at
+    once. They are counted, and are no wake-ups; so the figures compare with those of other clocks.
+
     Parameters
     ----------
     record : ndarray of int, shape (RECORD,)
-        Wake-ups in each class, then the largest lateness [ns]; see ``note_lateness``.
-    period : float
-        Period of the thread [s].
+        Wake-ups in each class, the largest lateness [ns], periods that were caught up.
 
     """
 
-    def __init__(self, record: IntArray, period: float):
+    def __init__(self, record: IntArray):
         self._counts = record[:CLASSES]
         self.count = int(self._counts.sum())
-        self.largest = float(record[CLASSES]) * NANO
-        #: Wake-ups at least one period late, to one class.
-        self.missed = int(self._counts[round(period / (CLASS * NANO)) :].sum())
+        self.largest = float(record[LARGEST]) * NANO
+        #: Periods that could begin only after they should have ended.
+        self.caught_up = int(record[CAUGHT_UP])
 
     def quantile(self, share: float) -> float:
         """Return the lateness that a share of the wake-ups did not exceed, to one class [s]."""
@@ -94,4 +96,5 @@ class Lateness:
         late = {f'late_{name}_us': self.quantile(share) for name, share in shares.items()}
         late['late_max_us'] = self.largest
         told = {name: f'{value / UM:.0f}' for name, value in late.items()}
-        return {'periods': self.count, 'missed_periods': self.missed, **told}
+        periods = self.count + self.caught_up
+        return {'periods': periods, 'missed_periods': self.caught_up, **told}

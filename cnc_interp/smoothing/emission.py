@@ -258,7 +258,7 @@ class Emission:
         """Return the orientation tolerances at vertices, the smaller one of both blocks [m]."""
         column = self.rows.blocks.orientation_tolerance
         after = np.minimum(rows + 1, len(column) - 1)
-        return np.asarray(np.minimum(column[np.maximum(rows, 1)], column[after]))
+        return np.asarray(np.minimum(column[rows], column[after]))
 
     def _least_tolerance(self, rows: IntArray) -> FloatArray:
         """Return the smaller one at both ends of the blocks after these vertices [m]."""

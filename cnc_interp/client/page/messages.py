@@ -39,7 +39,7 @@ class Messages:
 
     @staticmethod
     def _key(text: str, act: object) -> None:
-        key = ui.button(text, on_click=act)  # type: ignore[arg-type]
+        key = ui.button(text, on_click=act)
         key.props(f'dense no-caps unelevated color=blue-grey-8 data-mark="{text} messages"')
 
     def _open(self) -> None:

@@ -108,6 +108,8 @@ class ProgramRun:
         if machine is not None and machine.state is State.INACTIVE:
             return Outcome(Code.REFUSED, 'the drives are off; activate machine_node')
         text = 'the machine is in another run; wait for its end, or reset it'
+        if machine is not None and machine.state is State.JOGGING:
+            text = 'the axes are moved by hand; let go, then run the program again'
         return Outcome(Code.BUSY, text)
 
     def _watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:

@@ -25,13 +25,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 from linuxcnc_oracle import PROGRAMS as ORACLE_PROGRAMS
-from linuxcnc_oracle import interpreter, judged
+from linuxcnc_oracle import judged
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
+from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, summary_of, write_plan
 from cnc_interp.settings.choices import Settings
@@ -184,10 +185,12 @@ def plan_and_prove(part: Program, machine: Machine, result: dict[str, Any]) -> N
 
 def agreement(name: str) -> str:
     """Compare the blocks of a program with what LinuxCNC's interpreter makes of it."""
-    if name not in ORACLE_PROGRAMS or interpreter() is None:
+    if name not in ORACLE_PROGRAMS or not interpreter():
         return '-'
     machine, partly = ORACLE_PROGRAMS[name]
-    return str(judged(program_file(name), machine, partly))
+    found = judged(program_file(name), machine, partly)
+    agree = f'{found.motions:,} motions, {found.arcs:,} arcs agree'
+    return f'differs: {found.faults[0]}' if found.faults else agree
 
 
 def table_of(results: dict[str, dict[str, Any]]) -> str:

@@ -129,7 +129,7 @@ class LookAhead:
         )
         self._outer_before = own_share
         self._rows = rows[last:]
-        self._trials.forget(int(rows.row[last]))
+        self._trials.keep(rows, vertex, last)
         return segments
 
     def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:

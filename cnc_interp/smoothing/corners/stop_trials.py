@@ -5,11 +5,13 @@ Rounding nearly always saves time. It may not where the axes move in another way
 than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
 axis half a turn round; beside a block on which the tip hardly moves while the tool turns; and
 where the path almost reverses. No simple size of the corner tells how long the axes take there.
-So the motion over the next few lines is planned both ways, and the faster one is taken. Other
-corners are not tried.
+So the motion over the next lines is planned both ways, and the faster one is taken. The corners
+after it may need a stop, too. So both ways are planned twice: these are rounded, or all are stops.
+Other corners are not tried.
 
-A trial begins at rest at the vertex before the corner, and knows as many lines after it however
-the blocks arrive. So the result does not depend on that.
+A trial begins and ends at rest: at the last stop, or three lines before the corner, and at the
+next stop, or six lines after it. Which lines it knows does not depend on how the blocks arrive,
+and neither does its result.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between, dot, norm
 
-#: Lines after the corner that a trial knows.
-LINES = 3
-#: A corner is tried where the tool turns faster than this on one side [rad/m].
+#: Most lines before and after the corner that a trial knows.
+BEFORE, AFTER = 3, 6
+#: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
 FAST = 2.0 / MM
 #: A corner is tried where the path turns more than this [rad].
 SHARP = 165.0 * DEG
@@ -60,14 +62,16 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
     blocks, found = rows.blocks, np.zeros(len(rows), dtype=np.bool_)
     turn = np.maximum(legs.turn[:-1], legs.turn[1:])
     rate = norm(legs.rate)
-    found[1:-1] = np.maximum(rate[:-1], rate[1:]) > FAST
-    found[1:-1] |= dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
-    if machine.pole is not None:
+    rate = np.maximum(rate[:-1], rate[1:])
+    found[1:-1] = dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
+    if machine.pole is None:
+        found[1:-1] |= rate > FAST
+    else:
         angle = angles_between(blocks.axis[1:-1], np.asarray(machine.pole))
-        angle = np.minimum(angle, np.pi - angle)
         reach = turn + 2.0 * blocks.orientation_tolerance[1:-1] / height
-        found[1:-1] |= (turn > 0.0) & (angle < reach)
-    plain = (rows.count == 0) & ~blocks.by_rotary
+        near = (turn > 0.0) & (np.minimum(angle, np.pi - angle) < reach)
+        found[1:-1] |= near | (rate > FAST * np.sin(angle))  # the outer axis turns faster there
+    plain = _plain(rows)
     found[1:-1] &= plain[1:-1] & plain[2:]
     return found
 
@@ -88,6 +92,8 @@ class StopTrials:
     def __init__(self, machine: MachineTraits, height: float):
         self._machine, self._height = machine, height
         self._stops: dict[int, bool] = {}  # of corners tried, by program row
+        self._past: Blocks | None = None  # decided rows up to the first known one
+        self._plain = np.zeros(0, dtype=np.bool_)  # which of them are lines of poses
 
     def decide(self, rows: Rows, legs: Legs, vertex: IntArray, final: bool) -> int:
         """
@@ -96,7 +102,7 @@ class StopTrials:
         Parameters
         ----------
         rows : Rows
-            Lines and curves with n end poses; the kind of the first vertex is decided.
+            Lines and curves with n end poses, from the last one that ``keep`` was told.
         legs : Legs
             Geometry between these poses.
         vertex : ndarray of int, shape (n,)
@@ -119,31 +125,62 @@ class StopTrials:
                 end = self._end(rows, vertex, int(v), final)
                 if end is None:
                     return int(v)
-                self._stops[row] = self._is_faster(rows.blocks[v - 1 : end + 1])
+                blocks, plain = self._decided(rows[: end + 1], vertex)
+                at = len(blocks) - 1 - end + int(v)
+                begin = at - 1
+                while (
+                    begin > max(at - BEFORE, 0) and plain[begin] and not blocks.exact_stop[begin]
+                ):
+                    begin -= 1
+                self._stops[row] = self._is_faster(blocks[begin:], at - begin)
             if self._stops[row]:
                 vertex[v] = STOP
         return len(rows)
 
-    def forget(self, row: int) -> None:
-        """Forget the corners up to a program row."""
+    def keep(self, rows: Rows, vertex: IntArray, last: int) -> None:
+        """Take note that the rows up to ``last`` are decided; the next rows begin there."""
+        if self._machine.motion_time is None:
+            return
+        blocks, plain = self._decided(rows[: last + 1], vertex)
+        self._past, self._plain = blocks[-BEFORE:], plain[-BEFORE:]
+        row = int(rows.row[last])
         self._stops = {key: stop for key, stop in self._stops.items() if key > row}
+
+    def _decided(self, rows: Rows, vertex: IntArray) -> tuple[Blocks, BoolArray]:
+        """Return the rows and those before them, with their stops; and which are lines."""
+        blocks = replace(rows.blocks, exact_stop=vertex[: len(rows)] == STOP)
+        plain = _plain(rows)
+        if self._past is None:
+            return blocks, plain
+        return (
+            Blocks.concatenate([self._past, blocks[1:]]),
+            np.concatenate([self._plain, plain[1:]]),
+        )
 
     @staticmethod
     def _end(rows: Rows, vertex: IntArray, v: int, final: bool) -> int | None:
         """Return the vertex at which a trial ends; None if it is not known yet."""
-        for end in range(v + 1, v + LINES + 1):
+        plain = _plain(rows)
+        for end in range(v + 1, v + AFTER + 1):
             if end == len(rows) - 1:
                 return end if final else None
-            if vertex[end] == STOP or rows.count[end + 1] > 0 or rows.blocks.by_rotary[end + 1]:
+            if vertex[end] == STOP or not plain[end + 1]:
                 return end
-        return v + LINES
+        return v + AFTER
 
-    def _is_faster(self, blocks: Blocks) -> bool:
-        """Tell whether a stop at the second pose is faster."""
-        times = []
-        for stops in (False, True):
-            exact = blocks.exact_stop.copy()
-            exact[1] = stops
-            assert self._machine.motion_time is not None
-            times.append(self._machine.motion_time(replace(blocks, exact_stop=exact)))
-        return times[1] < (1.0 - WORTH) * times[0]
+    def _is_faster(self, blocks: Blocks, at: int) -> bool:
+        """Tell whether a stop at a pose is faster, the later corners rounded or all stops."""
+        least = [np.inf, np.inf]
+        for stops in (0, 1):
+            for later in (False, True)[: len(blocks) - at - 1]:
+                exact = blocks.exact_stop.copy()
+                exact[at], exact[at + 1 :] = stops, exact[at + 1 :] | later
+                assert self._machine.motion_time is not None
+                time = self._machine.motion_time(replace(blocks, exact_stop=exact))
+                least[stops] = min(least[stops], time)
+        return least[1] < (1.0 - WORTH) * least[0]
+
+
+def _plain(rows: Rows) -> BoolArray:
+    """Tell which rows are lines of poses, shape (n,)."""
+    return np.asarray((rows.count == 0) & ~rows.blocks.by_rotary)

@@ -24,6 +24,7 @@ from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
+from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
@@ -82,14 +83,14 @@ class RecordedRun:
         settings = settings_of_block(self.blocks[0], Settings())
         return replace(settings, interpolation_period=self.period)
 
-    def setpoints(self) -> Iterator[Setpoints]:
+    def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
         """
         Yield what was executed, without the approach; time counts from the program's start.
 
         Raises
         ------
         InterpError
-            If a setpoint is missing, or the period changes.
+            If a setpoint is missing, a message is not sound, or the period changes.
 
         """
         following, count, period = None, 0, self.period
@@ -104,6 +105,7 @@ class RecordedRun:
                     f'setpoints from {chunk.first_sample} on have the period {chunk.period:g} s, '
                     f'those before {period:g} s; record the run again'
                 )
+            check_setpoints(chunk, len(machine.axis_names))
             part = setpoints_from(chunk)
             if not count:
                 part = part_of(part, int(np.searchsorted(part.block, 1)), len(part))
@@ -203,7 +205,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
         The summary as written to ``summary.json``; SI units.
 
     """
-    way = ExecutedWay(run.setpoints(), run.period)
+    way = ExecutedWay(run.setpoints(machine), run.period)
     with PlanWriter(directory, machine, run.settings) as writer:
         writer.blocks(blocks_from(run.blocks))
         for first in range(0, len(run.segments), BATCH):
@@ -212,7 +214,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             way.advance(float(path.s[0]), float(path.s[-1]))
             fine = refine(path, grid_points(path, way.some()))
             writer.path(fine, way.feed(fine.s[:-1]))
-        for samples in run.setpoints():
+        for samples in run.setpoints(machine):
             writer.setpoints(samples)
         return writer.finish(run.name, {}, run.largest_override)
 

@@ -187,8 +187,6 @@ def check_chunk(
     """
     name = f'setpoints from {message.first_sample}'
     n, axis_count = len(message.sequences), len(machine.axis_names)
-    if message.axis_count != axis_count:
-        raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
     if message.period != period:
         raise StreamError(
             f'{name}: period {message.period:g} s, but the machine runs at {period:g} s; '
@@ -196,9 +194,7 @@ def check_chunk(
         )
     if n == 0:
         raise StreamError(f'{name}: the chunk is empty; send at least one setpoint')
-    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
-        _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
-    _check_rows(f'{name}: path_positions', message.path_positions, n)
+    check_setpoints(message, axis_count)
     tail = len(message.tail_sequences)
     for field in ('positions', 'velocities', 'accelerations', 'jerks'):
         values = getattr(message, f'tail_{field}')
@@ -217,6 +213,16 @@ def check_chunk(
         refuse_setpoints(machine, period, before, rows)
     except StreamError as fault:
         raise StreamError(f'{name}: {fault}') from None
+
+
+def check_setpoints(message: SetpointChunk, axis_count: int) -> None:
+    """Refuse setpoints of a wrong shape or for another number of axes; not their tail."""
+    name, n = f'setpoints from {message.first_sample}', len(message.sequences)
+    if message.axis_count != axis_count:
+        raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
+    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+        _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
+    _check_rows(f'{name}: path_positions', message.path_positions, n)
 
 
 def _check_rows(name: str, values: array[float], count: int) -> None:

@@ -128,12 +128,13 @@ def test_the_path_of_a_run_is_that_of_its_recorded_segments(tmp_path, capsys):
 def test_executed_setpoints_are_read_one_message_at_a_time_and_in_order():
     with Bag(HELD) as bag:
         run = recorded_run(bag)
+    machine = Machine.load(run.machine)
     assert isinstance(run.chunks, SpooledMessages)
-    found = Setpoints.concatenate(list(run.setpoints()))
+    found = Setpoints.concatenate(list(run.setpoints(machine)))
     np.testing.assert_array_equal(found.time, np.arange(len(found)) * run.period)
     assert found.block[0] >= 1 and (np.diff(found.s) >= 0.0).all()
     turned = replace(run, chunks=list(run.chunks)[::-1])
-    again = Setpoints.concatenate(list(turned.setpoints()))
+    again = Setpoints.concatenate(list(turned.setpoints(machine)))
     np.testing.assert_array_equal(again.position, found.position)
 
 

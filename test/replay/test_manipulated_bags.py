@@ -82,6 +82,10 @@ TABLE = {
     'path positions times 1.01': chunks(('path_positions', lambda s: s * 1.01)),
     'all of the last block': chunks(('sequences', lambda b: np.where(b > 0, b.max(), b))),
     'a NaN among the positions': chunks(('positions', lambda q: shifted(q, np.nan))),
+    'setpoints without row numbers': chunks(('sequences', lambda b: b[:0])),
+    'one row number less': some('chunks', lambda c: c.sequences.pop()),
+    'a path position less': some('chunks', lambda c: c.path_positions.pop()),
+    'another number of axes': some('chunks', lambda c: setattr(c, 'axis_count', 6)),
     'a slower clock': some('chunks', lambda c: setattr(c, 'period', 2 * c.period)),
     'a vertex moved by 0.1 mm': some('blocks', lambda b: setattr(b, 'tip', b.tip + 1e-4)),
     'half the feed': lambda run: (

@@ -28,6 +28,7 @@ def main(address, domain):
         profile.write_text(PROFILE.format(peers=peers))
         os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(profile)
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SUBNET'
+        os.environ['ROS_STATIC_PEERS'] = address
         print(json.dumps(reached(domain)))
 
 

@@ -172,6 +172,22 @@ def test_nobody_else_reaches_what_is_started_without_options(hosts, program, wor
 
 
 @pytest.mark.thorough
+def test_the_range_of_discovery_alone_does_not_keep_out_who_knows_the_address(
+    hosts, program, tmp_path
+):
+    """The nodes neither hear nor say anything by multicast, and are found by address and port."""
+    plain = tmp_path / 'plain.xml'
+    plain.write_text('<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"/>')
+    words = ['cnc_interp', 'run', program]
+    found, _, unread = attack(
+        hosts, words, 5, ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
+        FASTRTPS_DEFAULT_PROFILES_FILE=str(plain),
+    )  # fmt: skip
+    assert not unread
+    assert 'program_node' in found['nodes'] and found['texts'] == [TEXT]
+
+
+@pytest.mark.thorough
 def test_a_user_opens_the_nodes_and_even_then_no_file_is_read(hosts, program):
     """The stranger of these tests does reach nodes that can be reached."""
     words = ['cnc_interp', 'run', program]

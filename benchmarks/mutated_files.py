@@ -1,5 +1,5 @@
 """
-Mutated STEP files, machine, setup and surface files and plans: what becomes of each.
+Mutated STEP files, machine, setup and surface files, plans and bags: what becomes of each.
 
     python benchmarks/mutated_files.py [--count 1000] [--first 0] [--kinds step machine ...]
 
@@ -32,12 +32,18 @@ from test_cam_step import two_faces
 from test_hostile_files import MACHINE, SMALL, mutant
 
 from cnc_interp.cam.step_process import answer
+from cnc_interp.client.bag import TOPICS, Bag, BagWriter
+from cnc_interp.commands.check import plan_files
 from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 
 #: What is too long [s] and too much [MB].
 LONG, MUCH = 10.0, 1024.0
+#: A recorded run, and the topics of which a message of the middle is mutated.
+BAG = Path(__file__).resolve().parents[1] / 'test' / 'replay' / 'held'
+MESSAGES = ('executed_setpoints', 'machine_state', 'loaded_program')
 PLAN = ('setpoints.npz', 'path.npz', 'blocks.npz', 'summary.json')
 Kind = tuple[bytes, Path, Callable[[], str]]
 
@@ -77,7 +83,45 @@ def kinds(folder: Path) -> dict[str, Kind]:
             (plan / name).read_bytes(), plan / name,
             lambda plan=plan: outcome(lambda: verify(read_plan(plan), MACHINE).ok),
         )  # fmt: skip
+    for name in ('held.mcap', 'metadata.yaml'):
+        bag = Path(shutil.copytree(BAG, folder / f'bag_{name}'))
+        found[f'bag: {name}'] = (
+            (bag / name).read_bytes(), bag / name,
+            lambda bag=bag: outcome(lambda: proven(bag)),
+        )  # fmt: skip
+    for topic in MESSAGES:
+        with Bag(BAG) as recorded:
+            of_topic = [data for _, _, data in recorded.raw(topic)]
+        file, place = folder / f'{topic}.message', len(of_topic) // 2
+        found[f'bag: message of {topic}'] = (
+            of_topic[place], file,
+            lambda file=file, topic=topic, place=place: outcome(
+                lambda: proven(with_message(folder / 'bag_of_message', topic, place, file))
+            ),
+        )  # fmt: skip
     return found
+
+
+def proven(bag: Path) -> bool:
+    """Return whether the last run of a bag is proven."""
+    with plan_files(bag, None) as (plan, machine):
+        assert machine is not None
+        return verify(read_plan(plan), Machine.load(machine)).ok
+
+
+def with_message(path: Path, topic: str, place: int, file: Path) -> Path:
+    """Write the recorded run with another message at a place among those of its topic."""
+    shutil.rmtree(path, ignore_errors=True)
+    with Bag(BAG) as recorded:
+        writer, count = BagWriter(path), 0
+        writer.note('machine_node', {'machine': recorded.parameters['machine_node.machine']})
+        for name, stamp, data in recorded.raw(*TOPICS):
+            writer.write(
+                name, file.read_bytes() if (name, count) == (topic, place) else data, stamp
+            )
+            count += name == topic
+        writer.close()
+    return path
 
 
 def tried(read: Callable[[], str]) -> tuple[str, float, float]:
@@ -115,12 +159,12 @@ def main() -> None:
             else:
                 read()  # compiles and loads what is needed
             found: Counter[str] = Counter()
-            longest = most = 0.0
+            longest = most = spent = 0.0
             started = time.monotonic()
             for seed in range(options.first, options.first + options.count):
                 file.write_bytes(mutant(sound, np.random.default_rng(seed)))
                 end, seconds, memory = tried(read)
-                longest, most = max(longest, seconds), max(most, memory)
+                longest, most, spent = max(longest, seconds), max(most, memory), spent + seconds
                 kind = end.split(':')[0]
                 found[kind] += 1
                 # A death of the reader of STEP files is told in one line by its parent.
@@ -129,7 +173,7 @@ def main() -> None:
             print(name, json.dumps({
                 'files': found.total(), **dict(sorted(found.items())),
                 'longest [s]': round(longest, 2), 'most memory [MB]': round(most),
-                'all [s]': round(time.monotonic() - started),
+                'all [CPU s]': round(spent, 1), 'all [s]': round(time.monotonic() - started),
             }), flush=True)  # fmt: skip
     finally:
         shutil.rmtree(folder)

@@ -5,9 +5,10 @@ Mutated programs, planned and checked by the commands: refusals, unproven plans,
 
 The programs are the first lines of those of ``test/unit/test_program_fuzz.py``, changed in a few
 places by chance. A plan that ``check`` does not prove, a refusal of more than one line and a
-traceback are printed with the seed that makes the program again. Each program has a process of its
-own, forked from one that has loaded the kernels. A program that takes longer than 60 s is counted
-and left: a mutated feed can make a motion of days.
+traceback are printed with the seed that makes the program again. One process tries them, forked
+from one that has loaded the kernels; when a program ends it, another one goes on. A program that
+takes longer than 60 s of the processor is counted and left: a mutated feed can make a motion of
+days.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 from test_program_fuzz import EXAMPLES, mutated, seeds
@@ -31,7 +34,7 @@ from test_program_fuzz import EXAMPLES, mutated, seeds
 from cnc_interp.cli import main as command
 
 MACHINES = ('xyzac', 'xyzbc', 'bc_trunnion')
-#: Longest time for one program [s].
+#: Longest processor time for one program [s].
 PATIENCE = 60
 
 
@@ -60,31 +63,55 @@ def outcome(text: bytes, machine: str, folder: Path) -> tuple[str, str]:
     return {0: 'proven', 1: 'not proven by check'}.get(code, 'refused by check'), said
 
 
-def tried(text: bytes, machine: str) -> tuple[str, str]:
-    """Return the outcome of a program that is planned and checked in a fork."""
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile() as told:
+def try_all(seeds: range, texts: list[bytes], out: IO[str]) -> None:
+    """Write a line of JSON for each program: seed, outcome, what was said, processor time."""
+    for seed in seeds:
+        text, machine = program_of(seed, texts)
+        signal.setitimer(signal.ITIMER_PROF, PATIENCE)  # ends this process
+        begun = time.process_time()
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                found = outcome(text, machine, Path(folder))
+        except KeyboardInterrupt:
+            os._exit(130)
+        except BaseException as fault:
+            found = 'traceback', f'{type(fault).__name__}: {fault}'
+        out.write(json.dumps((seed, *found, time.process_time() - begun)) + '\n')
+        out.flush()
+
+
+def program_of(seed: int, texts: list[bytes]) -> tuple[bytes, str]:
+    """Return a program and its machine."""
+    return mutated(random.Random(seed), texts), MACHINES[seed % len(MACHINES)]
+
+
+def tried(first: int, last: int, texts: list[bytes]) -> Iterator[tuple[int, str, str, float]]:
+    """
+    Yield seed, outcome, what was said and processor time [s] of each program.
+
+    One process tries them one after the other. When it dies, a new one goes on with the next.
+    """
+    while first < last:
+        inlet, outlet = os.pipe()
         child = os.fork()
         if not child:
-            signal.alarm(PATIENCE)  # ends the fork
-            try:
-                found = outcome(text, machine, Path(folder))
-            except KeyboardInterrupt:
-                os._exit(130)
-            except BaseException as fault:
-                found = 'traceback', f'{type(fault).__name__}: {fault}'
-            told.write(json.dumps(found).encode())
-            told.flush()
+            os.close(inlet)
+            with os.fdopen(outlet, 'w') as out:
+                try_all(range(first, last), texts, out)
             os._exit(0)
+        os.close(outlet)
+        with os.fdopen(inlet) as lines:
+            for line in lines:
+                first += 1
+                yield tuple(json.loads(line))
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         if code == 130:
             raise KeyboardInterrupt
-        if code == -signal.SIGALRM:
-            return f'longer than {PATIENCE} s', ''
-        if code:
-            return 'ended by a signal', f'signal {-code}'
-        told.seek(0)
-        what, said = json.loads(told.read())
-        return what, said
+        if code == -signal.SIGPROF:
+            yield first, f'longer than {PATIENCE} s', '', PATIENCE
+        elif code:
+            yield first, 'ended by a signal', f'signal {-code}', 0.0
+        first += bool(code)
 
 
 def main() -> None:
@@ -96,22 +123,22 @@ def main() -> None:
     options = parser.parse_args()
     texts = [b'\n'.join(text.splitlines()[: options.lines]) + b'\n' for text in seeds()]
     found: Counter[str] = Counter()
-    slowest, begun = 0.0, time.monotonic()
+    spent = slowest = 0.0
+    begun = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:  # kernels are compiled, without an alarm
         outcome((EXAMPLES / 'pyramid.ngc').read_bytes(), MACHINES[0], Path(folder))
     with contextlib.suppress(KeyboardInterrupt):
-        for seed in range(options.first, options.first + options.count):
-            text, machine = mutated(random.Random(seed), texts), MACHINES[seed % len(MACHINES)]
-            started = time.monotonic()
-            what, said = tried(text, machine)
+        last = options.first + options.count
+        for seed, what, said, seconds in tried(options.first, last, texts):
             found[what] += 1
-            slowest = max(slowest, time.monotonic() - started)
+            spent, slowest = spent + seconds, max(slowest, seconds)
             if what not in ('refused', 'proven'):
+                machine = program_of(seed, texts)[1]
                 print(f'seed {seed} on {machine}: {what}\n{said}', flush=True)
     counts = dict(sorted(found.items()))
     print(json.dumps({
-        'programs': found.total(), **counts, 'slowest [s]': round(slowest, 1),
-        'all [s]': round(time.monotonic() - begun),
+        'programs': found.total(), **counts, 'slowest [CPU s]': round(slowest, 1),
+        'all [CPU s]': round(spent), 'all [s]': round(time.monotonic() - begun),
     }))  # fmt: skip
 
 

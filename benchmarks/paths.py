@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -15,6 +16,7 @@ from scipy.interpolate import BSpline
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -223,6 +225,15 @@ def cases() -> Iterator[Case]:
     yield from public_cases(machine, PUBLIC)
     for seed in range(22):
         yield case_of(f'random 5-axis {seed}', random_blocks(seed), machine)
+
+
+def stop_at_corners(case: Case) -> float:
+    """Cycle time of the same blocks with an exact stop at the end of each [s]; nan without."""
+    if case.blocks is None or not isinstance(case.limits, Machine):
+        return math.nan
+    stopping = np.ones(len(case.blocks), dtype=bool)
+    path = smoothed(replace(case.blocks, exact_stop=stopping), case.limits)
+    return plan_path(path, case.limits).law.end_time
 
 
 def dense_cases(machine: Machine) -> Iterator[Case]:

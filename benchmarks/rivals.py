@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from figures import Stopwatch
 from optimum import time_grid
-from paths import Case, smoothed, stretches
+from paths import stretches
 from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
@@ -19,20 +19,10 @@ from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.machine import Machine
 
 PERIOD = 1e-3
 #: Jerk by third differences of setpoints that counts as kept: the limit and its rounding.
 KEPT = 1.001
-
-
-def stop_at_corners(case: Case) -> float:
-    """Cycle time of the same blocks with an exact stop at the end of each [s]; nan without."""
-    if case.blocks is None or not isinstance(case.limits, Machine):
-        return math.nan
-    stopping = np.ones(len(case.blocks), dtype=bool)
-    path = smoothed(replace(case.blocks, exact_stop=stopping), case.limits)
-    return plan_path(path, case.limits).law.end_time
 
 
 def largest_jerk(path: AxisPath, speed: FloatArray, max_jerk: FloatArray) -> tuple[float, float]:

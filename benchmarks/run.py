@@ -21,8 +21,8 @@ from active import largest_use, share_active
 from figures import Figures, Stopwatch, forget, load, save
 from growth import chain_cost, raster, topp3_cost
 from optimum import ROUNDS, Optimum, solve
-from paths import Case, case_of, cases, dense_cases, stretches
-from rivals import stop_at_corners, topp3, toppra_slowed
+from paths import Case, case_of, cases, dense_cases, stop_at_corners, stretches
+from rivals import topp3, toppra_slowed
 from strokes import line_path, stroke_time
 from tables import write_tables
 

@@ -38,11 +38,11 @@ def machine_option(added: argparse.ArgumentParser) -> None:
     )
 
 
-def program_options(added: argparse.ArgumentParser) -> None:
-    """Add the options that `run` and `plan` share."""
+def program_options(added: argparse.ArgumentParser, live: bool = False) -> None:
+    """Add the options that `run` and `plan` share; ``live`` for `run`."""
     added.add_argument('program', type=Path, metavar='PROGRAM', help='G-code or CL data file')
     machine_option(added)
-    add_settings(added)
+    add_settings(added, live)
     added.add_argument('--json', action='store_true', help='print the summary as JSON')
 
 

@@ -25,7 +25,7 @@ def add_run_command(commands: Any) -> None:
         'stream a program through the ROS 2 nodes to the simulated machine',
         'cnc-interp run examples/pyramid.apt --out out/pyramid',
     )  # fmt: skip
-    program_options(run)
+    program_options(run, live=True)
     run.add_argument(
         '--then', type=Path, action='append', default=[], metavar='PROGRAM',
         help='a further program, which waits for the end of the one before; may be repeated',

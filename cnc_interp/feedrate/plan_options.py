@@ -36,6 +36,10 @@ class PlanOptions:
         Whether the jerk stage starts below the ceiling of the toppra stage.
     reserve : float
         Part of a limit that stays free where the law could not brake otherwise [-].
+    law : str
+        'optimal' for the jerk stage, 'vpop' for steps forward (``vpop.py``).
+    step : float
+        Longest step of 'vpop' [s].
 
     """
 
@@ -50,6 +54,8 @@ class PlanOptions:
     bound: bool = True
     below_ceiling: bool = False
     reserve: float = 0.029
+    law: str = 'optimal'
+    step: float = 1e-3
 
     def finer(self) -> PlanOptions:
         """Return options with half the cell times and a start below the ceiling."""
@@ -59,6 +65,7 @@ class PlanOptions:
             share=self.share / 2,
             bend=self.bend / 2,
             below_ceiling=True,
+            step=self.step / 2,
         )
 
 

@@ -6,6 +6,8 @@ the first part of its plan is committed. Committed motion is never changed. The 
 planned again in the next window. Windows depend only on the path, and neither on how it was
 divided into parts nor on when these arrived. So the same path always gives the same bits.
 
+``PlanOptions.law`` chooses how a window is solved: by the jerk stage, or by steps forward (VPOp).
+
 If the solver does not converge, its law keeps the limits but may be far too slow. Then the window
 is divided by a rest where that law is slowest, if this is faster.
 
@@ -22,8 +24,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
+from cnc_interp.feedrate import jerk_stage, vpop
 from cnc_interp.feedrate.horizon import WindowScan, commit_node
-from cnc_interp.feedrate.jerk_stage import plan
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
@@ -134,6 +136,7 @@ class FeedPlanner:
             from cnc_interp.feedrate.time_bound import time_bound
 
             self._time_bound = time_bound
+        self._law = {'optimal': jerk_stage.plan, 'vpop': vpop.plan}[self.options.law]
         self._scan_again(self.options.window_ratio)
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
@@ -241,10 +244,10 @@ class FeedPlanner:
 
     def _solve(self, known: AxisPath) -> Stretch | None:
         """Plan from the committed state to rest; after a failure, once more on a finer grid."""
-        stretch = plan(known, self._table, self._start, self.options, self._kept)
+        stretch = self._law(known, self._table, self._start, self.options, self._kept)
         if stretch is None:
             finer = self.options.finer()
-            stretch = plan(known, self._table, self._start, finer, self._kept)
+            stretch = self._law(known, self._table, self._start, finer, self._kept)
         return stretch
 
     def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
@@ -259,7 +262,7 @@ class FeedPlanner:
         solved = CONVERGED
         while stretch is None:
             # No law reaches this point: stop at half the distance instead.
-            last, at_stop, rests = last // 2, True, False
+            last, at_stop, rests, solved = last // 2, True, False, DIVIDED
             if last == 0:
                 raise self._impossible(int(known.cell_block[0]))
             known = cut(known, 0, last)
@@ -294,12 +297,13 @@ class FeedPlanner:
         if not len(slow) or not rests:
             return None
         place, end = int(slow[np.argmin(v[slow])]), len(known.s) - 1
-        first = plan(cut(known, 0, place), self._table, self._start, self.options, self._kept)
-        second = plan(cut(known, place, end), self._table, AT_REST, self.options, None)
+        before, after = cut(known, 0, place), cut(known, place, end)
+        first = self._law(before, self._table, self._start, self.options, self._kept)
+        second = self._law(after, self._table, AT_REST, self.options, None)
         if first is None or second is None:
             return None
         if not first.converged:
-            first = self._divided(cut(known, 0, place), first, rests - 1) or first
+            first = self._divided(before, first, rests - 1) or first
         divided = first.duration.sum() + second.duration.sum()
         return first if divided < stretch.duration.sum() else None
 
@@ -340,7 +344,7 @@ class FeedPlanner:
             self._older = stretch.after(cells)
             half = (1 - KEPT_PART) * s[last] + KEPT_PART * s[-1]
             ends = s[stretch.nodes[cells + 1 :]]
-            ends = ends[ends <= half]
+            ends = ends[ends <= half] if self.options.law == 'optimal' else ends[:0]
             self._kept = KeptCells(ends, self._older.scale[: len(ends)])
             position = np.concatenate([position, ends])
         self._begin_at(position)

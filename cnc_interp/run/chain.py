@@ -16,6 +16,7 @@ from typing import Any
 
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -28,6 +29,8 @@ from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
+#: Longest step of the law 'vpop', whose step is the interpolation period otherwise [s].
+LONGEST_STEP = 1e-3
 #: Stages whose time is reported, in order.
 STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
@@ -68,7 +71,9 @@ class Chain:
     ):
         self._watch = Stopwatch(clock)
         self._path = PathChain(Transform.of(machine), settings, self._watch)
-        self._planner = FeedPlanner(limits_at(machine, settings.interpolation_period))
+        period = settings.interpolation_period
+        options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
+        self._planner = FeedPlanner(limits_at(machine, period), options)
         self._interpolator = Interpolator(settings.interpolation_period)
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []

@@ -103,6 +103,10 @@ class Settings:
     interpolation_period: float = number(
         1.0 * MS, TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period', option='period'
     )
+    law: str = one_of(
+        ('optimal', 'vpop'), Stage.OFFLINE,
+        'how the motion law is found; vpop goes forward period by period', for_comparison=True,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         for choice in choices(self):

@@ -8,13 +8,14 @@ from typing import Any
 
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.declaration import Choice, choices
+from cnc_interp.settings.declaration import Choice, Stage, choices
 
 
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """Add one option for each choice."""
+def add_settings(parser: argparse.ArgumentParser, live: bool = False) -> None:
+    """Add one option for each choice; with ``live``, not for those that only `plan` has."""
     for choice in choices(Settings):
-        _add(parser, choice)
+        if not (live and choice.stage is Stage.OFFLINE):
+            _add(parser, choice)
 
 
 def _add(parser: argparse.ArgumentParser, choice: Choice) -> None:
@@ -51,7 +52,8 @@ def _reader(choice: Choice) -> Callable[[str], Any]:
 
 def settings_from(options: argparse.Namespace) -> Settings:
     """Return the settings given on the command line."""
-    return Settings(**{choice.name: getattr(options, choice.name) for choice in choices(Settings)})
+    offered = (choice.name for choice in choices(Settings) if hasattr(options, choice.name))
+    return Settings(**{name: getattr(options, name) for name in offered})
 
 
 def command_words(settings: Settings) -> list[str]:

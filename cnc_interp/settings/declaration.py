@@ -32,6 +32,7 @@ class Stage(enum.Enum):
     READING = 'reading'
     SMOOTHING = 'smoothing'
     MOTION = 'motion'
+    OFFLINE = 'offline'  # motion that is planned without the nodes
 
 
 @dataclass(frozen=True)

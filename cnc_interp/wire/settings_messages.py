@@ -65,7 +65,8 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
     Raises
     ------
     SettingsError
-        If a choice is unknown or not possible, or belongs to the nodes and differs from theirs.
+        If a choice is unknown or not possible, belongs to the nodes and differs from theirs, or
+        is only for `plan`.
 
     """
     fields = goal.get_fields_and_field_types()
@@ -80,6 +81,9 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
         if getattr(settings, choice.name) != ours:
             told = f'the nodes were started with {choice.shown(ours)}; start them with another'
             raise SettingsError(choice.name, told)
+    for choice in choices(defaults, Stage.OFFLINE):
+        if getattr(settings, choice.name) != choice.default:
+            raise SettingsError(choice.name, f'the nodes have only {choice.default}; use `plan`')
     return settings
 
 

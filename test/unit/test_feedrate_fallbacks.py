@@ -15,7 +15,7 @@ from feedrate_paths import (
 )
 
 from cnc_interp.core.errors import PlanningError
-from cnc_interp.feedrate import jerk_stage, window
+from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.interior_point import BROKEN, STALLED
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import (
@@ -73,14 +73,14 @@ def test_a_solver_that_fails_in_motion_leaves_the_older_plan(monkeypatch, status
 
 def test_a_grid_too_coarse_is_refined(monkeypatch):
     """Cells of 50 ms cannot keep what bends inside them; half of them and less can."""
-    asked = []
+    asked, plan = [], jerk_stage.plan
 
     def counting(path, table, start, options, kept):
-        stretch = jerk_stage.plan(path, table, start, options, kept)
+        stretch = plan(path, table, start, options, kept)
         asked.append((start[0] > 0.0, options.share, stretch is not None))
         return stretch
 
-    monkeypatch.setattr(window, 'plan', counting)
+    monkeypatch.setattr(jerk_stage, 'plan', counting)
     coarse = PlanOptions(cell_time=(5e-2, 0.2), bend=0.8, passes=0, window_cells=100)
     path = arc(120)
     piece = plan_path(path, XYZAC, coarse)
@@ -189,9 +189,10 @@ def test_after_driving_to_the_older_stop_planning_goes_on(monkeypatch):
 
 def test_a_window_that_does_not_converge_is_divided_by_a_rest(monkeypatch):
     """Long stretches end three times too slow; rests in the corners are faster."""
+    plan = jerk_stage.plan
 
     def failing(path, *rest):
-        law = jerk_stage.plan(path, *rest)
+        law = plan(path, *rest)
         if len(path.s) <= 20:
             return law
         return replace(
@@ -201,7 +202,7 @@ def test_a_window_that_does_not_converge_is_divided_by_a_rest(monkeypatch):
 
     path = polyline_path(CORNER, 0.05)
     best = plan_path(path, XYZAC)
-    monkeypatch.setattr(window, 'plan', failing)
+    monkeypatch.setattr(jerk_stage, 'plan', failing)
     piece = plan_path(path, XYZAC)
     assert best.solved == CONVERGED and piece.solved == DIVIDED
     assert_sound(piece, path)

@@ -96,6 +96,7 @@ OTHERS = Settings(
     corner_angle=50.0 * DEG,
     tolerance_share=2.0 / 3.0,
     interpolation_period=0.002,
+    law='vpop',
 )
 
 
@@ -198,7 +199,8 @@ def test_wrong_words_are_refused_in_units_of_the_shop(capsys):
 
 
 def test_a_goal_carries_all_choices_and_its_fields_still_count():
-    assert settings_of_goal(goal_of(Path('p'), OTHERS), replace(Settings(), **MOTION)) == OTHERS
+    asked = replace(OTHERS, law='optimal')  # the nodes have no other
+    assert settings_of_goal(goal_of(Path('p'), asked), replace(Settings(), **MOTION)) == asked
     goal = RunProgram.Goal(contour_tolerance=1e-4, interpolation='vector', feedrate=0.1)
     found = settings_of_goal(goal, Settings(corner_ratio=2.0))
     wanted = {'contour_tolerance': 1e-4, 'interpolation': 'vector', 'feedrate': 0.1}
@@ -289,7 +291,7 @@ def test_the_form_gives_the_settings_that_filled_it_in():
     with pytest.raises(SettingsError, match='flank_height'):
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
-    assert hidden == {'parametrization', 'top', 'septic', 'interpolation_period'}
+    assert hidden == {'parametrization', 'top', 'septic', 'interpolation_period', 'law'}
 
 
 def test_the_documentation_lists_every_choice_with_its_default():

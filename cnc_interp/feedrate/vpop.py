@@ -19,8 +19,8 @@ At the end of the path it brakes to rest: j is the lowest one until v = a^2 / (2
 jerk of a straight line, and stays constant from there on. The moment at which braking begins is
 found by bisection to rounding.
 
-Departures from [B2012]: the constraints are applied to derivatives of the exact path and not to
-differences of positions; a step never crosses a border of cells, where q_sss may jump.
+The idea is that of [B2012], the searches are our own. The constraints are applied to derivatives
+of the exact path. A step never crosses a border of cells, where q_sss may jump.
 """
 
 from __future__ import annotations

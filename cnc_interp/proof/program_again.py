@@ -282,7 +282,8 @@ class _Comparison:
         """Return the angle that an arc turns by [rad]."""
         first, last = _arms(move, start), _arms(move, move.end)
         turn = move.sweep * float(np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
-        whole = np.linalg.norm(last - first) <= _place(move)
+        # A chord of one digit is a short arc; both ends printed alike are a whole turn.
+        whole = np.linalg.norm(last - first) <= SAME_PLACE + 0.75 * move.digit
         turn = 2.0 * np.pi if whole else turn % (2.0 * np.pi)
         return turn + 2.0 * np.pi * (move.turns - 1)
 

@@ -111,3 +111,10 @@ class Settings:
     def __post_init__(self) -> None:
         for choice in choices(self):
             choice.check(getattr(self, choice.name))
+
+    @property
+    def compares_corners(self) -> bool:
+        """Tell whether corners are made in a way that exists for comparison only."""
+        ways = (self.parametrization, self.top, self.septic)
+        usual = Settings()
+        return ways != (usual.parametrization, usual.top, usual.septic)

@@ -11,6 +11,8 @@ into batches.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
@@ -63,7 +65,9 @@ class LookAhead:
         self._none = no_segments(self._style)
         self._compressor = Compressor(settings, machine, row, joined)
         self._rows: Rows | None = None
-        self._trials = StopTrials(machine, settings.flank_height)
+        # Corners that are made to be compared stay corners.
+        tried = replace(machine, motion_time=None) if settings.compares_corners else machine
+        self._trials = StopTrials(tried, settings.flank_height)
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:

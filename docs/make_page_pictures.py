@@ -38,7 +38,7 @@ SCREENS = {
 LABELLED = (
     'state', 'rights', 'program', 'load', 'check', 'settings', 'queue next', 'axis X', 'tip x',
     'feed', 'override slider', 'to go', 'line', 'buffer', 'contour', 'cycle start', 'feed hold',
-    'reset', 'single block', 'EMERGENCY STOP', 'look', 'history messages', 'keyboard',
+    'reset', 'single block', 'EMERGENCY STOP', 'look', 'history messages', 'keyboard', 'jog',
 )  # fmt: skip
 RED, WHITE, RADIUS = (200, 30, 30), (255, 255, 255), 10
 #: The animation: at most so many frames, so far apart in the run and on the page [s].

@@ -72,32 +72,20 @@ class AlarmList:
         self._cleared = set(self._alarms)
 
     def add(self, level: str, source: str, message: str) -> None:
-        """Add an alarm with the time of day."""
+        """Add an alarm with the time of day, unless somebody else has just told the same."""
         alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
-        for before in list(self._alarms)[-COMPARED:]:
+        lately = list(self._alarms)[-COMPARED:]
+        if any(before.message == message and before.source != source for before in lately):
+            return
+        for before in lately:
             if alarm.repeats(before):
                 self._alarms.remove(before)
                 alarm = replace(alarm, count=before.count + 1)
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """
-        Add a warning or an error of a node, unless the node has just reported the same one.
-
-        Parts of a node that stop for one reason tell it each.
-        """
+        """Add a warning or an error of a node, unless the node reported the same one last."""
         news = (status.level, status.message)
-        is_new = self._last.get(status.name) != news and status.level in LEVELS
-        if is_new and not self._is_told(status):
+        if self._last.get(status.name) != news and status.level in LEVELS:
             self.add(LEVELS[status.level], status.name, status.message)
         self._last[status.name] = news
-
-    def _is_told(self, status: DiagnosticStatus) -> bool:
-        """Tell whether another part of the node has lately said the same."""
-        node = status.name.partition(':')[0]
-        return any(
-            alarm.message == status.message
-            and alarm.source.partition(':')[0] == node
-            and alarm.source != status.name
-            for alarm in list(self._alarms)[-COMPARED:]
-        )

@@ -12,7 +12,7 @@ from typing import Any
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import LoadedProgram, MachineState
+from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState
 from cnc_interp_msgs.srv import MoveAxes
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
@@ -27,7 +27,7 @@ from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING
 from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.qos import DIAGNOSTICS, LOADED, OVERRIDE, STATE
+from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE, STATE
 from cnc_interp.nodes.this_host import stay_on_this_host
 
 __all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
@@ -111,6 +111,7 @@ class OperatorClient:
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
         self._move_axes = node.create_client(MoveAxes, 'move_axes')
+        self._beats = node.create_publisher(Jog, 'jog', BEATS)
         self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
         self._parameters = node.create_client(GetParameters, 'machine_node/get_parameters')
         self._action = ActionClient(node, RunProgram, 'run_program')
@@ -192,6 +193,10 @@ class OperatorClient:
     def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
         """Move axes by hand; the answer carries the response of the service."""
         return self._call(self._move_axes, request, 'move_axes')
+
+    def beat(self, message: Jog) -> None:
+        """Send a beat of a motion by hand."""
+        self._commands.append(lambda: self._beats.publish(message))
 
     def set_override(self, share: float) -> None:
         """Set the feed override [-]."""

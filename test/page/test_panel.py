@@ -12,7 +12,7 @@ pytest.importorskip(
 )
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import Jog, MachineState
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cnc_interp.cli import main
@@ -20,6 +20,7 @@ from cnc_interp.client import page
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
 from cnc_interp.client.page.desk import Job
+from cnc_interp.client.page.jog_pad import ARROWS, beat_of, step_of
 from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
 from cnc_interp.client.page.preview import DRAWN, Preview, thinned
 from cnc_interp.client.page.readings import (
@@ -191,21 +192,18 @@ def test_long_paths_are_thinned_with_their_ends():
     assert len(rows) == DRAWN and rows[0] == 0 and rows[-1] == 5 * DRAWN - 1
 
 
-def test_parts_of_a_node_that_stop_for_one_reason_tell_it_once():
+def test_what_stops_several_parts_is_told_once():
     def said(part, message):
         return DiagnosticStatus(level=DiagnosticStatus.ERROR, name=part, message=message)
 
     alarms = AlarmList()
     alarms.hear(said('machine_node: drives', 'emergency stop'))
     alarms.hear(said('machine_node: setpoints', 'emergency stop'))
-    alarms.hear(said('feedrate_node: setpoints', 'emergency stop'))
-    assert [a.source for a in alarms.history] == [
-        'feedrate_node: setpoints',
-        'machine_node: drives',
-    ]
+    alarms.add('error', 'program', 'emergency stop')
+    assert [a.source for a in alarms.history] == ['machine_node: drives']
     for message in ('running', 'emergency stop'):
         alarms.hear(said('machine_node: drives', message))
-    assert [a.count for a in alarms.history] == [2, 1, 1]
+    assert [a.count for a in alarms.history] == [2, 1]
 
 
 def test_a_program_that_is_refused_marks_its_line(tmp_path):
@@ -236,6 +234,18 @@ def test_cleared_messages_stay_in_the_history():
     alarms.clear()
     alarms.add('error', 'program', 'refused')  # it came again: that is news
     assert [alarm.count for alarm in alarms.newest_first] == [2]
+
+
+def test_keys_of_the_pad_become_beats_and_steps():
+    axes = Machine.load('xyzac').axes
+    names = tuple(axis.name for axis in axes)
+    assert beat_of('A', -0.2, names) == Jog(axes=['A'], shares=[-0.2])
+    assert beat_of('tool', 0.2, names) == Jog(tool=0.2)
+    assert beat_of('', 0.2, names) == beat_of('Q', 0.2, names) == Jog()
+    turn, along = step_of('C', -10.0, 0.5, axes), step_of('tool', 0.1, 1.0, axes)
+    assert (turn.axes, list(turn.values), turn.relative) == (['C'], [-10.0 * DEG], True)
+    assert (along.tool, along.relative, along.speed) == (0.1 * MM, True, 1.0)
+    assert {name for name, _ in ARROWS.values()} <= set(names)
 
 
 def test_what_is_listed_of_the_keyboard_is_on_the_page():

@@ -5,6 +5,7 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
@@ -424,6 +425,61 @@ def test_the_keyboard(panel, long_program, short_program):
     tab.wait(lambda: tab.text('line') == tab.text('progress') == '–')
     assert tab.run('document.querySelector(".lines .now")') is None
     assert 4 < seconds(tab, 'left') < 100
+    assert tab.faults == []
+
+
+#: Presses a key of the pad with the pointer, and lets it go.
+DOWN = """document.querySelector(`[data-mark="jog {}"]`).dispatchEvent(
+  new PointerEvent('pointerdown', {{bubbles: true}}))"""
+UP = "window.dispatchEvent(new PointerEvent('pointerup'))"
+
+
+def test_axes_are_moved_by_hand_from_the_page(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    tab.click('jog')
+    tab.wait(lambda: tab.run('!!jog.pad()'))
+
+    def rests():
+        panel.until(MachineState.IDLE)
+        return np.array(panel.next_state().commanded_positions)
+
+    # While a key is held.
+    before = rests()
+    tab.run(DOWN.format('X+'))
+    panel.until(MachineState.JOGGING)
+    panel.spin_until(lambda: panel.peers.state.positions[0] > before[0] + 1e-3)
+    tab.run(UP)
+    after = rests()
+    assert after[0] > before[0] + 1e-3 and (after[1:] == before[1:]).all()
+    # With an arrow key, whose release is lost: the machine stops by itself.
+    tab.send('Input.dispatchKeyEvent', type='keyDown', key='ArrowLeft', windowsVirtualKeyCode=37)
+    panel.spin_until(lambda: panel.peers.state.positions[0] < after[0] - 1e-3)
+    tab.run('clearInterval(jog.timer)')
+    rests()
+    tab.send('Input.dispatchKeyEvent', type='keyUp', key='ArrowLeft', windowsVirtualKeyCode=37)
+    # A beat that was on its way for long does not count.
+    tab.wait(lambda: tab.run('contact.beat > 0'))
+    here = rests()
+    tab.run("emitEvent('jog', {name: 'X', sign: 1, heard: contact.beat - 2.5})")
+    time.sleep(1.0)
+    assert (rests() == here).all()
+    # By steps, along an axis and along the tool.
+    tab.run('[...document.querySelectorAll(`[data-mark="jog step"] button`)].at(-2).click()')
+    tab.wait(lambda: tab.run('document.querySelector(".jog").dataset.step') == '1')
+    tab.click('jog Y-')
+    panel.spin_until(lambda: panel.peers.state.positions[1] < here[1] - 0.9999e-3)
+    there = rests()
+    assert there - here == pytest.approx([0.0, -1e-3, 0.0, 0.0, 0.0], abs=1e-9)
+    tab.click('jog tool+')
+    panel.spin_until(lambda: panel.peers.state.positions[2] > there[2] + 0.9999e-3)
+    assert rests() - there == pytest.approx([0.0, 0.0, 1e-3, 0.0, 0.0], abs=1e-9)
+    # A page that does not command moves nothing.
+    other = panel.open()
+    assert other.text('rights') == 'view only'
+    other.run("emitEvent('jog', {name: 'X', sign: 1, heard: contact.beat})")
+    time.sleep(1.0)
+    assert panel.next_state().state == MachineState.IDLE
     assert tab.faults == []
 
 

@@ -46,7 +46,8 @@ class Charts:
         moments = [m for m in list(desk.history) if m.time >= now - SPAN]
         asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
         usual = float(np.median(asked)) if asked else 0.0
-        fast = [m.feed for m in moments if not m.programmed > HEADROOM * usual]
+        cutting = [m.feed for m in moments if m.programmed <= HEADROOM * usual]
+        fast = cutting or [m.feed for m in moments]
         ceiling = HEADROOM * max([usual, *fast])
         columns = (
             [min(m.feed, ceiling) for m in moments],

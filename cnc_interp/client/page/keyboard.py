@@ -19,6 +19,7 @@ KEYBOARD = (
     ('-', '-', 'slower'),
     ('+', '+', 'faster'),
     ('0', '0', '100%'),
+    ('j', 'J', 'jog'),
     ('?', '?', 'keyboard'),
 )
 #: What is shown beside a key of the page that does not say it itself.
@@ -26,6 +27,7 @@ MEANINGS = {
     'slower': 'feed override 5 % less',
     'faster': 'feed override 5 % more',
     '100%': 'feed override 100 %',
+    'jog': 'show or hide the keys that move an axis',
     'keyboard': 'show or hide this list',
 }
 

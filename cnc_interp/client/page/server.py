@@ -13,7 +13,7 @@ from urllib.parse import quote
 from fastapi import HTTPException, Request, Response
 from nicegui import app, ui
 
-from cnc_interp.client.page import keyboard, listing
+from cnc_interp.client.page import jog_pad, keyboard, listing
 from cnc_interp.client.page.access import Access, TooManyTriesError
 from cnc_interp.client.page.command import PARENT
 from cnc_interp.client.page.contact import Contact
@@ -86,7 +86,7 @@ def serve(served: Served, namespace: str, domain: int) -> None:
     async def page(request: Request, token: str = '') -> None:
         trusted = opens(access, request, token)
         ui.add_css(STYLE)
-        for script in (Contact.script(), listing.script(), keyboard.script()):
+        for script in (Contact.script(), listing.script(), keyboard.script(), jog_pad.script()):
             ui.add_head_html(script)
         ui.dark_mode(True)
         await ui.context.client.connected()

@@ -12,6 +12,7 @@ from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.charts import Charts
 from cnc_interp.client.page.contact import LATE, Contact, pressing
 from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.client.page.jog_pad import JogPad
 from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
 from cnc_interp.client.page.listing import Listing
 from cnc_interp.client.page.messages import Messages
@@ -147,6 +148,16 @@ class Page:
             for name in VIEWS:
                 key = ui.button(name, on_click=lambda _, name=name: self._look_from(name))
                 marked(key.props('dense no-caps unelevated color=blue-grey-9'), f'from {name}')
+            jog = ui.button('jog').props('dense no-caps unelevated color=blue-grey-9')
+            marked(jog, 'jog')
+        if self._desk.machine is not None:
+            pad = JogPad(
+                self._desk.machine,
+                self._desk.nodes,
+                lambda: self._in_charge,
+                self._command_in_sight,
+            )
+            jog.on_click(pad.toggle)
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
             ui.html(
@@ -234,6 +245,8 @@ class Page:
                 for _, printed, mark in KEYBOARD:
                     ui.html(f'<kbd>{printed}</kbd>', sanitize=False)
                     ui.label(MEANINGS.get(mark, mark))
+                ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
+                ui.label('X, Y, Z while the key is held and the jog keys are shown')
             ui.label('Space and Enter never press a key that moves the machine.').classes('small')
         return dialog
 

@@ -1,0 +1,146 @@
+"""
+The pad of a page that moves axes by hand: while a key is held, or by steps.
+
+The browser repeats a beat while a key is held (``jog.js``), and each one becomes a beat of topic
+``jog``. It names the last beat of the server that the page has heard. So a beat that was on its
+way for long is known, and does not count.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from cnc_interp_msgs.msg import Jog
+from cnc_interp_msgs.srv import MoveAxes
+from nicegui import events, ui
+
+from cnc_interp.client.operator_client import Answer, OperatorClient
+from cnc_interp.core.units import MM
+from cnc_interp.kinematics.axes import Axis
+from cnc_interp.kinematics.machine import Machine
+
+SCRIPT = Path(__file__).with_name('jog.js')
+#: Arrow keys of the keyboard: axis and direction.
+ARROWS = {
+    'ArrowLeft': ('X', -1), 'ArrowRight': ('X', 1), 'ArrowDown': ('Y', -1), 'ArrowUp': ('Y', 1),
+    'PageDown': ('Z', -1), 'PageUp': ('Z', 1),
+}  # fmt: skip
+#: Name of the motion along the tool among the axes.
+TOOL = 'tool'
+#: Step of a key [mm, deg]; without one the axis moves while the key is held.
+HOLD, STEPS = 'hold', ('0.01', '0.1', '1', '10')
+#: Speed at the start, and the least one [% of the velocity limits].
+SPEED, LEAST_SPEED = 20, 1
+#: A beat that names an older beat of the server was on its way for too long [s].
+STALE = 1.2
+
+
+def script() -> str:
+    """Return the script of the page's side, for the head of the page."""
+    text = SCRIPT.read_text(encoding='utf-8').replace('ARROWS', json.dumps(ARROWS), 1)
+    return f'<script>{text}</script>'
+
+
+def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:
+    """Return the beat that moves an axis, or along the tool; any other name stops."""
+    if name == TOOL:
+        return Jog(tool=share)
+    return Jog(axes=[name], shares=[share]) if name in axes else Jog()
+
+
+def step_of(name: str, distance: float, speed: float, axes: tuple[Axis, ...]) -> MoveAxes.Request:
+    """Return the request that moves an axis, or along the tool, by a distance [mm, deg]."""
+    request = MoveAxes.Request(relative=True, speed=speed)
+    if name == TOOL:
+        request.tool = distance * MM
+    else:
+        (axis,) = (axis for axis in axes if axis.name == name)
+        request.axes, request.values = [name], [distance * axis.shown_size]
+    return request
+
+
+class JogPad:
+    """
+    The pad in one page.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its axes get a pair of keys each.
+    nodes : OperatorClient
+        Takes beats and steps.
+    may_move : callable
+        Tells whether this page commands now.
+    command : callable
+        Has a step done, or says why not.
+
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        nodes: OperatorClient,
+        may_move: Callable[[], bool],
+        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
+    ):
+        self._axes, self._names = machine.axes, machine.axis_names
+        self._nodes, self._may_move, self._command = nodes, may_move, command
+        self._step = HOLD
+        with ui.element('div').classes('jog') as self._pad:
+            steps = ui.toggle([HOLD, *STEPS], value=HOLD, on_change=self._choose)
+            steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
+            for name in (*self._names, TOOL):
+                with ui.element('div').classes('pairs'):
+                    self._key(name, -1)
+                    ui.label(name).classes('name')
+                    self._key(name, 1)
+            with ui.element('div').classes('slide'):
+                ui.label('speed')
+                self._speed = ui.slider(min=LEAST_SPEED, max=100, value=SPEED).props('dense')
+                self._speed.props('data-mark="jog speed"')
+                ui.label().bind_text_from(self._speed, 'value', lambda value: f'{value:.0f}%')
+        self._pad.props(f'data-step={HOLD}').set_visibility(False)
+        ui.on('jog', self._beat)
+
+    def _key(self, name: str, sign: int) -> None:
+        """Make one key."""
+        text = '+' if sign > 0 else '−'
+        key = ui.button(text, color='blue-grey-8').classes('moves')
+        key.props(f'dense unelevated no-caps data-mark="jog {name}{"+" if sign > 0 else "-"}"')
+        key.on(
+            'pointerdown',
+            js_handler=f'() => jog.pad() && jog.hold({json.dumps(name)}, {sign})',
+        )
+        key.on('click', lambda: self._move(name, sign))
+
+    def toggle(self) -> None:
+        """Show the pad, or hide it."""
+        self._pad.set_visibility(not self._pad.visible)
+
+    def _choose(self, event: events.ValueChangeEventArguments) -> None:
+        """Take the step over."""
+        self._step = str(event.value)
+        self._pad.props(f'data-step={self._step}')
+
+    async def _move(self, name: str, sign: int) -> None:
+        """Move by a step."""
+        if self._step == HOLD:
+            return
+        request = step_of(name, sign * float(self._step), self._speed.value / 100, self._axes)
+
+        async def moved() -> Answer:
+            return await asyncio.wrap_future(self._nodes.move_axes(request))
+
+        await self._command(moved)
+
+    def _beat(self, event: events.GenericEventArguments) -> None:
+        """Pass a beat on, unless it is old or this page does not command; a stop is never old."""
+        name, sign, heard = (event.args[key] for key in ('name', 'sign', 'heard'))
+        is_fresh = isinstance(heard, int | float) and time.monotonic() - heard <= STALE
+        if self._may_move() and (is_fresh or not name):
+            share = (1 if sign > 0 else -1) * self._speed.value / 100
+            self._nodes.beat(beat_of(str(name), share, self._names))

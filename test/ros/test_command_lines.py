@@ -10,7 +10,9 @@ import re
 import shlex
 import shutil
 import subprocess
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,15 +21,16 @@ import yaml
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 import rclpy
+from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import PATIENCE, NodesUnderTest
 from rclpy.action import ActionClient
 from rclpy.qos import QoSPresetProfiles
 from rosidl_parser.definition import NamespacedType
 
 from cnc_interp.client.operator_client import OperatorClient
-from cnc_interp.nodes.node_processes import NODES
 
 ROOT = Path(__file__).parents[2]
+SETUP = (ROOT / 'setup.py').read_text()
 PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 F3000\nM30\n'
 #: What `ros2 topic pub --once` waits after its message before it ends [s].
 KEEP_ALIVE = 0.1
@@ -120,16 +123,20 @@ class Client:
         rclpy.shutdown(context=self.context)
 
 
+def environment_of(domain):
+    return os.environ | {
+        'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
+    }  # fmt: skip
+
+
 def done(line, domain):
     """Run a command line to its end, and return what it prints."""
     words = shlex.split(line)
     if REAL:
-        environment = os.environ | {
-            'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
-        }  # fmt: skip
         return subprocess.run(
-            words, env=environment, check=True, capture_output=True, text=True, timeout=PATIENCE
-        ).stdout
+            words, env=environment_of(domain), check=True, capture_output=True, text=True,
+            timeout=PATIENCE,
+        ).stdout  # fmt: skip
     client = Client(domain)
     try:
         return client.run(words)
@@ -150,7 +157,56 @@ def test_no_command_line_is_left_out():
     assert len(of('topic')) >= 1 and len(of('service')) >= 1 and len(of('action')) >= 2
 
 
-@pytest.mark.parametrize('line', of('topic'))
+def is_repeated(line):
+    return ' -r ' in line
+
+
+@contextmanager
+def repeating(line, domain):
+    """Publish again and again, as `ros2 topic pub -r` does."""
+    words = shlex.split(line)
+    ended = threading.Event()
+    if REAL:
+        process = subprocess.Popen(words, env=environment_of(domain), stdout=subprocess.DEVNULL)
+        yield
+        process.terminate()
+        process.wait()
+        return
+    rate = words.index('-r')
+    plain = [*words[:rate], *words[rate + 2 :]]
+
+    def publish():
+        client = Client(domain)
+        while not ended.wait(1.0 / float(words[rate + 1])):
+            client.run(plain)
+        client.close()
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
+
+
+@pytest.mark.parametrize('line', [line for line in of('topic') if is_repeated(line)])
+def test_a_repeated_publisher_moves_axes_until_it_ends(nodes, line):
+    names, shares = re.search(r'axes: \[(.*?)\], shares: \[(.*?)\]', line).groups()
+    moved = dict(zip(names.split(', '), map(float, shares.split(', ')), strict=True))
+    assert ' /jog ' in line
+    before = nodes.next_state().commanded_positions
+    ways = {name: 'XYZAC'.index(name) for name in moved}
+
+    def has_moved(name):
+        way = nodes.peers.state.commanded_positions[ways[name]] - before[ways[name]]
+        return way * moved[name] > 0.0
+
+    with repeating(line, nodes.domain):
+        nodes.spin_until(lambda: all(map(has_moved, moved)))
+        assert nodes.peers.state.state == MachineState.JOGGING
+    nodes.spin_until(lambda: nodes.peers.state.state == MachineState.IDLE)
+
+
+@pytest.mark.parametrize('line', [line for line in of('topic') if not is_repeated(line)])
 def test_a_plain_publisher_sets_the_override(nodes, line):
     wanted = float(re.search(r'data: ([0-9.]+)', line)[1])
     assert ' /feed_override ' in line and nodes.next_state().feed_override == 1.0
@@ -187,7 +243,7 @@ def test_launch_files_and_their_arguments_exist(line):
 @pytest.mark.parametrize('line', of('run'))
 def test_nodes_to_run_exist(line):
     package, node = shlex.split(line)[2:4]
-    assert package == 'cnc_interp' and node in NODES
+    assert package == 'cnc_interp' and f"'{node.removesuffix('_node')}'" in SETUP
 
 
 @pytest.mark.parametrize('line', of('security'))

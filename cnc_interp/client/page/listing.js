@@ -18,7 +18,7 @@ window.listing = {
     const answer = number ? await fetch(`/program/${number}.txt`) : null;
     const text = answer?.ok ? await answer.text() : '';
     if (number !== this.number) return; // another one was loaded meanwhile
-    this.lines = text.split('\n').slice(0, this.MOST);
+    this.lines = text ? text.split('\n').slice(0, this.MOST) : [];
     this.follows = true;
     const [box] = this.parts();
     if (!box) return;

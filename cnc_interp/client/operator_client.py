@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -24,6 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.goal_sender import SentProgram
+from cnc_interp.client.question import AGAIN, Question
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING
 from cnc_interp.nodes.peers import Peers
@@ -40,8 +42,6 @@ SWITCHES = ('single_block', 'optional_stop')
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
-#: Time without an answer after which a stop is sent again [s].
-AGAIN = 0.5
 #: Longest time until an override sent by this client is reported by the machine [s].
 ECHO = 10.0
 #: Longest wait for an event [s]. Commands of other threads are sent after it.
@@ -113,9 +113,12 @@ class OperatorClient:
         self._move_axes = node.create_client(MoveAxes, 'move_axes')
         self._beats = node.create_publisher(Jog, 'jog', BEATS)
         self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
-        self._parameters = node.create_client(GetParameters, 'machine_node/get_parameters')
+        self._simulated = Question(
+            node.create_client(GetParameters, 'machine_node/get_parameters'),
+            GetParameters.Request(names=['machine']),
+        )
         self._action = ActionClient(node, RunProgram, 'run_program')
-        node.create_timer(0.5, self._ask_for_machine)
+        self._pending.append(self._knows_machine)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -162,18 +165,12 @@ class OperatorClient:
                 self.waiting = values[WAITING]
                 self.checked = float(values[CHECKED]) if CHECKED in values else None
 
-    def _ask_for_machine(self) -> None:
+    def _knows_machine(self) -> bool:
         """Ask machine_node for the machine that it simulates."""
-        if self.machine or not self._parameters.service_is_ready():
-            return
-
-        def see(answer: Any) -> None:
-            values = answer.result().values
-            if values:
-                self.machine = values[0].string_value
-
-        asked = self._parameters.call_async(GetParameters.Request(names=['machine']))
-        asked.add_done_callback(see)
+        answer = self._simulated.answer()
+        if answer is not None and answer.values:
+            self.machine = answer.values[0].string_value
+        return answer is not None
 
     # Commands -----------------------------------------------------------------------------------
 
@@ -263,23 +260,18 @@ class OperatorClient:
             if not client.service_is_ready():
                 wanted.set_result(Answer(False, f'{name}: no node offers it; start the nodes'))
                 return
-            sent, began = [client.call_async(request)], time.monotonic()
-            self._pending.append(lambda: answered(sent, began))
+            question = Question(client, request, AGAIN if name in STOPS else math.inf)
+            until = time.monotonic() + ANSWER
+            self._pending.append(lambda: answered(question, until))
 
-        def answered(sent: list[Any], began: float) -> bool:
-            waited = time.monotonic() - began
-            answer = next((answer for answer in sent if answer.done()), None)
-            if answer is not None:
-                response = answer.result()
+        def answered(question: Question, until: float) -> bool:
+            response = question.answer()
+            if response is not None:
                 told = f'{name}: {response.message}'
                 wanted.set_result(Answer(response.success, told, response))
-            elif waited > ANSWER:  # a repeated start may be too late
+            elif time.monotonic() > until:  # a repeated start may be too late
+                question.drop()
                 wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
-            elif name in STOPS and waited > AGAIN * len(sent):
-                sent.append(client.call_async(request))
-            if wanted.done():
-                for answer in sent:
-                    client.remove_pending_request(answer)
             return wanted.done()
 
         self._commands.append(send)

@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 
 from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
 from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.client.question import Question
 from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
@@ -59,16 +60,20 @@ class Recorder:
             node.create_subscription(
                 kind, topic, self._writing(topic), listening_to(profile), raw=True
             )
+        self._names = {n: [p.name for p in parameters.NODES[n]] for n in parameters.NODES}
         self._parameters = {
-            name: node.create_client(GetParameters, f'{name}/get_parameters')
-            for name in parameters.NODES
+            name: Question(
+                node.create_client(GetParameters, f'{name}/get_parameters'),
+                GetParameters.Request(names=names),
+            )
+            for name, names in self._names.items()
         }
         self._flush = {
-            name: node.create_client(Trigger, f'{name}/flush') for name in parameters.NODES
+            name: Question(node.create_client(Trigger, f'{name}/flush'), Trigger.Request())
+            for name in parameters.NODES
         }
-        self._asked: dict[str, Any] = {}
         self._known: set[str] = set()
-        self._last: dict[str, Any] = {}  # answers at the end
+        self._flushed: set[str] = set()
         self._executed = 0
         #: Number of executed setpoints that the bag must hold.
         self.wanted = 0
@@ -92,27 +97,24 @@ class Recorder:
 
     def ready(self) -> bool:
         """Ask the nodes for their parameters; tell whether all know that this one listens."""
-        for node, client in self._parameters.items():
-            answer = self._asked.get(node)
-            names = [parameter.name for parameter in parameters.NODES[node]]
-            if answer is None and client.service_is_ready():
-                self._asked[node] = client.call_async(GetParameters.Request(names=names))
-            elif answer is not None and answer.done() and node not in self._known:
-                values = map(parameter_value_to_python, answer.result().values)
-                self._bag.note(node, dict(zip(names, values, strict=True)))
+        for node in self._parameters.keys() - self._known:
+            answer = self._parameters[node].answer()
+            if answer is not None:
+                values = map(parameter_value_to_python, answer.values)
+                self._bag.note(node, dict(zip(self._names[node], values, strict=True)))
                 self._known.add(node)
         return len(self._known) == len(self._parameters)
 
     def complete(self) -> bool:
         """Ask the nodes for what they have collected; tell whether everything is recorded."""
-        for node in self._known - self._last.keys():
-            if self._flush[node].service_is_ready():
-                self._last[node] = self._flush[node].call_async(Trigger.Request())
+        for node in self._missing():
+            if self._flush[node].answer() is not None:
+                self._flushed.add(node)
         return not self._missing() and self._executed >= self.wanted
 
     def _missing(self) -> list[str]:
         """Return the nodes that have not answered at the end yet."""
-        return sorted(n for n in self._known if n not in self._last or not self._last[n].done())
+        return sorted(self._known - self._flushed)
 
     def finish(self, client: OperatorClient) -> None:
         """Write the last messages of all nodes, then close the bag."""

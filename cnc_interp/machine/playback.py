@@ -60,11 +60,12 @@ SPARE_CHUNKS = 4096
 
 
 class Executed(NamedTuple):
-    """Consecutive executed setpoints: their plan, and the number of the first one in the run."""
+    """Consecutive executed setpoints: plan, number of the first in the run, end of the program."""
 
     run_id: RunId
     number: int
     rows: Rows
+    ends: bool
 
 
 class Place(NamedTuple):
@@ -519,13 +520,16 @@ class Playback:
         assert current is not None
         if rows.samples.block[0] > 0 and (self.last is None or self.last.block == 0):
             self._forget_figures()
-        rows = rows.part(0, self._measure(rows.samples, records))
-        if not len(rows):
+        followed = self._measure(rows.samples, records)
+        at_end = not on_tail and not left and followed == len(rows)
+        rows = rows.part(0, followed)
+        if not followed:
             return
         if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
             self.least_buffered = min(self.least_buffered, self.buffer.count + left)
         samples = rows.samples
-        self.executed.append(Executed(current.run_id, self.played, rows))
+        ends = at_end and current.chunk.wait is Wait.END
+        self.executed.append(Executed(current.run_id, self.played, rows, ends))
         self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
         self.played += len(rows)
         self.approach_samples += int(np.sum(samples.block == 0))

@@ -33,10 +33,7 @@ def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]
     """Return the setpoints executed since the last call, numbered through the run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     plans = groupby(stretches, key=lambda executed: executed.run_id)
-    messages = [_executed_of_plan(list(executed), period) for _, executed in plans]
-    if messages:
-        messages[-1].end_of_program = playback.state.completed
-    return messages
+    return [_executed_of_plan(list(executed), period) for _, executed in plans]
 
 
 def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
@@ -56,6 +53,7 @@ def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
         sequences=samples.block.tolist(),
         line_numbers=[line for stretch in executed for line in stretch.rows.lines],
         path_positions=packed(samples.s),
+        end_of_program=executed[-1].ends,
     )
 
 

@@ -12,11 +12,12 @@ from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import NodesUnderTest
 from std_msgs.msg import Float64
 
+from cnc_interp.client.page.tab import INTERRUPTED
 from cnc_interp.nodes import qos
 
 TOKEN = 'a test knows it'
-#: True while the page says that a key did nothing because the page was cut off.
-REFUSED = 'document.body.textContent.includes("the page was cut off")'
+#: True while the page says that a key did nothing because the connection was interrupted.
+REFUSED = f'document.body.textContent.includes("{INTERRUPTED}")'
 
 
 def clean_environment():
@@ -93,14 +94,14 @@ class PanelUnderTest(NodesUnderTest):
         """
         Press a key and see it done.
 
-        A busy computer may cut the page off for some seconds. Then the page must say so, the key
-        must do nothing, and the first press after the contact is back must work.
+        A busy computer may interrupt the connection for some seconds. Then the page must say so,
+        the key must do nothing, and the first press after the contact is back must work.
         """
         tab.click(key)
         self.spin_until(lambda: done() or tab.run(REFUSED))
         if not done():
             tab.wait(lambda: not tab.run(REFUSED))
-            assert not done(), f'{key}: the page was cut off, and the key did something'
+            assert not done(), f'{key}: {INTERRUPTED}, and the key did something'
             tab.click(key)
             self.spin_until(done)
 

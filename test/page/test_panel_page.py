@@ -121,6 +121,8 @@ def hold(panel, tab, program):
     tab.click('feed hold')
     panel.until(MachineState.HELD)
     held = panel.next_state()
+    while not np.allclose(held.positions, held.commanded_positions, rtol=0.0, atol=1e-8):
+        held = panel.next_state()  # the drives come after the last setpoint
     tab.wait(lambda: tab.text('state') == 'held')
     tab.wait(lambda: shows(tab, held))
     line = program.read_text().splitlines()[held.line_number - 1]
@@ -489,7 +491,7 @@ def test_the_page_fits_every_window(panel):
     tab.wait(lambda: tab.run('document.querySelectorAll(".chart canvas").length') == 4)
     for size in ((1366, 768), (1920, 1080), (1366, 768), (390, 844, True), (1366, 768)):
         tab.size(*size)
-        time.sleep(1.0)  # what is drawn follows behind
+        time.sleep(1.0)  # what is drawn follows later
         tab.wait(lambda: tab.run(FITS))
     assert tab.faults == []
 

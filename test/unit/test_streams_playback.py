@@ -391,6 +391,21 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     play.make_room(Q)
 
 
+def test_the_end_of_the_program_is_told_with_its_last_setpoint():
+    play = playback(50)
+    play.begin(P)
+    move = chunks_to([0.02, 0.0, 0.0, 0.0, 0.0])
+    feed(play, move)
+    count = sum(len(chunk.samples) for chunk in move)
+    ends = {}
+    while play.played < count:
+        play.step()
+        for message in executed_setpoints(play, T):
+            ends[message.first_sample] = message.end_of_program
+    assert not play.state.completed  # the cycle rests only in the next period
+    assert ends == {k: k == count - 1 for k in range(count)}
+
+
 def test_figures_of_the_program_leave_the_approach_out():
     play = playback(1)
     fast = chunks_to([0.1, 0.0, 0.0, 0.0, 0.0], Wait.NOTHING)

@@ -28,42 +28,49 @@ class SettingsDialog:
         self._use = use
         self._settings = Settings()
         self._fields: dict[str, Any] = {}
-        with ui.dialog() as self._dialog, ui.card().classes('settings'):
+        self._dialog = ui.dialog()
+
+    def open(self, settings: Settings) -> None:
+        """
+        Show settings to be changed.
+
+        The fields are made anew: values set from here into old ones come a moment after the dialog
+        is seen, and would overwrite what was typed at once.
+        """
+        self._settings = settings
+        self._dialog.clear()
+        with self._dialog, ui.card().classes('settings'):
             ui.label('settings of the next run').classes('title')
             with ui.element('div').classes('fields'):
-                for choice in offered():
-                    self._fields[choice.name] = self._field(choice)
+                texts = filled_in(settings)
+                self._fields = {c.name: self._field(c, texts[c.name]) for c in offered()}
             with ui.element('div').classes('ends'):
                 for text, act in (
-                    ('defaults', lambda: self._fill(Settings())),
+                    ('defaults', self._fill_in_defaults),
                     ('cancel', self._dialog.close),
                     ('use', self._accept),
                 ):
                     button = ui.button(text, on_click=act)
                     button.props(f'dense no-caps unelevated data-mark="{text} settings"')
+        self._dialog.open()
 
     @staticmethod
-    def _field(choice: Choice) -> Any:
+    def _field(choice: Choice, text: str) -> Any:
         """Make the field of a choice, its sentence before it."""
         ui.label(choice.sentence).classes('name')
         field: Any
         if choice.kind is bool:
-            field = ui.switch()
+            field = ui.switch(value=text == 'true')
         elif choice.values:
-            field = ui.select(list(choice.values))
+            field = ui.select(list(choice.values), value=text)
         else:
-            field = ui.input().props(f'suffix="{choice.unit.name}"')
+            field = ui.input(value=text).props(f'suffix="{choice.unit.name}"')
         return field.props(f'dense data-mark="setting {choice.name}"')
 
-    def open(self, settings: Settings) -> None:
-        """Show settings to be changed."""
-        self._fill(settings)
-        self._dialog.open()
-
-    def _fill(self, settings: Settings) -> None:
-        """Fill the fields in."""
-        self._settings = settings
-        for name, text in filled_in(settings).items():
+    def _fill_in_defaults(self) -> None:
+        """Fill the defaults in."""
+        self._settings = Settings()
+        for name, text in filled_in(self._settings).items():
             field = self._fields[name]
             field.set_value(text == 'true' if isinstance(field, ui.switch) else text)
 

@@ -23,6 +23,8 @@ from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.settings.choices import Settings
 
+#: What the page says when it heard nothing for a while, and a key did nothing.
+INTERRUPTED = 'the connection was interrupted'
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
 PACE, CHART_EVERY = 0.1, 4
 #: Largest override, and the step of its keys [%].
@@ -274,10 +276,7 @@ class Page:
     def _in_sight(self) -> bool:
         """Tell whether the page shows what the machine does; say so where it does not."""
         if self._contact.age > LATE:
-            ui.notify(
-                'the connection was interrupted: look at the machine, then press again',
-                type='warning',
-            )
+            ui.notify(f'{INTERRUPTED}: look at the machine, then press again', type='warning')
             return False
         return True
 
@@ -439,7 +438,7 @@ class Page:
             self._slid.set_text(f'{self._desk.nodes.override:.0%}')
 
     def _show_override_again(self) -> None:
-        """Show what counts: what the user did while the page was cut off is lost."""
+        """Show what counts: what the user did while the connection was interrupted is lost."""
         self._shown.pop('override set', None)
         self._slider.update()
 

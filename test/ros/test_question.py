@@ -1,0 +1,88 @@
+"""A request whose answer is lost is asked again, or not, where it must not arrive twice."""
+
+import math
+import threading
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from std_srvs.srv import Trigger
+
+from cnc_interp.client.question import Question
+from cnc_interp.nodes.this_host import stay_on_this_host
+
+
+class LosesAnswers:
+    """A node that takes all requests of ``ask`` and answers from the second on."""
+
+    def __init__(self, context):
+        self.taken = 0
+        self.node = rclpy.create_node('answers', namespace='/questions', context=context)
+        self.node.create_service(Trigger, 'ask', self._answer)
+        self._executor = EventsExecutor(context=context)
+        self._executor.add_node(self.node)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _answer(self, _request, response):
+        self.taken += 1
+        if self.taken == 1:
+            raise LookupError('no answer leaves this node')
+        response.message = str(self.taken)
+        return response
+
+    def _serve(self):
+        while not self._ended.is_set():
+            try:
+                self._executor.spin_once(timeout_sec=0.05)
+            except LookupError:
+                continue
+            except ExternalShutdownException:
+                return
+
+    def close(self):
+        self._ended.set()
+        self._thread.join()
+        self.node.destroy_node()
+
+
+@pytest.fixture
+def ask():
+    """Return a function that asks for so long [s] and returns the answer; and the other node."""
+    stay_on_this_host()
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=91)
+    other = LosesAnswers(context)
+    node = rclpy.create_node('asks', namespace='/questions', context=context)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+
+    def asking(again, seconds):
+        question = Question(node.create_client(Trigger, 'ask'), Trigger.Request(), again)
+        until = time.monotonic() + seconds
+        while question.answer() is None and time.monotonic() < until:
+            executor.spin_once(timeout_sec=0.02)
+        return question.answer()
+
+    yield asking, other
+    other.close()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_a_lost_answer_is_asked_for_again(ask):
+    asking, other = ask
+    assert asking(0.3, 20.0).message == '2'
+    assert other.taken == 2
+
+
+def test_what_must_not_arrive_twice_is_sent_once(ask):
+    asking, other = ask
+    assert asking(math.inf, 3.0) is None
+    assert other.taken == 1

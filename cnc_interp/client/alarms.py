@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -13,6 +16,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 KEPT = 200
 #: Number of earlier alarms that a new one is compared with.
 COMPARED = 8
+#: What several parts of the nodes tell within this time has one reason [s].
+TOGETHER = 5.0
 NUMBER = re.compile(r'\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 
@@ -50,9 +55,19 @@ class Alarm:
 
 
 class AlarmList:
-    """The latest alarms; a repeated one is kept once, with its count."""
+    """
+    The latest alarms; a repeated one is kept once, with its count.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    clock : callable
+        Returns a steady time [s].
+
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._told: dict[str, tuple[str, float]] = {}  # who told a message lately, and when
         self._alarms: deque[Alarm] = deque(maxlen=KEPT)
         self._last: dict[str, tuple[bytes, str]] = {}
         self._cleared: set[Alarm] = set()
@@ -72,12 +87,15 @@ class AlarmList:
         self._cleared = set(self._alarms)
 
     def add(self, level: str, source: str, message: str) -> None:
-        """Add an alarm with the time of day, unless somebody else has just told the same."""
+        """Add an alarm with the time of day, unless it is serious and was just told by another."""
         alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
-        lately = list(self._alarms)[-COMPARED:]
-        if any(before.message == message and before.source != source for before in lately):
+        now = self._clock()
+        told_by, told_at = self._told.get(message, (source, -math.inf))
+        if level != 'notice' and told_by != source and now - told_at < TOGETHER:
             return
-        for before in lately:
+        self._told = {m: told for m, told in self._told.items() if now - told[1] < TOGETHER}
+        self._told[message] = source, now
+        for before in list(self._alarms)[-COMPARED:]:
             if alarm.repeats(before):
                 self._alarms.remove(before)
                 alarm = replace(alarm, count=before.count + 1)

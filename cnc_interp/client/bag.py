@@ -176,7 +176,7 @@ class SpooledMessages(Sequence[Any]):
     Parameters
     ----------
     file : BinaryIO
-        The serialised messages, one behind the other.
+        The serialised messages, one after the other.
     ends : sequence of int
         Where the first one begins, and where each one ends.
     read : callable

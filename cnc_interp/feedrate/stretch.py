@@ -127,7 +127,7 @@ def settle_widths(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
+def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
     """Solve v t + a t^2/2 + j t^3/6 = x for t between two times (Newton with bisection)."""
     t = 0.5 * (low + high)
     for _ in range(80):
@@ -188,7 +188,7 @@ def spread_law(
             if c + 1 == last:
                 duration[c] = total - before
                 continue
-            t = _time_at(s[c + 1] - s[first], v_node[i], a_node[i], j, before, total)
+            t = time_at(s[c + 1] - s[first], v_node[i], a_node[i], j, before, total)
             v[c + 1] = v_node[i] + t * (a_node[i] + t * j / 2)
             a[c + 1] = a_node[i] + t * j
             duration[c] = t - before

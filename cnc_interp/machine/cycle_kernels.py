@@ -19,7 +19,7 @@ from cnc_interp.machine.native import (
     sleep_until,
     time_now,
 )
-from cnc_interp.machine.realtime import CAUGHT_UP, note_lateness
+from cnc_interp.machine.realtime import note_catching_up, note_lateness
 
 #: What the cycle plays.
 REST, CHUNK, TAIL = 0, 1, 2
@@ -172,7 +172,7 @@ def run_periods(memory: Memory, step: int, period: int) -> None:
             sleep_until(due, spec)
             note_lateness(memory.late, time_now(spec) - due)
         else:
-            memory.late[CAUGHT_UP] += 1
+            note_catching_up(memory.late, now - due)
             if now - due > LONGEST_CATCH_UP:
                 due = now
         advance(memory, step)

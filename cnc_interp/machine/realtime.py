@@ -64,6 +64,13 @@ def note_lateness(record: IntArray, late: int) -> None:
     record[LARGEST] = max(record[LARGEST], late)
 
 
+@njit(cache=True, nogil=True)
+def note_catching_up(record: IntArray, late: int) -> None:
+    """Count one period that begins ``late`` [ns] without a wake-up."""
+    record[CAUGHT_UP] += 1
+    record[LARGEST] = max(record[LARGEST], late)
+
+
 class Lateness:
     """
     Histogram of how late a periodic thread woke up; its memory does not grow.

@@ -196,14 +196,28 @@ def test_what_stops_several_parts_is_told_once():
     def said(part, message):
         return DiagnosticStatus(level=DiagnosticStatus.ERROR, name=part, message=message)
 
-    alarms = AlarmList()
+    now = 0.0
+    alarms = AlarmList(lambda: now)
     alarms.hear(said('machine_node: drives', 'emergency stop'))
     alarms.hear(said('machine_node: setpoints', 'emergency stop'))
     alarms.add('error', 'program', 'emergency stop')
     assert [a.source for a in alarms.history] == ['machine_node: drives']
-    for message in ('running', 'emergency stop'):
-        alarms.hear(said('machine_node: drives', message))
-    assert [a.count for a in alarms.history] == [2, 1]
+    # The next stop is told by somebody else, whatever was told before.
+    alarms.clear()
+    now = 10.0
+    alarms.add('error', 'program', 'emergency stop')
+    alarms.hear(said('machine_node: drives', 'running'))
+    assert [a.source for a in alarms.newest_first] == ['machine_node: drives', 'program']
+    now = 20.0
+    alarms.hear(said('machine_node: drives', 'emergency stop'))
+    assert alarms.newest_first[0].source == 'machine_node: drives'
+
+
+def test_two_programs_get_the_same_notice_each():
+    alarms = AlarmList()
+    alarms.add('notice', 'one.ngc', 'M8: no effect')
+    alarms.add('notice', 'two.ngc', 'M8: no effect')
+    assert [a.source for a in alarms.history] == ['two.ngc', 'one.ngc']
 
 
 def test_a_program_that_is_refused_marks_its_line(tmp_path):

@@ -14,14 +14,12 @@ import json
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
 
 from cnc_interp.client.operator_client import STOPS
 
-SCRIPT = Path(__file__).with_name('contact.js')
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].
 BEAT, LATE = 0.5, 5.0
 #: A page whose last answer is older is behind: it is shown nothing until it has caught up [s].
@@ -50,11 +48,6 @@ class Contact:
         ui.on('heard', self._hear)
         ui.on('stop', self._stop)
         ui.timer(BEAT, self._beat)
-
-    @staticmethod
-    def script() -> str:
-        """Return the script of the page's side, for the head of the page."""
-        return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
 
     @property
     def age(self) -> float:

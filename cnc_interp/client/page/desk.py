@@ -127,7 +127,7 @@ class Desk:
         self.settings = Settings()
         self.single_block = self.optional_stop = False
         self.tube, self.tube_number = b'', 0
-        self.tube_rows = np.zeros(0, dtype=int)
+        self._drawn = np.zeros(0)  # path lengths at the points of the tube [m]
         self._jobs = 0
         self._planner: Planner | None = None
         self._running: Job | None = None
@@ -172,10 +172,7 @@ class Desk:
 
     def drawn_until(self, s: float) -> int:
         """Return the number of the drawn point that lies before a path length [m]."""
-        plan = self.job.plan if self.job is not None else None
-        if plan is None:
-            return 0
-        return max(0, int(np.searchsorted(plan.s[self.tube_rows], s, side='right')) - 1)
+        return max(0, int(np.searchsorted(self._drawn, s, side='right')) - 1)
 
     def feeds(self, state: MachineState) -> tuple[float, float]:
         """Return programmed feed and limit of the axes where the machine is; NaN if unknown."""
@@ -281,9 +278,10 @@ class Desk:
             return
         size = float(np.ptp(plan.tip, axis=0).max())
         radius = max(size, 0.02) / 250
-        self.tube, self.tube_rows = await asyncio.to_thread(
+        self.tube, drawn = await asyncio.to_thread(
             tube, plan.tip, plan.feed, plan.usual_feed, radius
         )
+        self._drawn = plan.s[drawn]
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
         for notice in plan.notices:

@@ -1,9 +1,9 @@
 """
 The pad of a page that moves axes by hand: while a key is held, or by steps.
 
-The browser repeats a beat while a key is held (``jog.js``), and each one becomes a beat of topic
-``jog``. It names the last beat of the server that the page has heard. So a beat that was on its
-way for long is known, and does not count.
+The browser repeats a beat while a key is held (``jog_pad.js``), and each one becomes a beat of
+topic ``jog``. It names the last beat of the server that the page has heard. So a beat that was on
+its way for long is known, and does not count.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable
-from pathlib import Path
 
 from cnc_interp_msgs.msg import Jog
 from cnc_interp_msgs.srv import MoveAxes
@@ -23,7 +22,6 @@ from cnc_interp.core.units import MM
 from cnc_interp.kinematics.axes import Axis
 from cnc_interp.kinematics.machine import Machine
 
-SCRIPT = Path(__file__).with_name('jog.js')
 #: Arrow keys of the keyboard: axis and direction.
 ARROWS = {
     'ArrowLeft': ('X', -1), 'ArrowRight': ('X', 1), 'ArrowDown': ('Y', -1), 'ArrowUp': ('Y', 1),
@@ -37,12 +35,6 @@ HOLD, STEPS = 'hold', ('0.01', '0.1', '1', '10')
 SPEED, LEAST_SPEED = 20, 1
 #: A beat that names an older beat of the server was on its way for too long [s].
 STALE = 1.2
-
-
-def script() -> str:
-    """Return the script of the page's side, for the head of the page."""
-    text = SCRIPT.read_text(encoding='utf-8').replace('ARROWS', json.dumps(ARROWS), 1)
-    return f'<script>{text}</script>'
 
 
 def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:

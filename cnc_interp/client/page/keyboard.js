@@ -1,7 +1,7 @@
 // The keyboard of the page: what keyboard.py lists. A key that moves the machine is never pressed by
 // space or Enter, which act on whatever was pressed last.
 window.keyboard = {
-  names: KEYS,
+  names: MARKS,
   typing: (element) => element.closest('input, textarea, select, [contenteditable], .q-dialog'),
   press(event) {
     const space = event.key === ' ' || event.key === 'Enter';

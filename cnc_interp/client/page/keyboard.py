@@ -7,10 +7,6 @@ neither space nor Enter presses a key that moves the machine.
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
-SCRIPT = Path(__file__).with_name('keyboard.js')
 #: What the browser calls a key; what is printed on it; the key of the page.
 KEYBOARD = (
     ('F1', 'F1', 'EMERGENCY STOP'),
@@ -22,6 +18,8 @@ KEYBOARD = (
     ('j', 'J', 'jog'),
     ('?', '?', 'keyboard'),
 )
+#: Names of keys, as the browser calls them, and the keys of the page.
+MARKS = {name: mark for name, _, mark in KEYBOARD}
 #: What is shown beside a key of the page that does not say it itself.
 MEANINGS = {
     'slower': 'feed override 5 % less',
@@ -30,10 +28,3 @@ MEANINGS = {
     'jog': 'show or hide the keys that move an axis',
     'keyboard': 'show or hide this list',
 }
-
-
-def script() -> str:
-    """Return the script of the page's side, for the head of the page."""
-    marks = {name: mark for name, _, mark in KEYBOARD}
-    text = SCRIPT.read_text(encoding='utf-8').replace('KEYS', json.dumps(marks), 1)
-    return f'<script>{text}</script>'

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from nicegui import ui
 
 from cnc_interp.client.page.desk import Job
-
-SCRIPT = Path(__file__).with_name('listing.js')
-
-
-def script() -> str:
-    """Return the script of the page's side, for the head of the page."""
-    return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
 
 
 class Listing:

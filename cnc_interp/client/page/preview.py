@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,7 @@ class Preview:
         """Length of the path [m]."""
         return float(self.s[-1])
 
-    @property
+    @cached_property
     def usual_feed(self) -> float:
         """The largest planned feed outside of rapids; of all where there are only rapids [m/s]."""
         cutting = self.feed[~self.rapid]

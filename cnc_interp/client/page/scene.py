@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -33,22 +34,6 @@ TRIAD = {'X': '#ff6b6b', 'Y': '#5fd38d', 'Z': '#5aa9e6'}
 TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006
 #: Part of the path that is executed already.
 DONE = '#5d6d79'
-#: Gives the executed part of the path its own colour.
-SHOW_DONE = """(() => {
-  const path = getElement(SCENE).objects.get('OBJECT')?.mesh;
-  path?.traverse(part => {
-    if (!part.isMesh) return;
-    if (!Array.isArray(part.material)) {
-      const done = part.material.clone();
-      done.vertexColors = false;
-      done.color.set('COLOUR');
-      part.material = [done, part.material];
-    }
-    part.geometry.clearGroups();
-    part.geometry.addGroup(0, COUNT, 0);
-    part.geometry.addGroup(COUNT, Infinity, 1);
-  });
-})()"""
 RAY, RAY_COLOUR = 0.14, '#ffd166'
 FOV = 40.0
 #: What the view of the part leaves out.
@@ -152,14 +137,8 @@ class MachineView:
         if self._path is None or point == self._done:
             return
         self._done = point
-        words = {
-            'SCENE': str(self._scene.id), 'OBJECT': str(self._path.id), 'COLOUR': DONE,
-            'COUNT': str(3 * FACES * point),
-        }  # fmt: skip
-        script = SHOW_DONE
-        for name, value in words.items():
-            script = script.replace(name, value)
-        ui.run_javascript(script)
+        words = self._scene.id, self._path.id, DONE, 3 * FACES * point
+        ui.run_javascript(f'scene.show_done({", ".join(map(json.dumps, words))})')
 
     def _show_triad(self) -> None:
         """Show the axes of the workpiece at its zero, as large as the path asks for."""

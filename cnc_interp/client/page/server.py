@@ -13,19 +13,18 @@ from urllib.parse import quote
 from fastapi import HTTPException, Request, Response
 from nicegui import app, ui
 
-from cnc_interp.client.page import jog_pad, keyboard, listing
 from cnc_interp.client.page.access import Access, TooManyTriesError
 from cnc_interp.client.page.command import PARENT
-from cnc_interp.client.page.contact import Contact
 from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.client.page.gate import Gate
+from cnc_interp.client.page.scripts import scripts
 from cnc_interp.client.page.tab import Page
 from cnc_interp.core.errors import InterpError
 
 STYLE = Path(__file__).with_name('style.css')
 #: How often the desk looks after programs and the machine's name [s].
 WATCH = 0.2
-#: A page that was cut off finds its place again within this time [s].
+#: A page whose connection was interrupted finds its place again within this time [s].
 RECONNECT = 20.0
 PORTS = range(65536)
 
@@ -86,8 +85,7 @@ def serve(served: Served, namespace: str, domain: int) -> None:
     async def page(request: Request, token: str = '') -> None:
         trusted = opens(access, request, token)
         ui.add_css(STYLE)
-        for script in (Contact.script(), listing.script(), keyboard.script(), jog_pad.script()):
-            ui.add_head_html(script)
+        ui.add_head_html(scripts())
         ui.dark_mode(True)
         await ui.context.client.connected()
         await shown_when_known(desk)

@@ -60,6 +60,13 @@ DRAWN_AS_DONE = """(() => {
 })()"""
 
 
+#: What the field of the contour tolerance holds.
+TOLERANCE = """(() => {
+  const mark = document.querySelector('[data-mark="setting contour_tolerance"]');
+  return (mark?.matches('input') ? mark : mark?.querySelector('input'))?.value;
+})()"""
+
+
 @pytest.fixture(scope='module')
 def running():
     panel = PanelUnderTest()
@@ -161,9 +168,16 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
     tab.wait(lambda: tab.text('programmed') == '2000')
     assert tab.text('status') == 'planned', 'the page knows the run as its own'
     stop_and_reset(panel, tab)
-    for key in ('settings', 'defaults settings', 'use settings'):
-        tab.click(key)
+    tab.click('settings')
+    tab.wait(lambda: tab.run(TOLERANCE) == '0.1')
+    tab.click('defaults settings')
+    tab.wait(lambda: tab.run(TOLERANCE) == '0.02')
+    tab.click('use settings')
     tab.wait(lambda: tab.text('status') == 'planned')
+    panel.begin(tab)
+    told = {pair.key: pair.value for pair in panel.loaded[-1].settings}
+    assert float(told['contour_tolerance']) == pytest.approx(2e-5)
+    stop_and_reset(panel, tab)
 
 
 def test_a_program_is_operated_from_the_page(panel, long_program, short_program):

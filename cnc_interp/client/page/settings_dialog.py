@@ -46,7 +46,7 @@ class SettingsDialog:
                 self._fields = {c.name: self._field(c, texts[c.name]) for c in offered()}
             with ui.element('div').classes('ends'):
                 for text, act in (
-                    ('defaults', self._fill_in_defaults),
+                    ('defaults', lambda: self.open(Settings())),
                     ('cancel', self._dialog.close),
                     ('use', self._accept),
                 ):
@@ -66,13 +66,6 @@ class SettingsDialog:
         else:
             field = ui.input(value=text).props(f'suffix="{choice.unit.name}"')
         return field.props(f'dense data-mark="setting {choice.name}"')
-
-    def _fill_in_defaults(self) -> None:
-        """Fill the defaults in."""
-        self._settings = Settings()
-        for name, text in filled_in(self._settings).items():
-            field = self._fields[name]
-            field.set_value(text == 'true' if isinstance(field, ui.switch) else text)
 
     async def _accept(self) -> None:
         """Hand the settings over, or say which field is wrong."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.limit_table import limits_along
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate
@@ -14,12 +15,13 @@ PERIOD = 1e-3
 
 def share_active(planned: PlannedPiece, limits: AxisLimits, level: float = 0.99) -> float:
     """Share of the samples at which the largest use of all limits and of F reaches ``level``."""
-    law, path, table = planned.law, planned.path, limit_table(limits)
+    law, path = planned.law, planned.path
     time = np.arange(law.time[0], law.end_time, PERIOD)
     piece = law.piece_at(time)
     s, v, a, j = law.evaluate(time, piece)
     cell = law.cell[piece]
-    _, q1, q2, q3 = evaluate(path, s, cell)
+    q, q1, q2, q3 = evaluate(path, s, cell)
+    table = limits_along(limit_table(limits), q)
     use = np.maximum.reduce(
         [
             (np.abs(q1 * v[:, None]) / table[0]).max(axis=1),
@@ -38,5 +40,4 @@ def largest_use(planned: PlannedPiece, limits: AxisLimits) -> float:
     """Largest use of any limit by first, second and third differences of the setpoints."""
     time = np.arange(-BEFORE, np.ceil(planned.law.end_time / PERIOD) + 5) * PERIOD
     q = evaluate(planned.path, planned.law.evaluate(time)[0])[0]
-    largest = largest_differences(limit_table(limits), PERIOD)
-    return float(np.abs(limit_shares(q - q[0], largest)).max())
+    return float(np.abs(limit_shares(q, limit_table(limits), PERIOD)).max())

@@ -30,7 +30,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, waves
 
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.limit_table import constant_table
 from cnc_interp.nodes import qos
 
 #: Corners and turns that take a minute.
@@ -92,7 +93,7 @@ class LongRun(NodesUnderTest):
         nodes = dict.fromkeys(('lookahead_node', 'feedrate_node'), own)
         nodes['program_node'] = own | {'program_folders': "['/']"}
         super().__init__(nodes | {'machine_node': own | clock})
-        self._largest = largest_differences(np.array(LIMITS), period)
+        self._table, self._period = constant_table(np.array(LIMITS)), period
         self.run = ''
         self._looks: list[tuple[float, dict[str, float]]] = []
         self.clock: dict[str, str] = {}
@@ -127,7 +128,9 @@ class LongRun(NodesUnderTest):
         q = np.reshape(chunk.positions, (-1, 5))
         before = q[:1].repeat(BEFORE, 0) if self._last is None else self._last
         held = np.concatenate([before, q])
-        self.use = np.maximum(self.use, np.abs(limit_shares(held, self._largest)).max(axis=1))
+        self.use = np.maximum(
+            self.use, np.abs(limit_shares(held, self._table, self._period)).max(axis=1)
+        )
         self._last = held[-BEFORE:]
 
     def _see_clock(self, array: DiagnosticArray) -> None:

@@ -31,6 +31,7 @@ import casadi
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import PLACE
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import (
@@ -188,7 +189,7 @@ def solve(
     jerk = np.diff(a) / duration
     scale = np.array([v.max(), np.abs(a).max(), np.abs(jerk).max() / 3])
 
-    table = limit_table(limits)
+    table = limit_table(limits)[:PLACE, :, 0]
     feed = np.minimum(grid.cell_feed, 100.0)
     nodes, inside = casadi.MX.sym('nodes', 2, n + 1), casadi.MX.sym('inside', 3, n)
     cells = cell_function(n_axes).map(n)

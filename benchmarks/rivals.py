@@ -15,6 +15,7 @@ from toppra.constraint import DiscretizationType, JointAccelerationConstraint, L
 from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import PLACE, constant_table
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.feedrate.window import plan_path
@@ -84,7 +85,9 @@ def toppra_law(path: AxisPath, table: FloatArray) -> FloatArray | None:
     Returns s_dot^2 at the grid points, shape (N,) [m2/s2]; None if toppra finds no solution.
     """
     h = np.diff(path.s)
-    fast = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, table)[:, 0]
+    fast = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, constant_table(table))[
+        :, 0
+    ]
     cap = np.minimum(np.append(fast, FASTEST), np.append(FASTEST, fast))
     rows = JointAccelerationConstraint(
         np.column_stack([-table[1], table[1]]), DiscretizationType.Collocation
@@ -117,7 +120,7 @@ def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float
         good, bad, best = 1e-6, 1.0, math.nan
         while bad / good > 1.02:
             middle = math.sqrt(good * bad)
-            table = limit_table(limits)
+            table = limit_table(limits)[:PLACE, :, 0].copy()
             table[1] *= middle
             squared = toppra_law(grid, table)
             kept = False
@@ -152,7 +155,7 @@ def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4)
     import copp_py as copp
 
     total, computing, worst = 0.0, 0.0, -math.inf
-    table = limit_table(limits)
+    table = limit_table(limits)[:PLACE, :, 0]
     options = copp.clarabel.ClarabelOptions(allow_insufficient_progress=True)
     for stretch in stretches(path):
         motion = plan_path(stretch, limits).law

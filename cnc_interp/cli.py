@@ -15,9 +15,12 @@ from cnc_interp.command_options import BAD_INPUT, FINE
 from cnc_interp.commands.bags import add_bag_commands
 from cnc_interp.commands.check import add_check_command, add_report_command
 from cnc_interp.commands.convert import add_convert_command
+from cnc_interp.commands.home import add_home_command
 from cnc_interp.commands.jog import add_jog_command
+from cnc_interp.commands.mdi import add_mdi_command
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
+from cnc_interp.commands.setup import add_setup_commands
 from cnc_interp.commands.urdf import add_urdf_command
 from cnc_interp.core.errors import InterpError
 
@@ -76,6 +79,9 @@ def parser() -> argparse.ArgumentParser:
     add_report_command(commands)
     add_panel_command(commands)
     add_jog_command(commands)
+    add_setup_commands(commands)
+    add_home_command(commands)
+    add_mdi_command(commands)
     add_urdf_command(commands)
     add_bag_commands(commands)
     add_cam_commands(commands)

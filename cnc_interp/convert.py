@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from cnc_interp.convert_joins import Joins
 from cnc_interp.convert_splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
@@ -66,7 +67,12 @@ class Converted:
 
 
 def convert(
-    program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float
+    program: Program,
+    machine: Machine,
+    settings: Settings,
+    to: str,
+    fit_tolerance: float,
+    slide: bool = False,
 ) -> Converted:
     """
     Write a program in another dialect.
@@ -83,6 +89,8 @@ def convert(
         The dialect.
     fit_tolerance : float
         Largest distance of cubic curves from the smooth path [m].
+    slide : bool
+        Whether native curves are first joined by parametrization splines (``convert_joins.py``).
 
     Returns
     -------
@@ -102,9 +110,15 @@ def convert(
             'converted',
             program.source,
         )
+    if slide and to != 'siemens-bspline':
+        raise ProgramError('only --to siemens-bspline has curves to join', program.source)
     try:
         if to == 'siemens-bspline':
-            return _siemens(program, transform, settings, fit_tolerance)
+            joins = Joins(settings.flank_height, fit_tolerance, settings.septic)
+            if slide:
+                program = replace(program, blocks=joins.joined(program.blocks))
+            made = _siemens(program, transform, settings, fit_tolerance)
+            return replace(made, notes=[*joins.notes(), *made.notes]) if slide else made
         blocks = with_chords(program.blocks, settings.flank_height)
         if to == 'gcode':
             return _gcode(blocks, transform)

@@ -28,6 +28,7 @@ ARGUMENTS = (
     ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('program_folder', '', 'Programs below this folder may be run by their path.'),
+    ('setup', '', 'File in which offsets and tools of the machine are kept.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),
     ('rviz', 'false', 'Also start RViz; needs show:=true.'),
@@ -44,6 +45,7 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
     }
     if name == 'program_node':
         folders = ["['", LaunchConfiguration('program_folder'), "']"]
+        values['setup'] = ParameterValue(LaunchConfiguration('setup'), value_type=str)
         values['program_folders'] = ParameterValue(folders, value_type=list[str])
     return Node(
         package='cnc_interp',

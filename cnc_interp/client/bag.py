@@ -16,6 +16,7 @@ from cnc_interp_msgs.msg import (
     MachineState,
     PathSegmentBatch,
     SetpointChunk,
+    SetupTable,
     StreamStatus,
 )
 from diagnostic_msgs.msg import DiagnosticArray
@@ -44,6 +45,7 @@ from cnc_interp.nodes.message_seal import opened
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'loaded_program': (LoadedProgram, qos.LOADED),
+    'setup_table': (SetupTable, qos.LOADED),
     'blocks': (G1Block, qos.STREAM),
     'block_batches': (G1BlockBatch, qos.STREAM),
     'segments': (PathSegmentBatch, qos.STREAM),

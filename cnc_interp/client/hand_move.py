@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,8 @@ from cnc_interp.kinematics.machine import Machine
 
 #: Longest wait for the nodes [s].
 PATIENCE = 10.0
+#: Homing has ended where the axes rest for so long [s].
+SETTLED = 1.0
 #: Nearer than this to its target, a move has arrived [m, rad].
 THERE = 1e-6
 
@@ -62,6 +65,32 @@ class Ended:
         }
 
 
+def await_machine(
+    client: OperatorClient,
+    namespace: str,
+    domain: int,
+    ready: Callable[[], bool] = lambda: True,
+) -> Machine:
+    """
+    Wait for the machine, and for what else must be there; return which machine it is.
+
+    Raises
+    ------
+    InterpError
+        If no machine answers.
+
+    """
+    until = time.monotonic() + PATIENCE
+    while not (client.machine and client.state is not None and client.can_move and ready()):
+        if time.monotonic() > until:
+            raise InterpError(
+                f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '
+                'start the nodes, or name their --domain and --namespace'
+            )
+        client.serve()
+    return Machine.load(client.machine)
+
+
 def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
     """
     Move axes of a running machine and wait for the end; Ctrl-C stops them.
@@ -75,15 +104,7 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)
     with OperatorClient('jog', namespace, domain) as client:
-        until = time.monotonic() + PATIENCE
-        while not (client.machine and client.state is not None and client.can_move):
-            if time.monotonic() > until:
-                raise InterpError(
-                    f'no machine_node answers in ROS domain {domain}, namespace {namespace}; '
-                    'start the nodes, or name their --domain and --namespace'
-                )
-            client.serve()
-        machine = Machine.load(client.machine)
+        machine = await_machine(client, namespace, domain)
         request = MoveAxes.Request(relative=wanted.relative, speed=wanted.speed)
         request.tool = wanted.tool * MM
         for name, value in wanted.values.items():
@@ -93,13 +114,61 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
                 )
             request.axes.append(name)
             request.values.append(value * machine.axis(name).shown_size)
-        try:
+        with held_at_interrupt(client):
             return _followed(client, machine, request)
-        except KeyboardInterrupt:
-            answer = client.trigger('feed_hold')
-            while not answer.done():
+
+
+def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
+    """
+    Home axes of a running machine, all where none is named; Ctrl-C stops them.
+
+    Returns
+    -------
+    list of str
+        The axes that are not homed at the end.
+
+    Raises
+    ------
+    InterpError
+        If no machine answers, or it refuses.
+
+    """
+    domain = domain_of_nodes(domain)
+    check_place(namespace, domain)
+    with OperatorClient('home', namespace, domain) as client:
+        machine = await_machine(client, namespace, domain)
+        answer = client.home(axes)
+        while not answer.done():
+            client.serve()
+        if not answer.result().ok:
+            raise InterpError(answer.result().message)
+        wanted = set(axes or machine.homing.switches)
+        rest_since = time.monotonic()
+        with held_at_interrupt(client):
+            while True:
                 client.serve()
-            raise
+                state = client.state
+                assert state is not None
+                known = dict(zip(machine.axis_names, state.homed, strict=True))
+                missing = [
+                    name for name in machine.axis_names if name in wanted and not known[name]
+                ]
+                if state.state == MachineState.JOGGING and not client.silent:
+                    rest_since = time.monotonic()
+                elif not missing or time.monotonic() - rest_since > SETTLED:
+                    return missing
+
+
+@contextmanager
+def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
+    """Hold the axes where Ctrl-C ends what is done here."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        answer = client.trigger('feed_hold')
+        while not answer.done():
+            client.serve()
+        raise
 
 
 def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:

@@ -6,15 +6,15 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState
-from cnc_interp_msgs.srv import MoveAxes
+from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState, ModalState
+from cnc_interp_msgs.srv import Home, MoveAxes
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
@@ -102,15 +102,18 @@ class OperatorClient:
         self.waiting = ''
         self.checked: float | None = None
         self.program: LoadedProgram | None = None
+        self.modes: ModalState | None = None  # of the lines by hand
         self._override = SharedValue(1.0, ECHO)
         self.machine = ''
         self._on_state = on_state
         node.create_subscription(MachineState, 'machine_state', self._see_state, STATE)
         node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
+        node.create_subscription(ModalState, 'modal_state', self._see_modes, LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
         self._move_axes = node.create_client(MoveAxes, 'move_axes')
+        self._home = node.create_client(Home, 'home')
         self._beats = node.create_publisher(Jog, 'jog', BEATS)
         self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
         self._simulated = Question(
@@ -132,9 +135,12 @@ class OperatorClient:
     def silent_for(self, patience: float) -> str:
         """Return the name of a node that has not been heard for so long [s]; empty if none."""
         missing = self.peers.missing(time.monotonic(), patience)
-        if not missing and not self._action.server_is_ready():
-            return 'program_node'
-        return missing
+        return missing if missing or self.takes_programs else 'program_node'
+
+    @property
+    def takes_programs(self) -> bool:
+        """Tell whether program_node is there."""
+        return bool(self._action.server_is_ready())
 
     @property
     def silent(self) -> str:
@@ -148,6 +154,9 @@ class OperatorClient:
 
     def _see_program(self, message: LoadedProgram) -> None:
         self.program = message
+
+    def _see_modes(self, message: ModalState) -> None:
+        self.modes = message
 
     def _see_state(self, state: MachineState) -> None:
         self._override.hear(state.feed_override)
@@ -191,6 +200,14 @@ class OperatorClient:
         """Move axes by hand; the answer carries the response of the service."""
         return self._call(self._move_axes, request, 'move_axes')
 
+    def ask(self, client: Any, request: Any, name: str) -> Future[Answer]:
+        """Call a service by a client of this node; it is sent once."""
+        return self._call(client, request, name)
+
+    def home(self, axes: Sequence[str] = ()) -> Future[Answer]:
+        """Home axes, all where none is named; answered when it has begun."""
+        return self._call(self._home, Home.Request(axes=list(axes)), 'home')
+
     def beat(self, message: Jog) -> None:
         """Send a beat of a motion by hand."""
         self._commands.append(lambda: self._beats.publish(message))
@@ -232,7 +249,7 @@ class OperatorClient:
             self.alarms.add('notice' if good else 'error', 'program', result.message)
 
         def send() -> None:
-            if not self._action.server_is_ready():
+            if not self.takes_programs:
                 wanted.set_result(Answer(False, 'program_node does not answer; start it'))
                 return
             sent = self.run(goal, see_result)
@@ -245,6 +262,27 @@ class OperatorClient:
 
         self._commands.append(send)
         return wanted
+
+    def give_line(self, text: str) -> Future[Answer]:
+        """Have a line by hand (MDI) executed; answered at its end."""
+        wanted: Future[Answer] = Future()
+
+        def see_result(result: RunProgram.Result) -> None:
+            good = result.code == RunProgram.Result.SUCCEEDED
+            wanted.set_result(Answer(good, result.message, result))
+
+        def send() -> None:
+            if self.takes_programs:
+                self.run(RunProgram.Goal(text=text, mdi=True), see_result)
+            else:
+                wanted.set_result(Answer(False, 'program_node does not answer; start it'))
+
+        self._commands.append(send)
+        return wanted
+
+    def cancel_lines(self) -> None:
+        """Stop what was begun by ``give_line``."""
+        self._commands.extend(sent.cancel for sent in list(self._sent) if sent.goal.mdi)
 
     def cancel_waiting(self) -> int:
         """Cancel the waiting programs sent by this client and return their number."""

@@ -14,14 +14,17 @@ from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
 from cnc_interp.client.bag import Bag
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.axis_path import AxisPath, refine
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.run.chunk import part_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
+from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.message_checks import check_setpoints
@@ -56,6 +59,8 @@ class RecordedRun:
         What the machine executed; a run may be longer than the memory.
     largest_override : float
         Largest feed override of the run, at least 1 [-].
+    setup : str
+        Offsets and tools that it started with, as the text of a setup file; empty for none.
 
     """
 
@@ -66,6 +71,7 @@ class RecordedRun:
     segments: list[PathSegment]
     chunks: Sequence[SetpointChunk]
     largest_override: float
+    setup: str = ''
 
     @property
     def flank_height(self) -> float:
@@ -121,6 +127,28 @@ class RecordedRun:
             if path is not None:
                 yield path
 
+    def start_row(self, machine: Machine, blocks: Blocks) -> int:
+        """
+        Return the row of ``blocks`` with which the run started; 1 for a run from the top.
+
+        It is the row that begins nearest to the place on the path where the approach ended.
+        """
+        settings, first = self.settings, self.blocks[0]
+        if not settings.from_line:
+            return 1
+        for path in self.paths(machine):
+            if path.s[-1] > first.continue_at:
+                cell = int(np.searchsorted(path.s, first.continue_at, side='right')) - 1
+                near = path.cell_block[max(cell, 0)] + np.arange(-BATCH, BATCH)
+                near = near[(near >= 1) & (near < len(blocks))]
+                q = evaluate(path, np.array([first.continue_at]))[0]
+                tip, axis = Transform.of(machine).forward(q)
+                off = np.linalg.norm(blocks.tip[near - 1] - tip, axis=1)
+                off += self.flank_height * np.linalg.norm(blocks.axis[near - 1] - axis, axis=1)
+                beside = np.abs(near - path.cell_block[cell])
+                return int(near[np.lexsort((beside, off.round(9)))[0]])
+        return 1
+
 
 def recorded_run(bag: Bag) -> RecordedRun:
     """
@@ -137,10 +165,14 @@ def recorded_run(bag: Bag) -> RecordedRun:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
     last = run_id_of(executed[-1])
     names = {m.program_id: m.name for m in bag.messages('loaded_program')}
+    tables: dict[str, str] = {}
+    for table in bag.messages('setup_table'):  # the first one of a run is that of its start
+        tables.setdefault(table.program_id, table.text)
     states = (m for m in bag.messages('machine_state') if m.program_id == last.program_id)
     return RecordedRun(
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
+        setup=tables.get(last.program_id, ''),
         machine=str(bag.parameters.get('machine_node.machine', '')),
         blocks=stream_of(bag, 'blocks', last),
         segments=stream_of(bag, 'segments', last),
@@ -206,17 +238,32 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
     """
     way = ExecutedWay(run.setpoints(machine), run.period)
-    with PlanWriter(directory, machine, run.settings) as writer:
-        writer.blocks(blocks_from(run.blocks))
+    settings, blocks = run.settings, blocks_from(run.blocks)
+    row = run.start_row(machine, blocks)
+    start = StartLine(settings.from_line, settings.line_pass, run.name, row)
+    finder = StartFinder(Transform.of(machine), run.flank_height, start)
+    with PlanWriter(directory, machine, settings) as writer:
+        writer.blocks(finder.blocks(blocks))
         for first in range(0, len(run.segments), BATCH):
-            writer.segments(segments_from(run.segments[first : first + BATCH]))
-        for path in run.paths(machine):
+            segments = segments_from(run.segments[first : first + BATCH])
+            writer.segments(finder.segments(segments))
+        for path in executed_paths(run.paths(machine), finder):
             way.advance(float(path.s[0]), float(path.s[-1]))
             fine = refine(path, grid_points(path, way.some()))
             writer.path(fine, way.feed(fine.s[:-1]))
         for samples in run.setpoints(machine):
-            writer.setpoints(samples)
-        return writer.finish(run.name, {}, run.largest_override)
+            writer.setpoints(finder.setpoints(samples))
+        if row > 1:
+            block = StartBlock(settings.from_line, row, 1, settings.line_pass, ())
+            writer.figures.start = finder.place(block)
+        return writer.finish(run.name, {}, run.largest_override, run.setup)
+
+
+def executed_paths(paths: Iterable[AxisPath], finder: StartFinder) -> Iterator[AxisPath]:
+    """Yield the parts of a path from where the run started."""
+    for path in paths:
+        if (executed := finder.path(path)) is not None:
+            yield executed
 
 
 class ExecutedWay:

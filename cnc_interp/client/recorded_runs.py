@@ -21,8 +21,8 @@ from cnc_interp.nodes.node_processes import Children
 def run_recorded(
     request: RunRequest,
     machine: Machine,
+    client: OperatorClient,
     children: Children,
-    place: tuple[str, int],
     started: float,
     attended: bool,
 ) -> list[RunResult]:
@@ -35,10 +35,10 @@ def run_recorded(
         What shall be run, and what is wanted of it.
     machine : Machine
         The machine of the nodes.
+    client : OperatorClient
+        Speaks with the nodes.
     children : Children
         Processes of the nodes.
-    place : tuple
-        ROS namespace and domain.
     started : float
         When the command began, in monotonic time [s].
     attended : bool
@@ -51,7 +51,7 @@ def run_recorded(
 
     """
     with bag_folder(request) as folder:
-        with OperatorClient('run', *place) as client, ExitStack() as records:
+        with ExitStack() as records:
             recorder = None
             if folder is not None:
                 topics = NEEDED if request.record is None else TOPICS

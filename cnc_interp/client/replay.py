@@ -134,7 +134,9 @@ def _compare_run(
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
         float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
-        float(told[0].s[0]) if goes_on else math.nan, followed,
+        _place(float(told[0].s[0]), float(blocks[0].continue_at)) if goes_on else math.nan,
+        followed, float(bag.parameters.get('feedrate_node.retract', Settings.retract)),
+        float(bag.parameters.get('feedrate_node.plunge_feed', Settings.plunge_feed)),
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)
@@ -158,6 +160,11 @@ def _compare_run(
             replace(run_id, plan=plan), len(samples), _same(samples, again),
             _difference(samples, again), len(set(overrides)) > 1,
         )  # fmt: skip
+
+
+def _place(s: float, continue_at: float) -> float:
+    """Return where an attempt went on [m]: where it began, or after the approach to there."""
+    return s if s > 0.0 else continue_at
 
 
 def own_settings(bag: Bag) -> Settings:

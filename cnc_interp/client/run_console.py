@@ -34,6 +34,7 @@ STOP_TEXTS = {
     MachineState.REASON_PROGRAM_STOP: 'program stop',
     MachineState.REASON_OPTIONAL_STOP: 'optional stop',
     MachineState.REASON_SINGLE_BLOCK: 'single block',
+    MachineState.REASON_APPROACH: 'the way to the path is ready: retract, position, plunge',
 }
 #: Silence after which a node counts as lost [s].
 SILENCE = 1.0
@@ -167,20 +168,25 @@ class RunConsole:
         )
 
     def _wait_for_nodes(self) -> None:
-        """Wait until all four nodes answer and the recorder receives from all of them."""
-        recorder = self._recorder
+        """
+        Wait until program_node takes programs; it waits for the others while it checks one.
 
-        def recording() -> bool:
-            return recorder is None or recorder.ready()
+        A recorder must receive from all of them before anything moves.
+        """
+        recorder = self._recorder
+        if recorder is None:
+            if not self._spin(lambda: self._client.takes_programs, START_TIMEOUT):
+                raise InterpError('program_node does not answer; is another ROS middleware set?')
+            return
 
         def ready() -> bool:
-            recording()
+            recorder.ready()
             return not self._client.silent_for(SILENCE)
 
         if not self._spin(ready, START_TIMEOUT):
             silent = self._client.silent_for(SILENCE)
             raise InterpError(f'{silent} does not answer; is another ROS middleware set?')
-        if not self._spin(recording, RECORD_TIMEOUT):
+        if not self._spin(recorder.ready, RECORD_TIMEOUT):
             raise InterpError('not all topics of the run can be heard; run it again')
 
     def _send(self, program: Path) -> SentProgram:

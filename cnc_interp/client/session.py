@@ -17,7 +17,7 @@ from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.kinematics.axes import error_text
-from cnc_interp.nodes.node_processes import Children
+from cnc_interp.nodes.node_processes import Children, begin_loading
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.declaration import Stage, choices
@@ -82,7 +82,7 @@ class RunRequest:
         from cnc_interp.nodes.parameters import NODES
 
         given: dict[str, object] = {'machine': f"'{self.machine}'"}
-        for choice in choices(self.settings, Stage.MOTION):
+        for choice in choices(self.settings, Stage.MOTION, Stage.APPROACH):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
         given['program_folders'] = json.dumps([str(path.resolve()) for path in self.programs])
@@ -238,17 +238,24 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
         raise InterpError('--out takes the motion of one program; leave out --then, or --record')
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
     domain = chosen_domain()
-    # Imported while the nodes' libraries are loaded in another process.
+    begin_loading()
+    # The rest is imported, and this end of ROS made, while another process loads the nodes.
+    from cnc_interp.client.operator_client import OperatorClient
     from cnc_interp.client.recorded_runs import run_recorded
     from cnc_interp.kinematics.machine import Machine
 
-    with Children(namespace, domain, request.node_parameters(), nodes_file()) as children:
+    client = OperatorClient('run', namespace, domain)
+    try:
+        children = Children(namespace, domain, request.node_parameters(), nodes_file())
+    except BaseException:
+        client.close()
+        raise
+    with children, client:  # the nodes end last, and with them what is left in shared memory
         machine = Machine.load(request.machine)
         if companion is not None:
             companion.start(namespace, domain)
         attended = companion is not None
-        place = (namespace, domain)
-        results = run_recorded(request, machine, children, place, started, attended)
+        results = run_recorded(request, machine, client, children, started, attended)
         if companion is not None:
             companion.finish(results[-1])
     return results

@@ -30,6 +30,11 @@ def add_convert_command(commands: Any) -> None:
         help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
     )  # fmt: skip
     convert.add_argument('--out', type=Path, metavar='FILE', help='file to write (the terminal)')
+    convert.add_argument(
+        '--join', choices=('polynomial', 'parametrization'), default='polynomial',
+        help='native curves continue their neighbours by a small polynomial on their second '
+        'points, or by sliding the tool axis along their top curves (polynomial)',
+    )  # fmt: skip
     number(convert, '--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
 
 
@@ -45,7 +50,8 @@ def convert_command(options: argparse.Namespace) -> int:
     program = read_program(options.program, Transform.of(machine), settings)
     tell(program.notices)
     tolerance = options.fit_tolerance * MM
-    made = convert(program, machine, settings, options.to, tolerance)
+    slide = options.join == 'parametrization'
+    made = convert(program, machine, settings, options.to, tolerance, slide)
     if options.out is None:
         print(made.text, end='')
     else:

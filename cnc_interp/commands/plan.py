@@ -86,10 +86,12 @@ def describe(summary: dict[str, Any]) -> str:
     """Return the summary in words and shop units."""
     from cnc_interp.run.plan_figures import bound_text, windows_text
 
+    notes = summary['start']['notes'] if summary['start'] else []
     lines = [
         f'program        {summary["program"]} on {summary["machine"]}',
         f'blocks         {summary["blocks"]} in {summary["segments"]} segments, '
         f'{summary["path_length"] / MM:.1f} mm',
+        *(f'start          {text}' for text in notes),
         f'cycle time     {summary["cycle_time"]:.3f} s',
         f'planning time  {summary["planning_time"]:.3f} s '
         f'(the motion takes {summary["cycle_time"] / max(summary["planning_time"], 1e-9):.3g} '

@@ -54,6 +54,9 @@ def add_panel_command(commands: Any) -> None:
     )
     machine_option(panel)
     panel.add_argument(
+        '--setup', type=Path, metavar='FILE', help='YAML file in which offsets and tools are kept'
+    )
+    panel.add_argument(
         '--attach', action='store_true', help='join nodes that run already; start none'
     )
     nodes_options(panel)

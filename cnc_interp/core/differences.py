@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import largest_between
 
 #: Setpoints that must be known before the first one whose differences are taken.
 BEFORE = 3
@@ -14,37 +16,21 @@ BEFORE = 3
 ROUNDING = 1.001
 
 
-def largest_differences(limits: FloatArray, period: float) -> FloatArray:
-    """
-    Return the largest first, second and third difference that the limits allow.
-
-    Parameters
-    ----------
-    limits : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits [m or rad, per s, per s2, per s3].
-    period : float
-        Interpolation period T [s].
-
-    Returns
-    -------
-    ndarray, shape (3, n_axes)
-        ``limits`` times T, T^2 and T^3 [m, rad].
-
-    """
-    largest: FloatArray = limits * np.array([[period], [period**2], [period**3]])
-    return largest
-
-
-def limit_shares(positions: FloatArray, largest: FloatArray) -> FloatArray:
+def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
     """
     Divide the first, second and third differences of setpoints by the largest allowed.
+
+    A difference over T^k is a mean of the k-th derivative between its setpoints. So the largest
+    limit between them counts, where a limit depends on the position.
 
     Parameters
     ----------
     positions : ndarray, shape (3 + K, n_axes)
         The three setpoints before, then K setpoints [m, rad].
-    largest : ndarray, shape (3, n_axes)
-        See ``largest_differences`` [m, rad].
+    table : ndarray, shape (4, n_axes, m)
+        Limits over position; see ``limit_table.py``.
+    period : float
+        Interpolation period T [s].
 
     Returns
     -------
@@ -53,9 +39,16 @@ def limit_shares(positions: FloatArray, largest: FloatArray) -> FloatArray:
         differences that end at setpoint k.
 
     """
+    constant = table.shape[2] == 1
     shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
     for row, order in enumerate((1, 2, 3)):
-        shares[row] = np.diff(positions[BEFORE - order :], order, axis=0) / largest[row]
+        held = positions[BEFORE - order :]
+        if constant:
+            limit = table[row, :, 0]
+        else:
+            around = sliding_window_view(held, order + 1, axis=0)
+            limit = largest_between(table, around.min(axis=-1), around.max(axis=-1))[row]
+        shares[row] = np.diff(held, order, axis=0) / (limit * period**order)
     return shares
 
 

@@ -1,8 +1,10 @@
-"""Small files of a user (machine, setup, surface, summary), read within bounds."""
+"""Small files of a user (machine, setup, surface, summary): read within bounds, written whole."""
 
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +74,11 @@ def read_yaml(path: Path) -> Any:
         If it is too long, too deep, or not YAML.
 
     """
-    text = small_text(path, LONGEST_YAML)
+    return parse_yaml(small_text(path, LONGEST_YAML))
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the content of a short YAML text; raises as ``read_yaml``."""
     depth = 0
     try:
         for event in yaml.parse(text, Loader=_LOADER):
@@ -106,3 +112,31 @@ def read_json(path: Path) -> Any:
         raise UnreadableError('values are nested too deep') from None
     except ValueError as problem:
         raise UnreadableError(f'it is not JSON: {problem}'[:200]) from None
+
+
+def write_whole(path: Path, text: str) -> None:
+    """
+    Replace a small file so that it is whole at every moment: the old one, or the new one.
+
+    The new content is written beside it, brought to the disk and renamed.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; the old file is untouched.
+
+    """
+    path = path.resolve()  # a link stays one
+    beside = path.with_name(f'.{path.name}.new')
+    with beside.open('w', encoding='utf-8') as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    if path.exists():
+        shutil.copymode(path, beside)
+    beside.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # the new name is on the disk, too
+    finally:
+        os.close(folder)

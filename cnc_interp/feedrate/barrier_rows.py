@@ -2,23 +2,28 @@
 The inequality rows of the jerk stage inside one iteration of the interior point method.
 
 Each row g <= 1 has a slack w and a dual y. A row |g| <= 1 has one of each per side. A row of an
-axis is a constant combination of the three terms of its cell (module ``jerk_rows``). Therefore
+axis is a constant combination of the three terms of its place (module ``jerk_rows``). Therefore
 sums over the axes are first made in the terms. They are multiplied by the derivatives by m_{i-1},
-m_i, m_{i+1} only once per cell. ``rows[i, q, f, k]`` is the factor of term f at place q of cell i
-for axis k; it belongs to row q n_axes + k. The last two rows are the speed caps of the cell and
-of its left node. A row without a free coefficient is skipped.
+m_i, m_{i+1} only once per cell and place. The last two rows are the speed caps of the cell and of
+its left node. A row whose factors are all zero has the dual zero and takes part in nothing.
 
-Arrays of this module, for n cells and r = 3 n_axes + 2 rows per cell:
+Neighbouring cells are neighbours in memory, so that the compiler computes several of them at once.
+Sums over the axes are made for ``CHUNK`` cells at a time, so they stay in the cache. Rounding does
+not depend on how many cells the processor computes at once.
 
-    rows     (n, 3, 3, n_axes)  factors of the terms, scaled so that the limit is 1
-    caps     (n, 2)             largest s_dot^2 in the cell and at its left node [m2/s2]
-    m        (n,)               coefficients: the unknowns [m2/s2]
-    terms    (n, 3, 3)          terms of the rows;  slopes (n, 3, 3, 3): their derivatives
-    weight   (n,)               barrier weight of the cell: its share of the time [-]
-    slack, dual, inverse        (n, r, 2): w, y and 1/w of both sides of each row
-    change, next_dual           (n, r, 2): products dw dy or steps dw; steps dy
-    d0, d1, d2                  (n,): diagonals of the Newton matrix
-    rhs, residual, dm           (n,): right-hand side, dual residual, step of m
+Arrays of this module, for n cells and places q = 0 (left end), 1 (right end), 2 (left node):
+
+    rows          (n_axes, 9, n)     row 3 q + f: factor of term f at place q; the limit is 1
+    inverse_caps  (2, n)             1 / largest s_dot^2 in the cell and at its left node [s2/m2]
+    m             (n,)               coefficients: the unknowns [m2/s2]
+    terms         (6, n + 1)         terms of the rows;  slopes (14, n + 1): their derivatives
+    weight        (n,)               barrier weight of the cell: its share of the time [-]
+    slack, dual   (6 n_axes + 2, n)  w and y: rows 6 k + 2 q and 6 k + 2 q + 1 are both sides of
+                                     place q of axis k; the last two are the caps
+    change, next_dual                the same shape: steps of w and y
+    d0, d1, d2, rhs, residual        (n + 2,): diagonals of the Newton matrix, right-hand side,
+                                     dual residual; entry i + 1 belongs to m_i
+    dm            (n + 2,)           step of m, likewise; both ends are zero
 """
 
 from __future__ import annotations
@@ -27,162 +32,333 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.distinct_arrays import DistinctArrays
+from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 """Smallest slack, and slack times dual over the time, at the beginning of a warm start."""
 
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def has_free_terms(slopes: FloatArray) -> bool:
-    """Tell whether the terms depend on a free coefficient; other rows are skipped."""
-    for f in range(3):
-        for c in range(3):
-            if slopes[f, c] != 0.0:
-                return True
-    return False
+CHUNK = 256
+"""Number of cells that are summed over all axes at a time."""
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def is_fixed_cap(i: int, n: int, which: int) -> bool:
-    """Tell whether the cap of the cell (which = 0) or of its node (1) has no free coefficient."""
-    return i == 0 or n < 3 or (which == 0 and i == n - 1)
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _sum_rows(
+    c0: FloatArray,
+    c1: FloatArray,
+    c2: FloatArray,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    s00: FloatArray,
+    s01: FloatArray,
+    s02: FloatArray,
+    s11: FloatArray,
+    s12: FloatArray,
+    s22: FloatArray,
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    u0: FloatArray,
+    u1: FloatArray,
+    u2: FloatArray,
+    gap: FloatArray,
+    use: FloatArray,
+) -> None:
+    """Add the rows of one axis and place to sums in the terms: squares, pushes and pulls."""
+    for j in range(len(c0)):
+        f0, f1, f2 = c0[j], c1[j], c2[j]
+        g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
+        r0, r1 = y0[j] / w0[j], y1[j] / w1[j]
+        push = r0 * (w0[j] - 1.0 + g) - r1 * (w1[j] - 1.0 - g)
+        pull, both = y0[j] - y1[j], r0 + r1
+        gap[j] += y0[j] * w0[j] + y1[j] * w1[j]
+        use[j] = max(use[j], abs(g))
+        b0, b1 = both * f0, both * f1
+        s00[j] += b0 * f0
+        s01[j] += b0 * f1
+        s02[j] += b0 * f2
+        s11[j] += b1 * f1
+        s12[j] += b1 * f2
+        s22[j] += both * f2 * f2
+        p0[j] += push * f0
+        p1[j] += push * f1
+        p2[j] += push * f2
+        u0[j] += pull * f0
+        u1[j] += pull * f1
+        u2[j] += pull * f2
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _sums_by_coefficients(
+    s00: FloatArray,
+    s01: FloatArray,
+    s02: FloatArray,
+    s11: FloatArray,
+    s12: FloatArray,
+    s22: FloatArray,
+    e00: FloatArray,
+    e01: FloatArray,
+    e02: FloatArray,
+    e10: FloatArray,
+    e11: FloatArray,
+    e12: FloatArray,
+    e20: FloatArray,
+    e21: FloatArray,
+    e22: FloatArray,
+    h00: FloatArray,
+    h01: FloatArray,
+    h02: FloatArray,
+    h11: FloatArray,
+    h12: FloatArray,
+    h22: FloatArray,
+) -> None:
+    """Add sums of squares in the terms to the matrix of the cell: h += e s e^T."""
+    for j in range(len(e00)):
+        a, b, c = e00[j], e01[j], e02[j]
+        t0 = s00[j] * a + s01[j] * b + s02[j] * c
+        t1 = s01[j] * a + s11[j] * b + s12[j] * c
+        t2 = s02[j] * a + s12[j] * b + s22[j] * c
+        h00[j] += t0 * a + t1 * b + t2 * c
+        a, b, c = e10[j], e11[j], e12[j]
+        h01[j] += t0 * a + t1 * b + t2 * c
+        t3 = s00[j] * a + s01[j] * b + s02[j] * c
+        t4 = s01[j] * a + s11[j] * b + s12[j] * c
+        t5 = s02[j] * a + s12[j] * b + s22[j] * c
+        h11[j] += t3 * a + t4 * b + t5 * c
+        a, b, c = e20[j], e21[j], e22[j]
+        h02[j] += t0 * a + t1 * b + t2 * c
+        h12[j] += t3 * a + t4 * b + t5 * c
+        t0 = s00[j] * a + s01[j] * b + s02[j] * c
+        t1 = s01[j] * a + s11[j] * b + s12[j] * c
+        t2 = s02[j] * a + s12[j] * b + s22[j] * c
+        h22[j] += t0 * a + t1 * b + t2 * c
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def by_coefficients(
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    e00: FloatArray,
+    e01: FloatArray,
+    e02: FloatArray,
+    e10: FloatArray,
+    e11: FloatArray,
+    e12: FloatArray,
+    e20: FloatArray,
+    e21: FloatArray,
+    e22: FloatArray,
+    out0: FloatArray,
+    out1: FloatArray,
+    out2: FloatArray,
+) -> None:
+    """Add forces on the terms to the forces on m_{i-1}, m_i, m_{i+1} of each cell."""
+    for j in range(len(e00)):
+        out0[j] += p0[j] * e00[j] + p1[j] * e01[j] + p2[j] * e02[j]
+        out1[j] += p0[j] * e10[j] + p1[j] * e11[j] + p2[j] * e12[j]
+        out2[j] += p0[j] * e20[j] + p1[j] * e21[j] + p2[j] * e22[j]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _time_of_cells(
+    width: FloatArray,
+    v0: FloatArray,
+    v1: FloatArray,
+    l0: FloatArray,
+    r0: FloatArray,
+    l1: FloatArray,
+    r1: FloatArray,
+    bl0: FloatArray,
+    br0: FloatArray,
+    bl1: FloatArray,
+    br1: FloatArray,
+    h00: FloatArray,
+    h01: FloatArray,
+    h02: FloatArray,
+    h11: FloatArray,
+    h12: FloatArray,
+    h22: FloatArray,
+    g0: FloatArray,
+    g1: FloatArray,
+    g2: FloatArray,
+) -> None:
+    """
+    Write gradient g and Hessian h of the time of each cell by m_{i-1}, m_i, m_{i+1}.
+
+    With S = v_i + v_{i+1} and t = 2 H/S: d2t = 2 t/S^2 dS dS^T - t/S d2S, and d2S is negative.
+    ``l`` and ``r`` are the derivatives of v at a node by the coefficients left and right of it,
+    ``bl`` and ``br`` those of v^2, at the left (0) and the right (1) node.
+    """
+    for j in range(len(width)):
+        sum_v = v0[j] + v1[j]
+        time = 2 * width[j] / sum_v
+        half0 = 0.5 / v0[j] if v0[j] > 0.0 else 0.0
+        half1 = 0.5 / v1[j] if v1[j] > 0.0 else 0.0
+        k1, k2 = -time / sum_v, 2 * time / (sum_v * sum_v)
+        c0 = -2 * half0 * half0 * half0 * k1
+        c1 = -2 * half1 * half1 * half1 * k1
+        s0, s1, s2 = l0[j], r0[j] + l1[j], r1[j]
+        h00[j] = k2 * s0 * s0 + c0 * bl0[j] * bl0[j]
+        h01[j] = k2 * s0 * s1 + c0 * bl0[j] * br0[j]
+        h02[j] = k2 * s0 * s2
+        h11[j] = k2 * s1 * s1 + c0 * br0[j] * br0[j] + c1 * bl1[j] * bl1[j]
+        h12[j] = k2 * s1 * s2 + c1 * bl1[j] * br1[j]
+        h22[j] = k2 * s2 * s2 + c1 * br1[j] * br1[j]
+        g0[j], g1[j], g2[j] = k1 * s0, k1 * s1, k1 * s2
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _sum_caps(
+    cap0: FloatArray,
+    cap1: FloatArray,
+    m: FloatArray,
+    b: FloatArray,
+    bl: FloatArray,
+    br: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    h00: FloatArray,
+    h01: FloatArray,
+    h11: FloatArray,
+    push0: FloatArray,
+    push1: FloatArray,
+    pull0: FloatArray,
+    pull1: FloatArray,
+    gap: FloatArray,
+    use: FloatArray,
+) -> None:
+    """Add the rows m_i <= cap and b_i <= cap of each cell."""
+    for j in range(len(m)):
+        g0, g1 = m[j] * cap0[j], b[j] * cap1[j]
+        use[j] = max(use[j], max(g0, g1))
+        gap[j] += y0[j] * w0[j] + y1[j] * w1[j]
+        r0, r1 = y0[j] / w0[j], y1[j] / w1[j]
+        e1, f0, f1 = cap0[j], bl[j] * cap1[j], br[j] * cap1[j]
+        by0, by1 = r0 * (g0 + w0[j] - 1.0), r1 * (g1 + w1[j] - 1.0)
+        push0[j] += by1 * f0
+        push1[j] += by0 * e1 + by1 * f1
+        pull0[j] += y1[j] * f0
+        pull1[j] += y0[j] * e1 + y1[j] * f1
+        h00[j] += r1 * f0 * f0
+        h01[j] += r1 * f0 * f1
+        h11[j] += r0 * e1 * e1 + r1 * f1 * f1
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
+    """Add a part, times a factor, to a sum."""
+    for j in range(len(total)):
+        total[j] += factor * part[j]
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def add_rows(
     rows: FloatArray,
-    caps: FloatArray,
+    inverse_caps: FloatArray,
     m: FloatArray,
+    width: FloatArray,
+    v: FloatArray,
     terms: FloatArray,
     slopes: FloatArray,
     weight: FloatArray,
     slack: FloatArray,
     dual: FloatArray,
-    inverse: FloatArray,
     d0: FloatArray,
     d1: FloatArray,
     d2: FloatArray,
     residual: FloatArray,
     rhs: FloatArray,
-) -> tuple[float, float, float, int]:
+) -> tuple[float, float, float]:
     """
-    Add the rows to the Newton matrix and to the right-hand side of the predictor step.
+    Compute the Newton matrix and the right-hand side of the predictor step.
 
     Parameters
     ----------
-    rows, caps, m, terms, slopes, weight, slack, dual : ndarray
+    rows, inverse_caps, m, terms, slopes, weight, slack, dual : ndarray
         Input, with the shapes of the module docstring.
-    inverse : ndarray, shape (n, 3 n_axes + 2, 2)
-        Output: reciprocals of the slacks.
-    d0, d1, d2, residual, rhs : ndarray, shape (n,)
-        Diagonals of the Newton matrix, dual residual and right-hand side; the rows are added.
+    width : ndarray, shape (n,)
+        Effective widths [m].
+    v : ndarray, shape (n + 1,)
+        s_dot at the nodes [m/s].
+    d0, d1, d2, residual, rhs : ndarray, shape (n + 2,)
+        Output: diagonals of the Newton matrix, dual residual and right-hand side.
 
     Returns
     -------
-    gap, weighted, violation, count : float, float, float, int
+    gap, weighted, violation : float
         Sum of dual times slack, the same sum divided by the cell weights, largest violation of a
-        row, number of one-sided rows.
+        row.
 
     """
-    n, n_axes = rows.shape[0], rows.shape[3]
-    gap, weighted, violation = 0.0, 0.0, 0.0
-    count = 0
-    square, push_by, pull_by = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    for i in range(n):
-        square[:] = 0.0
-        push_by[:] = 0.0
-        pull_by[:] = 0.0
-        cell_gap = 0.0
+    n, n_axes = len(m), rows.shape[0]
+    total_gap, weighted, most = 0.0, 0.0, 0.0
+    for out in (d0, d1, d2, residual, rhs):
+        out[:] = 0.0
+    # Rows of x: the matrix of each cell (6), its right-hand side (3), its dual residual (3).
+    s, x = np.empty((12, CHUNK)), np.empty((12, CHUNK))
+    gap, use = np.empty(CHUNK), np.empty(CHUNK)
+    e = slopes
+    for lo in range(0, n, CHUNK):
+        hi = min(lo + CHUNK, n)
+        left, right = slice(lo, hi), slice(lo + 1, hi + 1)
+        gap[:], use[:] = 0.0, 0.0
+        _time_of_cells(
+            width[left], v[left], v[right], e[11, left], e[12, left], e[11, right], e[12, right],
+            e[9, left], e[10, left], e[9, right], e[10, right],
+            x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
+        )  # fmt: skip
+        x[9:12] = x[6:9]
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
-                continue
-            x0, x1, x2 = terms[i, q, 0], terms[i, q, 1], terms[i, q, 2]
-            s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            p0, p1, p2, u0, u1, u2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            s[:] = 0.0
+            x0, x1, x2 = term_rows(terms, q, lo, hi)
             for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                w0, w1, y0, y1 = slack[i, r, 0], slack[i, r, 1], dual[i, r, 0], dual[i, r, 1]
-                g = c0 * x0 + c1 * x1 + c2 * x2
-                i0, i1 = 1.0 / w0, 1.0 / w1
-                inverse[i, r, 0], inverse[i, r, 1] = i0, i1
-                r0, r1 = y0 * i0, y1 * i1
-                push, pull, both = r0 * (w0 - 1.0 + g) - r1 * (w1 - 1.0 - g), y0 - y1, r0 + r1
-                cell_gap += y0 * w0 + y1 * w1
-                violation = max(violation, abs(g) - 1.0)
-                count += 2
-                s00 += both * c0 * c0
-                s01 += both * c0 * c1
-                s02 += both * c0 * c2
-                s11 += both * c1 * c1
-                s12 += both * c1 * c2
-                s22 += both * c2 * c2
-                p0 += push * c0
-                p1 += push * c1
-                p2 += push * c2
-                u0 += pull * c0
-                u1 += pull * c1
-                u2 += pull * c2
-            for c in range(3):
-                e0, e1, e2 = slopes[i, q, 0, c], slopes[i, q, 1, c], slopes[i, q, 2, c]
-                push_by[c] += p0 * e0 + p1 * e1 + p2 * e2
-                pull_by[c] += u0 * e0 + u1 * e1 + u2 * e2
-                t0 = s00 * e0 + s01 * e1 + s02 * e2
-                t1 = s01 * e0 + s11 * e1 + s12 * e2
-                t2 = s02 * e0 + s12 * e1 + s22 * e2
-                for d in range(c, 3):
-                    square[c, d] += (
-                        t0 * slopes[i, q, 0, d] + t1 * slopes[i, q, 1, d] + t2 * slopes[i, q, 2, d]
-                    )
-        for which in range(2):
-            if is_fixed_cap(i, n, which):
-                continue
-            r, cap = 3 * n_axes + which, caps[i, which]
-            g = m[i] / cap if which == 0 else terms[i, 2, 1] / cap
-            w, y = slack[i, r, 0], dual[i, r, 0]
-            inverse[i, r, 0] = 1.0 / w
-            ratio = y / w
-            push = ratio * (g + w - 1.0)
-            cell_gap += y * w
-            violation = max(violation, g - 1.0)
-            count += 1
-            for c in range(3):
-                e = cap_slope(slopes[i], cap, which, c)
-                push_by[c] += push * e
-                pull_by[c] += y * e
-                for d in range(c, 3):
-                    square[c, d] += ratio * e * cap_slope(slopes[i], cap, which, d)
-        gap += cell_gap
-        weighted += cell_gap / weight[i]
-        for c in range(3):
-            slot = i - 1 + c
-            if slot < 0 or slot >= n:
-                continue
-            rhs[slot] -= push_by[c]
-            residual[slot] += pull_by[c]
-            d0[slot] += square[c, c]
-            if c < 2:
-                d1[slot] += square[c, c + 1]
-            if c == 0:
-                d2[slot] += square[0, 2]
-    return gap, weighted, violation, count
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def cap_slope(slopes: FloatArray, cap: float, which: int, c: int) -> float:
-    """Return the derivative of a cap row by m_{i-1} (c = 0), m_i (1) or m_{i+1} (2)."""
-    if which == 1:
-        return float(slopes[2, 1, c] / cap)
-    return 1.0 / cap if c == 1 else 0.0
+                c, r = 3 * q, 6 * k + 2 * q
+                _sum_rows(
+                    rows[k, c, left], rows[k, c + 1, left], rows[k, c + 2, left], x0, x1, x2,
+                    slack[r, left], slack[r + 1, left], dual[r, left], dual[r + 1, left],
+                    s[0], s[1], s[2], s[3], s[4], s[5],
+                    s[6], s[7], s[8], s[9], s[10], s[11], gap, use,
+                )  # fmt: skip
+            z = slope_rows(slopes, q, lo, hi)
+            _sums_by_coefficients(
+                s[0], s[1], s[2], s[3], s[4], s[5], *z, x[0], x[1], x[2], x[3], x[4], x[5]
+            )
+            by_coefficients(s[6], s[7], s[8], *z, x[6], x[7], x[8])
+            by_coefficients(s[9], s[10], s[11], *z, x[9], x[10], x[11])
+        r = 6 * n_axes
+        _sum_caps(
+            inverse_caps[0, left], inverse_caps[1, left], m[left], terms[4, left],
+            e[9, left], e[10, left],
+            slack[r, left], slack[r + 1, left], dual[r, left], dual[r + 1, left],
+            x[0], x[1], x[3], x[6], x[7], x[9], x[10], gap, use,
+        )  # fmt: skip
+        for j in range(hi - lo):
+            total_gap += gap[j]
+            weighted += gap[j] / weight[lo + j]
+            most = max(most, use[j])
+        for c, (square, beside) in enumerate(((0, 1), (3, 4), (5, -1))):
+            first, last = lo + c, hi + c
+            add_to(d0[first:last], x[square], 1.0)
+            add_to(rhs[first:last], x[6 + c], -1.0)
+            add_to(residual[first:last], x[9 + c], 1.0)
+            if beside >= 0:
+                add_to(d1[first:last], x[beside], 1.0)
+        add_to(d2[lo:hi], x[2], 1.0)
+    return total_gap, weighted, most - 1.0
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def start_rows(
     total: float,
     rows: FloatArray,
-    caps: FloatArray,
+    inverse_caps: FloatArray,
     m: FloatArray,
     terms: FloatArray,
     width: FloatArray,
@@ -191,7 +367,7 @@ def start_rows(
     slack: FloatArray,
     dual: FloatArray,
     warm: bool,
-) -> None:
+) -> int:
     """
     Set the cell weights by time, and start slacks and duals.
 
@@ -199,7 +375,7 @@ def start_rows(
     ----------
     total : float
         Time of the starting point [s].
-    rows, caps, m, terms : ndarray
+    rows, inverse_caps, m, terms : ndarray
         Input, with the shapes of the module docstring.
     width : ndarray, shape (n,)
         Effective widths [m].
@@ -207,26 +383,42 @@ def start_rows(
         s_dot at the nodes [m/s].
     weight, slack : ndarray
         Output: cell weights and slacks.
-    dual : ndarray, shape (n, 3 n_axes + 2, 2)
+    dual : ndarray, shape (6 n_axes + 2, n)
         Output: duals. A warm start keeps larger values of the last solution.
     warm : bool
         Whether ``dual`` holds the last solution of nearly the same problem.
 
+    Returns
+    -------
+    int
+        Number of one-sided rows that take part.
+
     """
-    n, n_axes = rows.shape[0], rows.shape[3]
+    n, n_axes = len(m), rows.shape[0]
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
+    count = 0
     for i in range(n):
         share = 2 * width[i] / (v[i] + v[i + 1]) / total
         weight[i] = max(n * share, 1e-3)
-        for r in range(3 * n_axes + 2):
-            q, k = r // n_axes, r % n_axes
-            if q < 3:
-                g = rows[i, q, 0, k] * terms[i, q, 0] + rows[i, q, 1, k] * terms[i, q, 1]
-                g += rows[i, q, 2, k] * terms[i, q, 2]
-            else:
-                g = (m[i] if k == 0 else terms[i, 2, 1]) / caps[i, k]
-            slack[i, r, 0] = max(1.0 - g, least)
-            slack[i, r, 1] = max(1.0 + g, least)
-            for side in range(2):
-                balanced = level * total / n * weight[i] / slack[i, r, side]
-                dual[i, r, side] = max(dual[i, r, side], balanced) if warm else balanced
+    use, taking_part = np.empty(n), np.empty(n, dtype=np.bool_)
+    for row in range(3 * n_axes + 2):
+        k, q = row // 3, row % 3
+        if k < n_axes:
+            x0, x1, x2 = term_rows(terms, q, 0, n)
+            c0, c1, c2 = rows[k, 3 * q], rows[k, 3 * q + 1], rows[k, 3 * q + 2]
+            use[:] = c0 * x0 + c1 * x1 + c2 * x2
+            taking_part[:] = (c0 != 0.0) | (c1 != 0.0) | (c2 != 0.0)
+        else:
+            cap = inverse_caps[row - 3 * n_axes]
+            use[:] = cap * (m if q == 0 else terms[4, :n])
+            taking_part[:] = cap != 0.0
+        sides = 2 if k < n_axes else 1
+        first = 2 * row if k < n_axes else 6 * n_axes + q
+        for side in range(sides):
+            w, y = slack[first + side], dual[first + side]
+            for i in range(n):
+                w[i] = max(1.0 - use[i] if side == 0 else 1.0 + use[i], least)
+                balanced = level * total / n * weight[i] / w[i]
+                y[i] = (max(y[i], balanced) if warm else balanced) if taking_part[i] else 0.0
+                count += taking_part[i]
+    return count

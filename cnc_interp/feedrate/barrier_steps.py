@@ -10,50 +10,111 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.feedrate.barrier_rows import cap_slope, has_free_terms, is_fixed_cap
+from cnc_interp.core.distinct_arrays import DistinctArrays
+from cnc_interp.feedrate.barrier_rows import CHUNK, add_to, by_coefficients
+from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
 KEPT_STEP = 0.98
 """Part of the longest step with positive slacks and duals that is taken [-]."""
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def _linearised_terms(
-    terms: FloatArray, slopes: FloatArray, before: float, here: float, after: float
-) -> tuple[float, float, float]:
-    """Return the three terms, linearised, after the step (before, here, after) of m."""
-    return (
-        terms[0] + slopes[0, 0] * before + slopes[0, 1] * here + slopes[0, 2] * after,
-        terms[1] + slopes[1, 0] * before + slopes[1, 1] * here + slopes[1, 2] * after,
-        terms[2] + slopes[2, 0] * before + slopes[2, 1] * here + slopes[2, 2] * after,
-    )
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _predict_rows(
+    c0: FloatArray,
+    c1: FloatArray,
+    c2: FloatArray,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    a0: FloatArray,
+    a1: FloatArray,
+    a2: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    b2: FloatArray,
+    square: FloatArray,
+    worst: FloatArray,
+) -> None:
+    """Predict the steps of the rows of one axis and place; x are the linearised terms."""
+    for j in range(len(c0)):
+        f0, f1, f2 = c0[j], c1[j], c2[j]
+        g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
+        i0, i1 = 1.0 / w0[j], 1.0 / w1[j]
+        dw0, dw1 = 1.0 - w0[j] - g, 1.0 - w1[j] + g
+        t0, t1 = dw0 * i0, dw1 * i1
+        worst[j] = max(worst[j], max(max(-t0, -t1), 1.0 + max(t0, t1)))
+        z0, z1 = -y0[j] * dw0 * (1.0 + t0), -y1[j] * dw1 * (1.0 + t1)
+        square[j] += z0 + z1
+        centre, bent = i0 - i1, z0 * i0 - z1 * i1
+        a0[j] += centre * f0
+        a1[j] += centre * f1
+        a2[j] += centre * f2
+        b0[j] += bent * f0
+        b1[j] += bent * f1
+        b2[j] += bent * f2
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _predict_cap(
+    cap: FloatArray,
+    x: FloatArray,
+    w: FloatArray,
+    y: FloatArray,
+    a: FloatArray,
+    b: FloatArray,
+    square: FloatArray,
+    worst: FloatArray,
+) -> None:
+    """Predict the steps of one cap row of each cell; write the forces a and b on its term."""
+    for j in range(len(cap)):
+        inverse = 1.0 / w[j]
+        dw = 1.0 - w[j] - cap[j] * x[j]
+        t = dw * inverse
+        worst[j] = max(worst[j], max(-t, 1.0 + t))
+        z = -y[j] * dw * (1.0 + t)
+        square[j] += z
+        a[j], b[j] = inverse * cap[j], z * inverse * cap[j]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> None:
+    """Add a part, times a factor of its own for each cell, to a sum."""
+    for j in range(len(factor)):
+        total[j] += factor[j] * part[j]
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def predict(
     rows: FloatArray,
-    caps: FloatArray,
-    m: FloatArray,
-    terms: FloatArray,
+    inverse_caps: FloatArray,
+    m_reached: FloatArray,
+    reached: FloatArray,
     slopes: FloatArray,
     weight: FloatArray,
     slack: FloatArray,
     dual: FloatArray,
-    inverse: FloatArray,
-    dm: FloatArray,
-    change: FloatArray,
+    centring: FloatArray,
+    bending: FloatArray,
 ) -> tuple[float, float]:
     """
-    Compute the predictor step of slacks and duals.
+    Compute how far the predictor step may go, and what the corrector needs of it.
 
     With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is
-    dy = -y (1 + t), so the dual stays positive up to 1/(1 + t).
+    dy = -y (1 + t), so the dual stays positive up to 1/(1 + t). The corrector wants
+    w dy + y dw = target weight - w y - factor dw dy: two forces on the coefficients.
 
     Parameters
     ----------
-    rows, caps, m, terms, slopes, weight, slack, dual, inverse, dm : ndarray
-        Input, with the shapes of the module docstring.
-    change : ndarray, shape (n, 3 n_axes + 2, 2)
-        Output: products dw dy of each row, for the corrector.
+    rows, inverse_caps, slopes, weight, slack, dual : ndarray
+        Input, with the shapes of ``barrier_rows``.
+    m_reached, reached : ndarray, shape (n,), (6, n + 1)
+        Coefficients and linearised terms after the whole predictor step.
+    centring, bending : ndarray, shape (n + 2,)
+        Output: forces of ``weight`` and of the products dw dy.
 
     Returns
     -------
@@ -62,121 +123,87 @@ def predict(
         divided by the cell weights.
 
     """
-    n, n_axes = rows.shape[0], rows.shape[3]
+    n, n_axes = len(m_reached), rows.shape[0]
     worst, square = 1.0, 0.0
-    for i in range(n):
-        before = dm[i - 1] if i > 0 else 0.0
-        after = dm[i + 1] if i < n - 1 else 0.0
-        cell_square = 0.0
+    centring[:], bending[:] = 0.0, 0.0
+    # Rows of x: both forces on the three coefficients of each cell, dw dy, 1 / step length.
+    s, x = np.empty((6, CHUNK)), np.empty((8, CHUNK))
+    for lo in range(0, n, CHUNK):
+        hi = min(lo + CHUNK, n)
+        here = slice(lo, hi)
+        x[:] = 0.0
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
-                continue
-            x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
+            s[:] = 0.0
+            x0, x1, x2 = term_rows(reached, q, lo, hi)
             for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                g = c0 * x0 + c1 * x1 + c2 * x2
-                dw0, dw1 = 1.0 - slack[i, r, 0] - g, 1.0 - slack[i, r, 1] + g
-                t0, t1 = dw0 * inverse[i, r, 0], dw1 * inverse[i, r, 1]
-                worst = max(worst, max(max(-t0, -t1), 1.0 + max(t0, t1)))
-                change[i, r, 0] = -dual[i, r, 0] * dw0 * (1.0 + t0)
-                change[i, r, 1] = -dual[i, r, 1] * dw1 * (1.0 + t1)
-                cell_square += change[i, r, 0] + change[i, r, 1]
-        for which in range(2):
-            if is_fixed_cap(i, n, which):
-                continue
-            r, cap = 3 * n_axes + which, caps[i, which]
-            g = _linearised_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
-            dw = 1.0 - slack[i, r, 0] - g
-            t = dw * inverse[i, r, 0]
-            worst = max(worst, max(-t, 1.0 + t))
-            change[i, r, 0] = -dual[i, r, 0] * dw * (1.0 + t)
-            cell_square += change[i, r, 0]
-        square += cell_square / weight[i]
+                c, r = 3 * q, 6 * k + 2 * q
+                _predict_rows(
+                    rows[k, c, here], rows[k, c + 1, here], rows[k, c + 2, here], x0, x1, x2,
+                    slack[r, here], slack[r + 1, here], dual[r, here], dual[r + 1, here],
+                    s[0], s[1], s[2], s[3], s[4], s[5], x[6], x[7],
+                )  # fmt: skip
+            z = slope_rows(slopes, q, lo, hi)
+            by_coefficients(s[0], s[1], s[2], *z, x[0], x[1], x[2])
+            by_coefficients(s[3], s[4], s[5], *z, x[3], x[4], x[5])
+        r = 6 * n_axes
+        _predict_cap(
+            inverse_caps[0, here], m_reached[here], slack[r, here], dual[r, here],
+            s[0], s[1], x[6], x[7],
+        )  # fmt: skip
+        _predict_cap(
+            inverse_caps[1, here], reached[4, here], slack[r + 1, here], dual[r + 1, here],
+            s[2], s[3], x[6], x[7],
+        )  # fmt: skip
+        add_to(x[1], s[0], 1.0)
+        add_to(x[4], s[1], 1.0)
+        left, right = slopes[9, here], slopes[10, here]
+        _add_product(x[0], s[2], left)
+        _add_product(x[3], s[3], left)
+        _add_product(x[1], s[2], right)
+        _add_product(x[4], s[3], right)
+        for j in range(hi - lo):
+            square += x[6, j] / weight[lo + j]
+            worst = max(worst, x[7, j])
+        for c in range(3):
+            _add_product(centring[lo + c : hi + c], x[c], weight[here])
+            add_to(bending[lo + c : hi + c], x[3 + c], 1.0)
     return 1.0 / worst, square
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def _linearised_cap(
-    m: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
-    cap: float,
-    which: int,
-    i: int,
-    before: float,
-    here: float,
-    after: float,
-) -> float:
-    """Return the left side of a cap row, linearised, after the step (before, here, after) of m."""
-    if which == 0:
-        return float((m[i] + here) / cap)
-    b = terms[2, 1] + slopes[2, 1, 0] * before + slopes[2, 1, 1] * here + slopes[2, 1, 2] * after
-    return float(b / cap)
-
-
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def correct(
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _step_rows(
     target: float,
     second_order: float,
-    rows: FloatArray,
-    caps: FloatArray,
-    slopes: FloatArray,
+    c0: FloatArray,
+    c1: FloatArray,
+    c2: FloatArray,
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    sign: float,
     weight: FloatArray,
-    inverse: FloatArray,
-    change: FloatArray,
-    rhs: FloatArray,
+    w: FloatArray,
+    y: FloatArray,
+    dw: FloatArray,
+    dy: FloatArray,
+    primal: FloatArray,
+    adjoint: FloatArray,
 ) -> None:
-    """
-    Turn the right-hand side of the predictor into that of the corrector.
-
-    Parameters
-    ----------
-    target : float
-        Wanted product of slack and dual, per unit of cell weight.
-    second_order : float
-        Factor of the products dw dy.
-    rows, caps, slopes, weight, inverse, change : ndarray
-        Input, with the shapes of the module docstring.
-    rhs : ndarray, shape (n,)
-        Right-hand side, updated in place.
-
-    """
-    n, n_axes = rows.shape[0], rows.shape[3]
-    push_by = np.zeros(3)
-    for i in range(n):
-        aim = target * weight[i]
-        push_by[:] = 0.0
-        for q in range(3):
-            if not has_free_terms(slopes[i, q]):
-                continue
-            p0, p1, p2 = 0.0, 0.0, 0.0
-            for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
-                push -= (aim - second_order * change[i, r, 1]) * inverse[i, r, 1]
-                p0 += push * c0
-                p1 += push * c1
-                p2 += push * c2
-            for c in range(3):
-                push_by[c] += (
-                    p0 * slopes[i, q, 0, c] + p1 * slopes[i, q, 1, c] + p2 * slopes[i, q, 2, c]
-                )
-        for which in range(2):
-            if is_fixed_cap(i, n, which):
-                continue
-            r = 3 * n_axes + which
-            push = (aim - second_order * change[i, r, 0]) * inverse[i, r, 0]
-            for c in range(3):
-                push_by[c] += push * cap_slope(slopes[i], caps[i, which], which, c)
-        for c in range(3):
-            if 0 <= i - 1 + c < n:
-                rhs[i - 1 + c] -= push_by[c]
+    """Write the steps of one side of the rows: sign g <= 1; p, x are terms after both steps."""
+    for j in range(len(c0)):
+        f0, f1, f2 = sign * c0[j], sign * c1[j], sign * c2[j]
+        inverse, there = 1.0 / w[j], 1.0 - w[j]
+        predicted = there - (f0 * p0[j] + f1 * p1[j] + f2 * p2[j])
+        step = there - (f0 * x0[j] + f1 * x1[j] + f2 * x2[j])
+        product = -y[j] * predicted * (1.0 + predicted * inverse)
+        aim = target * weight[j] if y[j] > 0.0 else 0.0
+        next_dual = (aim - second_order * product - y[j] * step) * inverse - y[j]
+        primal[j] = max(primal[j], -step * inverse)
+        adjoint[j] = max(adjoint[j], -next_dual / y[j] if y[j] > 0.0 else 0.0)
+        dw[j], dy[j] = step, next_dual
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -184,16 +211,16 @@ def advance(
     target: float,
     second_order: float,
     rows: FloatArray,
-    caps: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
+    inverse_caps: FloatArray,
+    m_predicted: FloatArray,
+    predicted: FloatArray,
+    m_reached: FloatArray,
+    reached: FloatArray,
     weight: FloatArray,
     m: FloatArray,
     slack: FloatArray,
     dual: FloatArray,
-    inverse: FloatArray,
     change: FloatArray,
-    dm: FloatArray,
     next_dual: FloatArray,
 ) -> tuple[float, float]:
     """
@@ -201,14 +228,18 @@ def advance(
 
     Parameters
     ----------
-    target, second_order : float
-        The arguments that ``correct`` had.
-    rows, caps, terms, slopes, weight, inverse, dm : ndarray
-        Input, with the shapes of the module docstring.
+    target : float
+        Wanted product of slack and dual, per unit of cell weight.
+    second_order : float
+        Factor of the products dw dy of the predictor.
+    rows, inverse_caps, weight : ndarray
+        Input, with the shapes of ``barrier_rows``.
+    m_predicted, predicted, m_reached, reached : ndarray, shape (n,), (6, n + 1)
+        Coefficients and linearised terms after the whole step of predictor and corrector.
     m, slack, dual : ndarray
         Coefficients, slacks and duals, updated in place.
-    change, next_dual : ndarray, shape (n, 3 n_axes + 2, 2)
-        Products dw dy on entry; overwritten with the steps dw and dy.
+    change, next_dual : ndarray, shape (6 n_axes + 2, n)
+        Room for the steps of slacks and duals.
 
     Returns
     -------
@@ -216,50 +247,44 @@ def advance(
         Step lengths of slacks and coefficients, and of duals [-].
 
     """
-    n, n_axes = rows.shape[0], rows.shape[3]
+    n, n_axes = len(m), rows.shape[0]
     primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
-    for i in range(n):
-        before = dm[i - 1] if i > 0 else 0.0
-        after = dm[i + 1] if i < n - 1 else 0.0
-        aim = target * weight[i]
+    f, zero = np.empty((2, CHUNK)), np.zeros(CHUNK)
+    for lo in range(0, n, CHUNK):
+        hi = min(lo + CHUNK, n)
+        here = slice(lo, hi)
+        f[:] = 0.0
         for q in range(3):
-            if not has_free_terms(slopes[i, q]):
-                continue
-            x0, x1, x2 = _linearised_terms(terms[i, q], slopes[i, q], before, dm[i], after)
+            p, x = term_rows(predicted, q, lo, hi), term_rows(reached, q, lo, hi)
             for k in range(n_axes):
-                c0, c1, c2 = rows[i, q, 0, k], rows[i, q, 1, k], rows[i, q, 2, k]
-                if c0 == 0.0 and c1 == 0.0 and c2 == 0.0:
-                    continue
-                r = q * n_axes + k
-                g = c0 * x0 + c1 * x1 + c2 * x2
-                y0, y1 = dual[i, r, 0], dual[i, r, 1]
-                i0, i1 = inverse[i, r, 0], inverse[i, r, 1]
-                dw0, dw1 = 1.0 - slack[i, r, 0] - g, 1.0 - slack[i, r, 1] + g
-                dy0 = (aim - second_order * change[i, r, 0] - y0 * dw0) * i0 - y0
-                dy1 = (aim - second_order * change[i, r, 1] - y1 * dw1) * i1 - y1
-                primal_worst = max(primal_worst, max(-dw0 * i0, -dw1 * i1))
-                dual_worst = max(dual_worst, max(-dy0 / y0, -dy1 / y1))
-                change[i, r, 0], change[i, r, 1] = dw0, dw1
-                next_dual[i, r, 0], next_dual[i, r, 1] = dy0, dy1
+                c0, c1 = rows[k, 3 * q, here], rows[k, 3 * q + 1, here]
+                c2 = rows[k, 3 * q + 2, here]
+                for side in range(2):
+                    r = 6 * k + 2 * q + side
+                    _step_rows(
+                        target, second_order, c0, c1, c2, *p, *x, 1.0 - 2.0 * side,
+                        weight[here], slack[r, here], dual[r, here],
+                        change[r, here], next_dual[r, here], f[0], f[1],
+                    )  # fmt: skip
         for which in range(2):
-            if is_fixed_cap(i, n, which):
-                continue
-            r, cap = 3 * n_axes + which, caps[i, which]
-            g = _linearised_cap(m, terms[i], slopes[i], cap, which, i, before, dm[i], after)
-            y = dual[i, r, 0]
-            dw = 1.0 - slack[i, r, 0] - g
-            dy = (aim - second_order * change[i, r, 0] - y * dw) * inverse[i, r, 0] - y
-            primal_worst = max(primal_worst, -dw * inverse[i, r, 0])
-            dual_worst = max(dual_worst, -dy / y)
-            change[i, r, 0], next_dual[i, r, 0] = dw, dy
+            r, cap = 6 * n_axes + which, inverse_caps[which, here]
+            p0 = m_predicted[here] if which == 0 else predicted[4, here]
+            x0 = m_reached[here] if which == 0 else reached[4, here]
+            _step_rows(
+                target, second_order, cap, zero, zero, p0, zero, zero, x0, zero, zero, 1.0,
+                weight[here], slack[r, here], dual[r, here],
+                change[r, here], next_dual[r, here], f[0], f[1],
+            )  # fmt: skip
+        for j in range(hi - lo):
+            primal_worst, dual_worst = max(primal_worst, f[0, j]), max(dual_worst, f[1, j])
     primal, adjoint = KEPT_STEP / primal_worst, KEPT_STEP / dual_worst
     for i in range(1, n - 1):
-        if dm[i] * primal < -0.9 * m[i]:
-            primal = -0.9 * m[i] / dm[i]
+        dm = m_reached[i] - m[i]
+        if dm * primal < -0.9 * m[i]:
+            primal = -0.9 * m[i] / dm
     for i in range(n):
-        m[i] += primal * dm[i]
-        for r in range(slack.shape[1]):
-            for side in range(2):
-                slack[i, r, side] += primal * change[i, r, side]
-                dual[i, r, side] += adjoint * next_dual[i, r, side]
+        m[i] += primal * (m_reached[i] - m[i])
+    for r in range(len(slack)):
+        add_to(slack[r], change[r], primal)
+        add_to(dual[r], next_dual[r], adjoint)
     return primal, adjoint

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.limit_table import limits_along
 
 LASTING = 0.25
 """Time without braking that a law may take [s]."""
@@ -38,8 +39,8 @@ def without_braking(
         s_dot and s_ddot there [m/s, m/s2].
     duration : ndarray, shape (n,)
         Time spent in each cell [s].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
 
     Returns
     -------
@@ -48,14 +49,14 @@ def without_braking(
         jerk (row 1) is below ``LEAST``.
 
     """
-    _, q_s, q_ss, q_sss = jet
+    q, q_s, q_ss, q_sss = jet
     v, a = v[:, None], a[:, None]
     by_curve = np.array([q_ss * v * v, 3 * q_ss * v * a + q_sss * v**3])
     time = np.concatenate([[0.0], np.cumsum(duration)])
     found = np.zeros((2, len(duration)), dtype=bool)
     if time[-1] < LASTING:
         return found
-    for row, limit in enumerate(table[1:]):
+    for row, limit in enumerate(limits_along(table, q)[1:]):
         with np.errstate(divide='ignore', invalid='ignore'):
             # largest deceleration of s that each axis allows; without q_s it allows any
             each = np.where(q_s == 0.0, np.inf, (limit + np.sign(q_s) * by_curve[row]) / abs(q_s))

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import ACCELERATION, JERK, limit_at
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
@@ -111,8 +112,8 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
         Width of the cell [m].
     v : float
         Speed in the cell [m/s].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
 
     Returns
     -------
@@ -126,7 +127,9 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
         septic_coefficients(left[:, k], right[:, k], h, c)
         if c[3] == 0.0 and c[4] == 0.0 and c[5] == 0.0 and c[6] == 0.0 and c[7] == 0.0:
             continue
-        by_jerk, by_acceleration = v**3 / table[2, k], v**2 / table[1, k]
+        q = left[0, k]
+        by_jerk = v**3 / limit_at(table, JERK, k, q)
+        by_acceleration = v**2 / limit_at(table, ACCELERATION, k, q)
         for p in range(1, 8):
             u = p / 8
             septic_value(c, u, h, jet)

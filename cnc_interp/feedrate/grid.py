@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.limit_table import ACCELERATION, JERK, limit_at
 from cnc_interp.feedrate.cell_nodes import bend, cell_nodes, cell_times
 from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine
@@ -43,8 +44,8 @@ class PlanGrid:
         The refined path.
     nodes : ndarray of int, shape (n + 1,)
         Indices of the grid points of ``path`` at which the n planner cells begin and end.
-    bounds : ndarray, shape (n, 4)
-        Bounds of each planner cell, as ``speed_bounds`` returns them [m/s, m/s, m/s2, m/s3].
+    bounds : ndarray, shape (n, 6)
+        Bounds of each planner cell, as ``speed_bounds`` returns them [m/s, m/s2, m/s3].
     guess : ndarray, shape (n + 1,)
         Guessed s_dot at the nodes [m/s].
 
@@ -113,7 +114,9 @@ def _lies_on_line(
     """Tell whether q_ss and q_sss of cells first ... last are linear in s, within ``most``."""
     span = s[last + 1] - s[first]
     for k in range(left.shape[2]):
-        by_jerk, by_acceleration = v**3 / table[2, k], v**2 / table[1, k]
+        q = left[0, first, k]
+        by_jerk = v**3 / limit_at(table, JERK, k, q)
+        by_acceleration = v**2 / limit_at(table, ACCELERATION, k, q)
         for order, factor in ((2, by_acceleration), (3, by_jerk)):
             start, end = left[order, first, k], right[order, last, k]
             for c in range(first, last):
@@ -185,8 +188,8 @@ def planning_grid(
     ----------
     path : AxisPath
         Path without stops inside.
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     start : tuple of float
         s_dot and s_ddot at the start of the path [m/s, m/s2].
     cell_time : tuple of float

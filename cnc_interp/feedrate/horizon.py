@@ -65,7 +65,7 @@ def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
         Path positions of the grid points [m].
     v : ndarray, shape (n + 1,)
         Planned s_dot at the grid points [m/s].
-    bounds : ndarray, shape (n, 4)
+    bounds : ndarray, shape (n, 6)
         Output of ``speed_bounds``.
 
     Returns
@@ -90,8 +90,8 @@ class WindowScan:
 
     Parameters
     ----------
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     v_start : float
         s_dot at the start of the window [m/s].
     ratio : float

@@ -17,7 +17,7 @@ The objective is the time, the sum of 2 H/(v_i + v_{i+1}). Rows are scaled to |g
 
     jerk at both ends   alpha j + beta v a + gamma v b,  j = (a_{i+1} - a_i)(v_i + v_{i+1})/(2 H)
     acceleration        q_s a + q_ss b
-    speed               m_i <= cap_i,  b_i <= min(cap_{i-1}, cap_i)
+    speed               m_i <= v_i v_{i+1},  b_i <= v_i^2, where v_i is the largest s_dot at node i
 
 A row is a constant combination of at most three terms of its cell: (j, v a, v b) at the left end,
 the same at the right end, and (a, b) at the left node. Only the terms depend on the unknowns, and
@@ -31,9 +31,11 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.distinct_arrays import DistinctArrays
+from cnc_interp.core.limit_table import ACCELERATION, JERK, limit_at
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def node_states(
     m: FloatArray,
     width: FloatArray,
@@ -69,7 +71,7 @@ def node_states(
         v[i] = np.sqrt(max(b[i], 0.0))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
     """
     Update the effective widths from the states at the nodes.
@@ -99,6 +101,70 @@ def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray
     return change
 
 
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _nodes_by_coefficients(
+    width: FloatArray, al: FloatArray, ar: FloatArray, bl: FloatArray, br: FloatArray
+) -> None:
+    """Write the derivatives of a and b at the inner nodes by the coefficients beside them."""
+    n = len(width)
+    for i in range(1, n):
+        p = 1.0 / (width[i - 1] + width[i])
+        al[i], ar[i], bl[i], br[i] = -p, p, p * width[i], p * width[i - 1]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _products(
+    a: FloatArray,
+    b: FloatArray,
+    v: FloatArray,
+    va: FloatArray,
+    vb: FloatArray,
+    va_l: FloatArray,
+    va_r: FloatArray,
+    vb_l: FloatArray,
+    vb_r: FloatArray,
+    al: FloatArray,
+    ar: FloatArray,
+    bl: FloatArray,
+    br: FloatArray,
+    vl: FloatArray,
+    vr: FloatArray,
+) -> None:
+    """Write v a and v b at the nodes, and the derivatives of v, v a and v b."""
+    for i in range(len(v)):
+        half = 0.5 / v[i] if v[i] > 0.0 else 0.0
+        va[i], vb[i] = v[i] * a[i], v[i] * b[i]
+        left, right = half * bl[i], half * br[i]
+        vl[i], vr[i] = left, right
+        va_l[i], va_r[i] = v[i] * al[i] + a[i] * left, v[i] * ar[i] + a[i] * right
+        vb_l[i], vb_r[i] = v[i] * bl[i] + b[i] * left, v[i] * br[i] + b[i] * right
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _jerks(
+    width: FloatArray,
+    a: FloatArray,
+    v: FloatArray,
+    al: FloatArray,
+    ar: FloatArray,
+    vl: FloatArray,
+    vr: FloatArray,
+    j: FloatArray,
+    j_l: FloatArray,
+    j_m: FloatArray,
+    j_r: FloatArray,
+) -> None:
+    """Write s_dddot in the cells and its derivatives by m_{i-1}, m_i, m_{i+1}."""
+    for i in range(len(width)):
+        sum_v = v[i] + v[i + 1]
+        twice = 0.5 / width[i]
+        half, rise = sum_v * twice, (a[i + 1] - a[i]) * twice
+        j[i] = rise * sum_v
+        j_l[i] = rise * vl[i] - half * al[i]
+        j_m[i] = half * (al[i + 1] - ar[i]) + rise * (vr[i] + vl[i + 1])
+        j_r[i] = half * ar[i + 1] + rise * vr[i + 1]
+
+
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def terms_and_time(
     width: FloatArray,
@@ -107,13 +173,9 @@ def terms_and_time(
     v: FloatArray,
     terms: FloatArray,
     slopes: FloatArray,
-    slope: FloatArray,
-    d0: FloatArray,
-    d1: FloatArray,
-    d2: FloatArray,
 ) -> float:
     """
-    Compute the terms of the rows and the time, both with their derivatives.
+    Compute the terms of the rows with their derivatives, and the time.
 
     Parameters
     ----------
@@ -121,16 +183,12 @@ def terms_and_time(
         Effective widths H [m].
     b, a, v : ndarray, shape (n + 1,)
         s_dot^2, s_ddot and s_dot at the nodes [m2/s2, m/s2, m/s].
-    terms : ndarray, shape (n, 3, 3)
-        Output: ``terms[i, 0]`` is (j, v a, v b) at the left end of cell i, ``terms[i, 1]`` the
-        same at its right end, ``terms[i, 2]`` is (a, b, 0) at its left node.
-    slopes : ndarray, shape (n, 3, 3, 3)
-        Output: ``slopes[i, q, f]`` has the derivatives of term f by m_{i-1}, m_i, m_{i+1}.
-        Derivatives by the fixed first and last coefficient are zero.
-    slope : ndarray, shape (n,)
-        Output: gradient of the time.
-    d0, d1, d2 : ndarray, shape (n,)
-        Output: the three upper diagonals of the Hessian of the time.
+    terms : ndarray, shape (6, n + 1)
+        Output: j in cell i; v a, v b, a, b at node i; zero.
+    slopes : ndarray, shape (14, n + 1)
+        Output: derivatives of j by m_{i-1}, m_i, m_{i+1}; of v a, v b, a, b and v at node i by
+        m_{i-1} and m_i, two rows each; zero. Those by the fixed first and last coefficient are
+        zero.
 
     Returns
     -------
@@ -139,72 +197,93 @@ def terms_and_time(
 
     """
     n = len(width)
+    e = slopes
+    for r in (7, 8, 9, 10):
+        e[r, 0], e[r, n] = 0.0, 0.0
+    _nodes_by_coefficients(width, e[7], e[8], e[9], e[10])
+    if n > 1:
+        e[7, 1], e[9, 1], e[8, n - 1], e[10, n - 1] = 0.0, 0.0, 0.0, 0.0
+    terms[3], terms[4], terms[5], e[13] = a, b, 0.0, 0.0
+    _products(
+        a, b, v, terms[1], terms[2], e[3], e[4], e[5], e[6], e[7], e[8], e[9], e[10], e[11], e[12]
+    )
+    _jerks(width, a, v, e[7], e[8], e[11], e[12], terms[0], e[0], e[1], e[2])
     total = 0.0
-    slope[:] = 0.0
-    d0[:] = 0.0
-    d1[:] = 0.0
-    d2[:] = 0.0
-    da0, da1, db0 = np.zeros(3), np.zeros(3), np.zeros(3)
-    db1, ds = np.zeros(3), np.zeros(3)
     for i in range(n):
-        da0[:] = 0.0
-        da1[:] = 0.0
-        db0[:] = 0.0
-        db1[:] = 0.0
-        w = width[i]
-        if i > 0:
-            p = 1.0 / (width[i - 1] + w)
-            if i > 1:
-                da0[0], db0[0] = -p, p * w
-            if i < n - 1:
-                da0[1], db0[1] = p, p * width[i - 1]
-        if i < n - 1:
-            p = 1.0 / (w + width[i + 1])
-            if i > 0:
-                da1[1], db1[1] = -p, p * width[i + 1]
-            if i < n - 2:
-                da1[2], db1[2] = p, p * w
-        v0, v1 = v[i], v[i + 1]
-        r0 = 0.5 / v0 if v0 > 0.0 else 0.0
-        r1 = 0.5 / v1 if v1 > 0.0 else 0.0
-        sum_v = v0 + v1
-        half = sum_v / (2 * w)
-        rise = (a[i + 1] - a[i]) / (2 * w)
-        terms[i, 0, 0], terms[i, 0, 1], terms[i, 0, 2] = rise * sum_v, v0 * a[i], v0 * b[i]
-        terms[i, 1, 0], terms[i, 1, 1], terms[i, 1, 2] = rise * sum_v, v1 * a[i + 1], v1 * b[i + 1]
-        terms[i, 2, 0], terms[i, 2, 1], terms[i, 2, 2] = a[i], b[i], 0.0
-        for c in range(3):
-            s0, s1 = r0 * db0[c], r1 * db1[c]
-            ds[c] = s0 + s1
-            dj = (da1[c] - da0[c]) * half + rise * ds[c]
-            slopes[i, 0, 0, c] = dj
-            slopes[i, 0, 1, c] = v0 * da0[c] + a[i] * s0
-            slopes[i, 0, 2, c] = v0 * db0[c] + b[i] * s0
-            slopes[i, 1, 0, c] = dj
-            slopes[i, 1, 1, c] = v1 * da1[c] + a[i + 1] * s1
-            slopes[i, 1, 2, c] = v1 * db1[c] + b[i + 1] * s1
-            slopes[i, 2, 0, c] = da0[c]
-            slopes[i, 2, 1, c] = db0[c]
-            slopes[i, 2, 2, c] = 0.0
-        time = 2 * w / sum_v
-        total += time
-        # d2(time) = 2 time/sum_v^2 ds ds^T - time/sum_v d2(sum_v), and d2(sum_v) is negative.
-        k1, k2 = -time / sum_v, 2 * time / (sum_v * sum_v)
-        e0 = 2 * r0 * r0 * r0 * time / sum_v
-        e1 = 2 * r1 * r1 * r1 * time / sum_v
-        for c in range(3):
-            slot = i - 1 + c
-            if slot < 0 or slot >= n:
-                continue
-            slope[slot] += k1 * ds[c]
-            d0[slot] += k2 * ds[c] * ds[c] + e0 * db0[c] * db0[c] + e1 * db1[c] * db1[c]
-            if c < 2:
-                d1[slot] += (
-                    k2 * ds[c] * ds[c + 1] + e0 * db0[c] * db0[c + 1] + e1 * db1[c] * db1[c + 1]
-                )
-            if c == 0:
-                d2[slot] += k2 * ds[0] * ds[2]
+        total += 2 * width[i] / (v[i] + v[i + 1])
     return total
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _linearised(
+    term: FloatArray, left: FloatArray, right: FloatArray, dm: FloatArray, out: FloatArray
+) -> None:
+    """Write a term of the nodes after a step of the coefficients beside them."""
+    for i in range(len(out)):
+        out[i] = term[i] + left[i] * dm[i] + right[i] * dm[i + 1]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _linearised_jerk(
+    j: FloatArray,
+    left: FloatArray,
+    middle: FloatArray,
+    right: FloatArray,
+    dm: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write s_dddot of the cells after a step of their three coefficients."""
+    for i in range(len(dm) - 2):
+        out[i] = j[i] + left[i] * dm[i] + middle[i] * dm[i + 1] + right[i] * dm[i + 2]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatArray) -> None:
+    """
+    Compute the linearised terms after a step of the coefficients.
+
+    Parameters
+    ----------
+    terms, slopes : ndarray, shape (6, n + 1), (14, n + 1)
+        Output of ``terms_and_time``.
+    dm : ndarray, shape (n + 2,)
+        The step; entry i + 1 belongs to m_i, both ends are zero [m2/s2].
+    out : ndarray, shape (6, n + 1)
+        Output: the terms.
+
+    """
+    _linearised_jerk(terms[0], slopes[0], slopes[1], slopes[2], dm, out[0])
+    for t in range(1, 5):
+        _linearised(terms[t], slopes[2 * t + 1], slopes[2 * t + 2], dm, out[t])
+    out[5] = 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def term_rows(
+    terms: FloatArray, q: int, lo: int, hi: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the three terms of place q (left end, right end, left node) of cells lo ... hi."""
+    if q == 2:
+        return terms[3, lo:hi], terms[4, lo:hi], terms[5, lo:hi]
+    return terms[0, lo:hi], terms[1, lo + q : hi + q], terms[2, lo + q : hi + q]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def slope_rows(
+    slopes: FloatArray, q: int, lo: int, hi: int
+) -> tuple[
+    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
+    FloatArray, FloatArray,
+]:  # fmt: skip
+    """Return the derivatives of the three terms of place q by m_{i-1}, then m_i, then m_{i+1}."""
+    e, here, after, zero = slopes, slice(lo, hi), slice(lo + 1, hi + 1), slopes[13, lo:hi]
+    if q == 2:
+        before, middle = (e[7, here], e[9, here], zero), (e[8, here], e[10, here], zero)
+        return *before, *middle, zero, zero, zero
+    j = e[0, here], e[1, here], e[2, here]
+    if q == 0:
+        return j[0], e[3, here], e[5, here], j[1], e[4, here], e[6, here], j[2], zero, zero
+    return j[0], zero, zero, j[1], e[3, after], e[5, after], j[2], e[4, after], e[6, after]
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -222,25 +301,31 @@ def build_rows(
     ----------
     left, right : ndarray, shape (4, n, n_axes)
         q and its derivatives by s at both ends of each cell [m or rad, per m^order].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     scale : ndarray, shape (n, 4, n_axes)
         Parts of the limits that each cell may use [-].
-    rows : ndarray, shape (n, 3, 3, n_axes)
-        Output: factors of the terms; see ``barrier_rows.py``.
+    rows : ndarray, shape (n_axes, 9, n)
+        Output: factors of the terms; see ``barrier_rows.py``. They are zero where no coefficient
+        is free.
 
     """
     n, n_axes = left.shape[1], left.shape[2]
-    for i in range(n):
-        for k in range(n_axes):
-            by_jerk = 1.0 / (table[2, k] * scale[i, 2, k])
-            rows[i, 0, 0, k] = left[1, i, k] * by_jerk
-            rows[i, 0, 1, k] = 3 * left[2, i, k] * by_jerk
-            rows[i, 0, 2, k] = left[3, i, k] * by_jerk
-            rows[i, 1, 0, k] = right[1, i, k] * by_jerk
-            rows[i, 1, 1, k] = 3 * right[2, i, k] * by_jerk
-            rows[i, 1, 2, k] = right[3, i, k] * by_jerk
-            smaller = scale[i, 1, k] if i == 0 else min(scale[i - 1, 1, k], scale[i, 1, k])
-            rows[i, 2, 0, k] = left[1, i, k] / (table[1, k] * smaller)
-            rows[i, 2, 1, k] = left[2, i, k] / (table[1, k] * smaller)
-            rows[i, 2, 2, k] = 0.0
+    rows[:] = 0.0
+    if n < 3:
+        return
+    for k in range(n_axes):
+        for i in range(n):
+            by_jerk = 1.0 / (limit_at(table, JERK, k, left[0, i, k]) * scale[i, 2, k])
+            rows[k, 0, i] = left[1, i, k] * by_jerk
+            rows[k, 1, i] = 3 * left[2, i, k] * by_jerk
+            rows[k, 2, i] = left[3, i, k] * by_jerk
+            by_jerk = 1.0 / (limit_at(table, JERK, k, right[0, i, k]) * scale[i, 2, k])
+            rows[k, 3, i] = right[1, i, k] * by_jerk
+            rows[k, 4, i] = 3 * right[2, i, k] * by_jerk
+            rows[k, 5, i] = right[3, i, k] * by_jerk
+            if i > 0:
+                smaller = min(scale[i - 1, 1, k], scale[i, 1, k])
+                most = limit_at(table, ACCELERATION, k, left[0, i, k]) * smaller
+                rows[k, 6, i] = left[1, i, k] / most
+                rows[k, 7, i] = left[2, i, k] / most

@@ -100,10 +100,10 @@ class StretchProblem:
             squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = _first_coefficients(self.h, grid.bounds, guess)
-        self.rows = np.empty((n, 3, 3, n_axes))
+        self.rows = np.empty((n_axes, 9, n))
         self.use = np.empty((2, n, 4, n_axes))
-        self.slack = np.ones((n, 3 * n_axes + 2, 2))
-        self.dual = np.zeros((n, 3 * n_axes + 2, 2))
+        self.slack = np.ones((6 * n_axes + 2, n))
+        self.dual = np.zeros((6 * n_axes + 2, n))
         share = np.diff(path.s) / np.repeat(self.h, np.diff(nodes))
         self.points = 2 + np.ceil((options.points - 2) * share).astype(np.int64)
 
@@ -134,12 +134,16 @@ class StretchProblem:
         """
         build_rows(self.left, self.right, self.table, self.scale, self.rows)
         part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
-        cap = (self.grid.bounds[:, 0] * part) ** 2
+        ends = self.grid.bounds[:, 4:] * part[:, None]
+        node = ends[:, 0].copy()
+        node[1:] = np.minimum(node[1:], ends[:-1, 1])
+        # The velocity limit is linear inside the cell, so these are the Bezier points of b.
+        caps = np.column_stack([ends[:, 0] * ends[:, 1], node**2])
         width = self.reset_widths()
         status, _, _ = solve(
             self.h,
             self.rows,
-            cap,
+            caps,
             self.ends,
             m,
             width,
@@ -148,7 +152,6 @@ class StretchProblem:
             warm,
             self.options.gap,
             MOST_ITERATIONS,
-            np.empty((0, 6)),
         )
         return (None if status == BROKEN else self.check(m, width)), status == SOLVED
 
@@ -280,8 +283,8 @@ def plan(
     ----------
     path : AxisPath
         Path without stops inside.
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     start : tuple of float
         s_dot and s_ddot at the start of the path [m/s, m/s2].
     options : PlanOptions, optional

@@ -9,6 +9,14 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.limit_table import (
+    ACCELERATION,
+    JERK,
+    VELOCITY,
+    constant_table,
+    limit_at,
+    limits_along,
+)
 from cnc_interp.core.units import MS
 from cnc_interp.kinematics.axis_path import (
     UNSEEN,
@@ -40,7 +48,7 @@ class AxisLimits(Protocol):
 
 def limit_table(limits: AxisLimits) -> FloatArray:
     """
-    Stack the axis limits into one table.
+    Return the limits over position; see ``core/limit_table.py``.
 
     Parameters
     ----------
@@ -49,13 +57,15 @@ def limit_table(limits: AxisLimits) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (3, n_axes)
-        Velocity limits [m/s or rad/s], acceleration limits [m/s2 or rad/s2] and jerk limits
-        [m/s3 or rad/s3], one row each.
+    ndarray, shape (4, n_axes, m)
+        The own ``limit_table`` of a machine or of ``PlanningLimits``; constants else.
 
     """
+    table: FloatArray | None = getattr(limits, 'limit_table', None)
+    if table is not None:
+        return table
     rows = (limits.max_velocity, limits.max_acceleration, limits.max_jerk)
-    return np.array(rows, dtype=np.float64)
+    return constant_table(np.array(rows, dtype=np.float64))
 
 
 @dataclass(frozen=True)
@@ -66,13 +76,16 @@ class PlanningLimits:
     Parameters
     ----------
     max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
-        Limits [m/s or rad/s, per s, per s2].
+        Largest limits [m/s or rad/s, per s, per s2].
+    limit_table : ndarray, shape (4, n_axes, m)
+        The limits over position.
 
     """
 
     max_velocity: FloatArray
     max_acceleration: FloatArray
     max_jerk: FloatArray
+    limit_table: FloatArray
 
 
 def limits_at(machine: Machine, period: float) -> AxisLimits:
@@ -94,8 +107,10 @@ def limits_at(machine: Machine, period: float) -> AxisLimits:
     if period >= ROOMY:
         return machine
     step = 2.0 * UNSEEN * (1.0 / period**3 - 1.0 / ROOMY**3)
-    jerk = np.minimum(step, 0.5 * machine.max_jerk)
-    return PlanningLimits(machine.max_velocity, machine.max_acceleration, machine.max_jerk - jerk)
+    jerk, table = machine.max_jerk, machine.limit_table.copy()
+    table[JERK] -= np.minimum(step, 0.5 * table[JERK])
+    jerk = jerk - np.minimum(step, 0.5 * jerk)
+    return PlanningLimits(machine.max_velocity, machine.max_acceleration, jerk, table)
 
 
 def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
@@ -121,8 +136,9 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     table = limit_table(limits)
     out = np.full(len(path.s), np.inf)
     for jets, at in ((path.cell_left, slice(None, -1)), (path.cell_right, slice(1, None))):
+        here = limits_along(table, jets[0])
         with np.errstate(divide='ignore'):
-            sides = [(table[k] / np.abs(jets[k + 1])) ** (1 / (k + 1)) for k in range(3)]
+            sides = [(here[k] / np.abs(jets[k + 1])) ** (1 / (k + 1)) for k in range(3)]
         bound = np.minimum.reduce([side.min(axis=1) for side in sides])
         out[at] = np.minimum(out[at], np.minimum(bound, path.cell_feed))
     return out
@@ -161,8 +177,8 @@ def limit_use(
         s_dot and s_ddot at the grid points [m/s, m/s2].
     jerk, duration : ndarray, shape (n,)
         Constant s_dddot in each cell [m/s3], and the time spent in the cell [s].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     points : ndarray of int, shape (n,)
         Number of instants to check in each cell, both ends included.
     use : ndarray, shape (2, n, 4, n_axes)
@@ -201,15 +217,19 @@ def limit_use(
                 use[0, i, 3, 0] = max(use[0, i, 3, 0], 1.0 - s_dot / (v[i] + v[i + 1]))
             for k in range(n_axes):
                 if p == last:
-                    q_s, q_ss, q_sss = right[1, i, k], right[2, i, k], right[3, i, k]
+                    q, q_s = right[0, i, k], right[1, i, k]
+                    q_ss, q_sss = right[2, i, k], right[3, i, k]
                 elif p == 0 or not curved:
-                    q_s, q_ss, q_sss = left[1, i, k], left[2, i, k], left[3, i, k]
+                    q, q_s = left[0, i, k] + left[1, i, k] * s, left[1, i, k]
+                    q_ss, q_sss = left[2, i, k], left[3, i, k]
                 else:
                     septic_value(coefficients[k], u, h[i], jet)
-                    q_s, q_ss, q_sss = jet[1], jet[2], jet[3]
-                velocity = abs(q_s * s_dot) / table[0, k]
-                acceleration = abs(q_ss * s_dot * s_dot + q_s * s_ddot) / table[1, k]
-                third = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j) / table[2, k]
+                    q, q_s, q_ss, q_sss = jet[0], jet[1], jet[2], jet[3]
+                velocity = abs(q_s * s_dot) / limit_at(table, VELOCITY, k, q)
+                acceleration = abs(q_ss * s_dot * s_dot + q_s * s_ddot)
+                acceleration /= limit_at(table, ACCELERATION, k, q)
+                third = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j)
+                third /= limit_at(table, JERK, k, q)
                 use[0, i, 0, k] = max(use[0, i, 0, k], velocity)
                 use[0, i, 1, k] = max(use[0, i, 1, k], acceleration)
                 use[0, i, 2, k] = max(use[0, i, 2, k], third)

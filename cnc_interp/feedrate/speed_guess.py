@@ -12,10 +12,20 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import ACCELERATION, JERK, VELOCITY, limit_at
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
 FASTEST = 100.0
 """Speed limit where no other limit applies [m/s]."""
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _lowest(table: FloatArray, row: int, axis: int, q0: float, q1: float, q2: float) -> float:
+    """Return the lowest limit of an axis at three positions."""
+    lowest = limit_at(table, row, axis, q0)
+    if table.shape[2] > 1:
+        lowest = min(lowest, limit_at(table, row, axis, q1), limit_at(table, row, axis, q2))
+    return float(lowest)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -33,37 +43,45 @@ def speed_bounds(
         q and its derivatives by s at both ends of each cell [m or rad, per m, per m2, per m3].
     feed : ndarray, shape (n,)
         Programmed feedrate in the cells [m/s].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
 
     Returns
     -------
-    ndarray, shape (n, 4)
+    ndarray, shape (n, 6)
         Speed limit from feed and axis velocities [m/s], speed limit of Eq. 10 [m/s], largest
-        tangential acceleration [m/s2], largest tangential jerk [m/s3].
+        tangential acceleration [m/s2], largest tangential jerk [m/s3]; then the first one with
+        the velocity limits at the left end and at the right end of the cell [m/s].
 
     """
     n, n_axes = len(h), left.shape[2]
-    out = np.empty((n, 4))
+    out = np.empty((n, 6))
     c, jet = np.empty(8), np.empty(4)
     for i in range(n):
         fast = min(feed[i], FASTEST)
         slow, acceleration, jerk = fast, 1e12, 1e12
+        first, last = fast, fast
         for k in range(n_axes):
             septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
             septic_value(c, 0.5, h[i], jet)
             q_s = max(abs(left[1, i, k]), abs(right[1, i, k]), abs(jet[1]))
             q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(jet[2]))
             q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(jet[3]))
+            q0, q1, q2 = left[0, i, k], jet[0], right[0, i, k]
+            largest_a = _lowest(table, ACCELERATION, k, q0, q1, q2)
+            largest_j = _lowest(table, JERK, k, q0, q1, q2)
             if q_s > 0.0:
-                fast = min(fast, table[0, k] / q_s)
-                acceleration = min(acceleration, table[1, k] / q_s)
-                jerk = min(jerk, table[2, k] / q_s)
+                fast = min(fast, _lowest(table, VELOCITY, k, q0, q1, q2) / q_s)
+                first = min(first, limit_at(table, VELOCITY, k, q0) / q_s)
+                last = min(last, limit_at(table, VELOCITY, k, q2) / q_s)
+                acceleration = min(acceleration, largest_a / q_s)
+                jerk = min(jerk, largest_j / q_s)
             if q_ss > 0.0:
-                slow = min(slow, np.sqrt(table[1, k] / q_ss))
+                slow = min(slow, np.sqrt(largest_a / q_ss))
             if q_sss > 0.0:
-                slow = min(slow, (table[2, k] / q_sss) ** (1 / 3))
+                slow = min(slow, (largest_j / q_sss) ** (1 / 3))
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = fast, min(fast, slow), acceleration, jerk
+        out[i, 4], out[i, 5] = first, last
     return out
 
 
@@ -89,7 +107,7 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
     ----------
     h : ndarray, shape (n,)
         Cell widths [m].
-    bounds : ndarray, shape (n, 4)
+    bounds : ndarray, shape (n, 6)
         Output of ``speed_bounds``.
     v_start, a_start : float
         s_dot and s_ddot at the start [m/s, m/s2].
@@ -135,7 +153,7 @@ def speed_inside(
         Distance from the left end of the cell, and its width [m].
     v0, v1 : float
         Guessed speed at the two ends [m/s].
-    bound : ndarray, shape (4,)
+    bound : ndarray, shape (6,)
         Row of ``speed_bounds`` for this cell.
 
     Returns
@@ -160,7 +178,7 @@ def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
         Cell widths [m].
     v : ndarray, shape (n + 1,)
         Guessed speed at the nodes [m/s].
-    bounds : ndarray, shape (n, 4)
+    bounds : ndarray, shape (n, 6)
         Output of ``speed_bounds``.
 
     Returns

@@ -22,6 +22,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.limit_table import ACCELERATION, JERK, VELOCITY, limit_at
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import (
@@ -71,17 +72,19 @@ def _left_by_axes(
     out[0], out[1], out[2], out[3] = -np.inf, np.inf, -np.inf, np.inf
     worst = 0.0
     for i in range(jet.shape[0]):
-        q_s, q_ss, q_sss = jet[i, 1], jet[i, 2], jet[i, 3]
+        q, q_s, q_ss, q_sss = jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3]
+        largest_a, largest_j = limit_at(table, ACCELERATION, i, q), limit_at(table, JERK, i, q)
         bent, turned = q_ss * v * v, 3 * q_ss * v * a + q_sss * v**3
-        worst = max(worst, abs(q_s * v) / table[0, i], abs(bent + q_s * a) / table[1, i])
+        worst = max(worst, abs(q_s * v) / limit_at(table, VELOCITY, i, q))
+        worst = max(worst, abs(bent + q_s * a) / largest_a)
         if q_s == 0.0:
-            worst = max(worst, abs(turned) / table[2, i])
+            worst = max(worst, abs(turned) / largest_j)
             continue
         slope, sign = abs(q_s), 1.0 if q_s > 0.0 else -1.0
-        most = (1.0 - leeway) * table[2, i]
+        most = (1.0 - leeway) * largest_j
         out[0] = max(out[0], (-most - sign * turned) / slope)
         out[1] = min(out[1], (most - sign * turned) / slope)
-        out[2] = max(out[2], (-(1.0 - leeway) * table[1, i] - sign * bent) / slope)
+        out[2] = max(out[2], (-(1.0 - leeway) * largest_a - sign * bent) / slope)
         out[3] = min(out[3], most / slope)
     return worst
 
@@ -267,8 +270,8 @@ def stop_law(
         Path that contains the state and continues after it.
     state : tuple of float
         State of motion: s, s_dot and s_ddot [m, m/s, m/s2].
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     time : float
         Time of the state on the clock of the law [s].
     leeway : float

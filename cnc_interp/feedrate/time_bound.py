@@ -11,7 +11,8 @@ Per axis, with q_dot = q_s s_dot:
     to s_1             fast at both ends as the ceiling allows
 
 The second line is the integral of d(q_dot^2) = 2 q_ddot dq. It holds for steps of any length.
-Therefore toppra may take every third node, and the result is still a bound.
+Therefore toppra may take every third node, and the result is still a bound. Where limits depend on
+the position, the second and third line take the largest V and A in each cell.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.limit_table import ACCELERATION, FAR, PLACE, VELOCITY, limit_at
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.feedrate.toppra_stage import controllable
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
@@ -69,7 +71,30 @@ def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _point_cap(q_s: FloatArray, q_ss: FloatArray, table: FloatArray) -> float:
+def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
+    """Return the largest velocity and acceleration limit in each cell, shape (2, n, n_axes)."""
+    n, n_axes = left.shape[1], left.shape[2]
+    out = np.empty((2, n, n_axes))
+    for i in range(n):
+        for k in range(n_axes):
+            low, high = left[0, i, k], right[0, i, k]
+            if low > high:
+                low, high = high, low
+            if left[1, i, k] * right[1, i, k] <= 0.0:
+                low, high = -FAR, FAR  # the axis may turn round inside the cell
+            for row in (VELOCITY, ACCELERATION):
+                largest = limit_at(table, row, k, low)
+                if table.shape[2] > 1:
+                    largest = max(largest, limit_at(table, row, k, high))
+                for p in range(table.shape[2]):
+                    if low < table[PLACE, k, p] < high:
+                        largest = max(largest, table[row, k, p])
+                out[row, i, k] = largest
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _point_cap(q: FloatArray, q_s: FloatArray, q_ss: FloatArray, table: FloatArray) -> float:
     """
     Return the largest s_dot^2 at a point: velocities, and accelerations for the best s_ddot.
 
@@ -79,11 +104,12 @@ def _point_cap(q_s: FloatArray, q_ss: FloatArray, table: FloatArray) -> float:
     cap = FASTEST * FASTEST
     for i in range(len(q_s)):
         if q_s[i] != 0.0:
-            cap = min(cap, (table[0, i] / q_s[i]) ** 2)
+            cap = min(cap, (limit_at(table, VELOCITY, i, q[i]) / q_s[i]) ** 2)
         for k in range(i):
             crossed = abs(q_ss[i] * q_s[k] - q_ss[k] * q_s[i])
             if crossed > 0.0:
-                room = table[1, i] * abs(q_s[k]) + table[1, k] * abs(q_s[i])
+                room = limit_at(table, ACCELERATION, i, q[i]) * abs(q_s[k])
+                room += limit_at(table, ACCELERATION, k, q[k]) * abs(q_s[i])
                 cap = min(cap, room / crossed)
     return cap
 
@@ -97,8 +123,10 @@ def _point_caps(
     caps = np.full(n + 1, FASTEST * FASTEST)
     for i in range(n):
         tip = feed[i] * feed[i]
-        caps[i] = min(caps[i], tip, _point_cap(left[1, i], left[2, i], table))
-        caps[i + 1] = min(caps[i + 1], tip, _point_cap(right[1, i], right[2, i], table))
+        caps[i] = min(caps[i], tip, _point_cap(left[0, i], left[1, i], left[2, i], table))
+        caps[i + 1] = min(
+            caps[i + 1], tip, _point_cap(right[0, i], right[1, i], right[2, i], table)
+        )
     return caps
 
 
@@ -110,19 +138,15 @@ def _reach(b: float, q_s: float, q_s_there: float, room: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _both_passes(
-    left: FloatArray, right: FloatArray, ways: FloatArray, table: FloatArray, b: FloatArray
-) -> None:
+def _both_passes(left: FloatArray, right: FloatArray, rooms: FloatArray, b: FloatArray) -> None:
     """Lower b at the grid points to what can be reached from both sides, in place."""
-    n, n_axes = ways.shape
+    n, n_axes = rooms.shape
     for i in range(n):
         for k in range(n_axes):
-            room = 2 * table[1, k] * ways[i, k]
-            b[i + 1] = min(b[i + 1], _reach(b[i], left[1, i, k], right[1, i, k], room))
+            b[i + 1] = min(b[i + 1], _reach(b[i], left[1, i, k], right[1, i, k], rooms[i, k]))
     for i in range(n - 1, -1, -1):
         for k in range(n_axes):
-            room = 2 * table[1, k] * ways[i, k]
-            b[i] = min(b[i], _reach(b[i + 1], right[1, i, k], left[1, i, k], room))
+            b[i] = min(b[i], _reach(b[i + 1], right[1, i, k], left[1, i, k], rooms[i, k]))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -160,7 +184,7 @@ def _least_times(
     left: FloatArray,
     right: FloatArray,
     feed: FloatArray,
-    table: FloatArray,
+    largest: FloatArray,
     b: FloatArray,
 ) -> FloatArray:
     """Return the least time in each cell below the ceiling b, shape (n,) [s]."""
@@ -171,14 +195,14 @@ def _least_times(
         for k in range(n_axes):
             distance = abs(right[0, i, k] - left[0, i, k])
             start, end = left[1, i, k] ** 2 * b[i], right[1, i, k] ** 2 * b[i + 1]
-            alone = stroke_time(distance, start, end, table[0, k], table[1, k])
+            alone = stroke_time(distance, start, end, largest[0, i, k], largest[1, i, k])
             time[i] = max(time[i], alone)
     return time
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _step_rows(
-    points: IntArray, left: FloatArray, right: FloatArray, ways: FloatArray, table: FloatArray
+    points: IntArray, left: FloatArray, right: FloatArray, ways: FloatArray, largest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return q_s^2 / (2 A w) at both ends of the steps between some grid points."""
     n, n_axes = len(points) - 1, ways.shape[1]
@@ -186,7 +210,7 @@ def _step_rows(
     for i in range(n):
         first, last = points[i], points[i + 1]
         for k in range(n_axes):
-            room = 2 * table[1, k] * ways[first:last, k].sum()
+            room = 2 * largest[1, first:last, k].max() * ways[first:last, k].sum()
             if room > 0.0:
                 start[i, k] = left[1, first, k] ** 2 / room
                 end[i, k] = right[1, last - 1, k] ** 2 / room
@@ -205,8 +229,8 @@ def time_bound(
         Path without stops inside, with N cells.
     nodes : ndarray of int
         Indices of the grid points between the planner cells, from 0 to N.
-    table : ndarray, shape (3, n_axes)
-        Limits of the axes. Only velocity and acceleration limits are used.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position. Only velocity and acceleration limits are used.
     start : float
         Largest s_dot^2 at the start of the path [m2/s2].
     rests : bool
@@ -219,15 +243,17 @@ def time_bound(
 
     """
     h, left, right, feed = np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed
+    largest = _largest_limits(left, right, table)
     ways = _ways(h, left, right)
+    rooms = 2 * largest[1] * ways
     b = _point_caps(left, right, feed, table)
     b[0] = min(b[0], start)
     if rests:
         b[-1] = 0.0
-    _both_passes(left, right, ways, table, b)
+    _both_passes(left, right, rooms, b)
     points = np.unique(np.append(nodes[::STEP], nodes[-1]))
     if b.max() > 0.0:
-        first, last = _step_rows(points, left, right, ways, table)
+        first, last = _step_rows(points, left, right, ways, largest)
         b[points] = controllable(first, last, b[points])
-        _both_passes(left, right, ways, table, b)
-    return TimeBound(b, _least_times(h, left, right, feed, table, b))
+        _both_passes(left, right, rooms, b)
+    return TimeBound(b, _least_times(h, left, right, feed, largest, b))

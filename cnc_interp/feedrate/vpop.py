@@ -378,8 +378,8 @@ def plan(
     ----------
     path : AxisPath
         Path without stops inside.
-    table : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits of the axes.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
     start : tuple of float
         s_dot and s_ddot at the start of the path [m/s, m/s2].
     options : PlanOptions, optional

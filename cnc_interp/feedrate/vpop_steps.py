@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import ACCELERATION, JERK, VELOCITY, limit_at
 from cnc_interp.feedrate.stretch import time_at
 from cnc_interp.kinematics.axis_path import septic_value
 
@@ -59,7 +60,8 @@ def _leave(
         septic_value(septics[i], u, h, jet)
         q_s, bent = jet[1], jet[2] * v * v
         turned = (3 * jet[2] * a + jet[3] * v * v) * v
-        jerk, acceleration = (1 - SLACK) * table[2, i], (1 - SLACK) * table[1, i]
+        jerk = (1 - SLACK) * limit_at(table, JERK, i, jet[0])
+        acceleration = (1 - SLACK) * limit_at(table, ACCELERATION, i, jet[0])
         if q_s == 0.0:
             if abs(turned) > jerk or abs(bent) > acceleration:
                 out[0], out[1] = np.inf, -np.inf
@@ -71,7 +73,7 @@ def _leave(
         out[2] = max(out[2], (-acceleration - bent) / q_s)
         out[3] = min(out[3], (acceleration - bent) / q_s)
         out[4] = min(out[4], jerk / q_s)
-        out[5] = min(out[5], (1 - SLACK_SPEED) * table[0, i] / q_s)
+        out[5] = min(out[5], (1 - SLACK_SPEED) * limit_at(table, VELOCITY, i, jet[0]) / q_s)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -26,6 +26,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate import jerk_stage, vpop
 from cnc_interp.feedrate.horizon import WindowScan, commit_node
+from cnc_interp.feedrate.limit_kinks import with_kinks
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
@@ -163,8 +164,9 @@ class FeedPlanner:
         """
         self._refuse()
         bad = _unsound_cell(path)
-        last = len(path.s) - 1 if bad is None else bad
-        self._parts += [cut(path, i, min(i + PART, last)) for i in range(0, last, PART)]
+        known = with_kinks(path if bad is None else cut(path, 0, bad), self._table)
+        last = len(known.s) - 1
+        self._parts += [cut(known, i, min(i + PART, last)) for i in range(0, last, PART)]
         if bad is None:
             return self._plan_windows(finished=False)
         block = int(path.cell_block[bad])

@@ -11,15 +11,20 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
+from cnc_interp.core.limit_table import PLACE, place_table
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axes import Axis
 from cnc_interp.kinematics.machine_entries import (
     LOCKED_LIMITS,
+    Homing,
     axis_limits,
     entry,
     extra_axes,
+    homing,
     is_locked,
+    limits_by_position,
     linear_geometry,
     rotary_geometry,
 )
@@ -50,7 +55,7 @@ class Machine:
     axis_names : tuple of str
         ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
     max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
-        Limits [m/s or rad/s, per s, per s2].
+        Limits, the largest ones where they depend on the position [m/s or rad/s, per s, per s2].
     travel : ndarray, shape (n_axes, 2)
         Lowest and highest position, infinite for endless axes [m or rad].
     rotary_direction : ndarray, shape (2, 3)
@@ -65,6 +70,11 @@ class Machine:
         Smallest allowed angle between a turning tool axis and the pole [rad].
     extra_direction : ndarray, shape (k, 3)
         Unit vectors in M along which the extra axes move the tool [-].
+    places : dict of int to ndarray, shape (4, k)
+        For axes whose limits depend on the position: velocity, acceleration and jerk limits, and
+        the k positions at which they hold, see ``core/limit_table.py`` [m or rad, per s, s2, s3].
+    homing : Homing
+        Reference switches, and the order in which axes are homed.
     file : str
         Where it was read from; empty for bundled machines, which their name finds.
 
@@ -82,6 +92,8 @@ class Machine:
     tool_offset: FloatArray
     singular_cone: float
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    places: dict[int, FloatArray] = field(default_factory=dict)
+    homing: Homing = field(default_factory=Homing)
     file: str = ''
 
     @cached_property
@@ -98,6 +110,20 @@ class Machine:
         table = np.stack([self.max_velocity, self.max_acceleration, self.max_jerk])
         table.flags.writeable = False
         return table
+
+    @cached_property
+    def limit_table(self) -> FloatArray:
+        """The limits over position, shape (4, n_axes, m); see ``core/limit_table.py``."""
+        table = place_table(self.limits, self.places)
+        table.flags.writeable = False
+        return table
+
+    @cached_property
+    def lowest_limits(self) -> FloatArray:
+        """Limits that hold at every position, shape (3, n_axes) [m or rad, per s, s2, s3]."""
+        lowest: FloatArray = self.limit_table[:PLACE].min(axis=2)
+        lowest.flags.writeable = False
+        return lowest
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
@@ -198,6 +224,10 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         for i, name in enumerate(names)
     ]
     table = np.array([row[0] for row in rows])
+    travel = {
+        name: (np.array(row[1]), MM if straight else DEG)
+        for name, row, straight in zip(names, rows, linear, strict=True)
+    }
     return Machine(
         name=str(content.get('name', 'unnamed')),
         axis_names=tuple(names),
@@ -205,6 +235,8 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         max_acceleration=table[:, 1],
         max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
+        places=limits_by_position(content, names, linear, rows),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
+        homing=homing(content, travel),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )

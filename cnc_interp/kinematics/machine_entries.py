@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,8 @@ ROTARY_KEYS = {
 EXTRA_LETTERS = ('U', 'V', 'W')
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
+#: A table of limits covers the travel up to this [m, rad].
+SAME_PLACE = 1e-9
 #: Plausible size of velocity, acceleration and jerk limits in SI; beyond them a unit is wrong.
 PLAUSIBLE = ((1e-6, 1e3), (1e-4, 1e5), (1e-3, 1e7))
 
@@ -116,6 +120,73 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True)
+class Homing:
+    """
+    The reference switches of a machine.
+
+    Parameters
+    ----------
+    switches : mapping of str to float
+        Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
+        end of the travel that is nearer.
+    groups : tuple of tuples of str
+        Axes that home together, one group after the other.
+    required : bool
+        Whether no program may start before all these axes are homed.
+
+    """
+
+    switches: Mapping[str, float] = field(default_factory=dict)
+    groups: tuple[tuple[str, ...], ...] = ()
+    required: bool = False
+
+
+def homing(content: dict[str, Any], travel: dict[str, tuple[FloatArray, float]]) -> Homing:
+    """
+    Read the reference switches.
+
+    Parameters
+    ----------
+    content : dict
+        The machine file.
+    travel : dict
+        Lowest and highest position of each axis [m, rad], and the SI size of a unit of the file.
+
+    Raises
+    ------
+    MachineError
+        If an entry is wrong; the message names it.
+
+    """
+    given = content.get('homing')
+    if given is None:
+        return Homing()
+    if not isinstance(given, dict) or set(given) - {'switches', 'order', 'required'}:
+        raise MachineError('must hold switches, order, and required: true or false', 'homing')
+    switches, order = given.get('switches'), given.get('order')
+    required = given.get('required', False)
+    if not isinstance(required, bool):
+        raise MachineError('must be true or false', 'homing.required')
+    if not isinstance(switches, dict) or not switches:
+        raise MachineError('must give axes with positions, as {Z: 480.0}', 'homing.switches')
+    found = {}
+    for name, value in switches.items():
+        key = f'homing.switches.{name}'
+        if name not in travel or not np.isfinite(travel[name][0]).all():
+            raise MachineError('no axis with a travel', key)
+        (low, high), unit = travel[name]
+        found[name] = numbers([value], 1, key)[0] * unit
+        if not low < found[name] < high:
+            raise MachineError('must lie within the travel', key)
+    groups = [[name] for name in found] if order is None else order
+    lists = isinstance(groups, list) and all(isinstance(group, list) for group in groups)
+    if not lists or sorted(str(name) for group in groups for name in group) != sorted(found):
+        why = 'must name each axis of switches once, as [[Z], [X, Y]]'
+        raise MachineError(why, 'homing.order')
+    return Homing(found, tuple(map(tuple, groups)), required)
+
+
 def axis_limits(
     limits: dict[str, Any], name: str, linear: bool
 ) -> tuple[list[float], list[float]]:
@@ -141,6 +212,71 @@ def axis_limits(
             raise MachineError('must be [lowest, highest]', f'limits.{name}.{travel_key}')
         travel = [x * units[travel_key] for x in low_high]
     return found, travel
+
+
+def limits_by_position(
+    content: dict[str, Any],
+    names: list[str],
+    linear: list[bool],
+    rows: list[tuple[list[float], list[float]]],
+) -> dict[int, FloatArray]:
+    """
+    Read the limits that depend on the position; ``rows`` are limits and travel of all axes.
+
+    Returns
+    -------
+    dict of int to ndarray, shape (4, k)
+        Limits of an axis, and in the last row the k positions [m or rad, per s, s2, s3].
+
+    """
+    given, where = content.get('limits_by_position') or {}, 'limits_by_position'
+    if not isinstance(given, dict):
+        raise MachineError('must name axes, each with positions and limits', where)
+    found = {}
+    for name, values in given.items():
+        if name not in names:
+            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
+        i = names.index(name)
+        found[i] = _places(values, f'{where}.{name}', linear[i], *rows[i])
+    return found
+
+
+def _places(
+    values: Any, where: str, linear: bool, largest: list[float], travel: list[float]
+) -> FloatArray:
+    """Read the limits of one axis over its positions, shape (4, k)."""
+    units = LINEAR_KEYS if linear else ROTARY_KEYS
+    *limit_keys, travel_key = units
+    place_key = travel_key.replace('travel', 'at')
+    if not isinstance(values, dict) or not isinstance(values.get(place_key), list):
+        raise MachineError(f'give {place_key}: the positions, and limits there', where)
+    for key in values:
+        if key not in (place_key, *limit_keys):
+            known = ', '.join((place_key, *limit_keys))
+            raise MachineError(f'unknown; known: {known}', f'{where}.{key}')
+    count = len(values[place_key])
+    place = np.array(numbers(values[place_key], count, f'{where}.{place_key}')) * units[travel_key]
+    if count < 2 or not (np.diff(place) > 0.0).all():
+        raise MachineError('must be increasing positions, at least two', f'{where}.{place_key}')
+    if not np.isfinite(travel).all():
+        raise MachineError(f'the axis is endless; give it {travel_key} under limits', where)
+    if place[0] > travel[0] + SAME_PLACE or place[-1] < travel[1] - SAME_PLACE:
+        low, high = (end / units[travel_key] for end in travel)
+        raise MachineError(
+            f'does not cover the travel {low:g} ... {high:g}', f'{where}.{place_key}'
+        )
+    table = np.array([np.full(count, one) for one in largest] + [place])
+    for row, key in enumerate(limit_keys):
+        if key not in values:
+            continue
+        unit, least = units[key], PLAUSIBLE[row][0]
+        at = f'{where}.{key}'
+        for column, value in enumerate(numbers(values[key], count, at)):
+            if value * unit > largest[row] * (1.0 + 1e-12):
+                most = largest[row] / unit
+                raise MachineError(f'{value:g} is above {most:g}, the one under limits', at)
+            table[row, column] = number(value, at, least / unit, np.inf) * unit
+    return table
 
 
 def number(value: Any, key: str, low: float, high: float) -> float:

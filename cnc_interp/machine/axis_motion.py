@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
@@ -93,16 +93,16 @@ class AxisMotion:
         self.machine, self.period = machine, period
         self._transform = Transform.of(machine)
         self._memory = memory_of(period, lag)
-        self._largest = largest_differences(machine.limits, period)
-        self._recent_use = np.zeros_like(self._largest)
-        self.largest_use = np.zeros_like(self._largest)
+        self._longest_step: FloatArray = machine.limits[0] * period
+        self._recent_use = np.zeros_like(machine.limits)
+        self.largest_use = np.zeros_like(machine.limits)
         self.place(position)
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Smallest and largest setpoint, and the largest step between two; see ``fault_of``."""
         slack = np.array([-TRAVEL_SLACK, TRAVEL_SLACK])
-        return self.machine.travel + slack, GROSS * self._largest[0]
+        return self.machine.travel + slack, GROSS * self._longest_step
 
     def place(self, position: FloatArray) -> None:
         """Take where the axes stand at rest as the last setpoint."""
@@ -126,7 +126,8 @@ class AxisMotion:
 
         """
         held = np.concatenate([self.setpoints, setpoints])
-        use = np.abs(limit_shares(held, self._largest)).max(axis=1)
+        shares = limit_shares(held, self.machine.limit_table, self.period)
+        use = np.abs(shares).max(axis=1)
         self.setpoints = held[-BEFORE:]
         self.largest_use = np.maximum(self.largest_use, use)
         self._recent_use = np.maximum(self._recent_use, use)
@@ -167,7 +168,7 @@ class AxisMotion:
         beyond = beyond_travel(self.machine, wanted[None, :])
         if beyond:
             return f'{beyond}; reset and move inside'
-        use = np.abs(wanted - self.setpoints[-1]) / self._largest[0]
+        use = np.abs(wanted - self.setpoints[-1]) / self._longest_step
         k = int(np.argmax(use))
         if use[k] <= GROSS:
             return ''

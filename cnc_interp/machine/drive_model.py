@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import carray, cfunc, njit, types
-from scipy.linalg import expm
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
@@ -67,6 +66,8 @@ class DriveModel:
             ``z+ = transition z + held u + rising (u+ - u)`` with ``z = (x, v)``.
 
         """
+        from scipy.linalg import expm  # takes a tenth of a second that other nodes need not wait
+
         kv, f, tau = self.position_gain, self.feed_forward, self.time_constant
         # z' = A z + B u, u' = constant: one exponential of the three stacked.
         stacked = np.zeros((6, 6))

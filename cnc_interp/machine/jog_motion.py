@@ -22,6 +22,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
+from cnc_interp.kinematics.tool_line import tool_line
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
@@ -32,8 +33,6 @@ LEAST_SHARE = 1e-3
 HORIZON = 10.0
 #: Nearer than this to its target, an axis is there [m, rad].
 THERE = TRAVEL_SLACK
-#: Smaller components of the tool's direction are rounding [-].
-NO_PART = 1e-12
 
 VELOCITY, POSITION = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
 EACH_ALONE, TOGETHER = ruckig.Synchronization.No, ruckig.Synchronization.Time
@@ -51,7 +50,8 @@ class Slides:
     direction : ndarray, shape (m, n)
         Motion of the axes per unit of each coordinate x.
     limits : ndarray, shape (3, m)
-        Velocity, acceleration and jerk limits of the coordinates [m or rad, per s, s2, s3].
+        Velocity, acceleration and jerk limits of the coordinates that hold everywhere
+        [m or rad, per s, s2, s3].
     travel : ndarray, shape (m, 2)
         Smallest and largest coordinate [m, rad].
 
@@ -77,14 +77,12 @@ class Slides:
     def of_axes(machine: Machine) -> Slides:
         """Return the axes of the machine, each its own slide; x is q."""
         n = len(machine.axis_names)
-        return Slides(np.zeros(n), np.eye(n), machine.limits, machine.travel)
+        return Slides(np.zeros(n), np.eye(n), machine.lowest_limits, machine.travel)
 
     @staticmethod
     def along_tool(machine: Machine, stands: FloatArray) -> Slides:
         """
         Return one slide: X Y Z move the tip along the tool axis; x = 0 where the machine stands.
-
-        The tip is an affine function of X Y Z, so its differences over 1 m are exact.
 
         Parameters
         ----------
@@ -94,19 +92,14 @@ class Slides:
             Axis positions [m, rad].
 
         """
-        n = len(stands)
-        tip, axis = Transform.of(machine).forward(stands + np.eye(4, n, -1))
-        direction = np.zeros(n)
-        direction[:3] = np.linalg.solve((tip[1:] - tip[0]).T, axis[0])
-        direction[np.abs(direction) < NO_PART] = 0.0
-        moves = direction != 0.0
-        part = direction[moves]
-        ends = np.sort((machine.travel[moves] - stands[moves, None]) / part[:, None], axis=1)
+        line = tool_line(Transform.of(machine), stands)
+        moves = line.direction != 0.0
+        part = np.abs(line.direction[moves])
         return Slides(
             origin=np.array(stands, dtype=float),
-            direction=direction[None, :],
-            limits=(machine.limits[:, moves] / np.abs(part)).min(axis=1, keepdims=True),
-            travel=np.array([[ends[:, 0].max(), ends[:, 1].min()]]),
+            direction=line.direction[None, :],
+            limits=(machine.lowest_limits[:, moves] / part).min(axis=1, keepdims=True),
+            travel=line.travel[None, :],
         )
 
 

@@ -45,6 +45,7 @@ WAIT_REASONS = {
     Wait.PROGRAM_STOP: Reason.PROGRAM_STOP,
     Wait.OPTIONAL_STOP: Reason.OPTIONAL_STOP,
     Wait.SINGLE_BLOCK: Reason.SINGLE_BLOCK,
+    Wait.APPROACH: Reason.APPROACH,
 }
 #: The event that occurs when the machine rests after a chunk.
 REST_EVENTS = {
@@ -53,6 +54,7 @@ REST_EVENTS = {
     Wait.PROGRAM_STOP: Event.WAIT,
     Wait.OPTIONAL_STOP: Event.WAIT,
     Wait.SINGLE_BLOCK: Event.WAIT,
+    Wait.APPROACH: Event.WAIT,
     Wait.END: Event.FINISH,
 }
 #: Number of chunks that may wait, in addition to one for each setpoint of a full buffer.

@@ -67,7 +67,7 @@ class BlockFeed:
             raise StreamError('a block was asked for after its run')
         blocks = prepared.blocks
         made = block_messages(
-            blocks[rows], self._run_id, first, prepared.settings.flank_height,
+            prepared[rows], self._run_id, first, prepared.settings.flank_height,
             end=rows.stop == len(blocks),
         )  # fmt: skip
         if first == 0:

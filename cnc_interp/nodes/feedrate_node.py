@@ -106,6 +106,8 @@ class FeedrateNode(LifecycleNode):
     def _see_machine(self, state: MachineState) -> None:
         report = machine_report(state)
         self._moves = report.moves
+        if self._moves:
+            self._thread.load_rest()
         self._session.see_machine(report)
         if self._inputs.see(state):
             self._work()  # settings also affect motion that is planned already
@@ -174,6 +176,7 @@ class FeedrateNode(LifecycleNode):
         return RunPlanner(
             self._transform, first.flank_height, self._values['interpolation_period'],
             self._values['chunk_time'], stands, place, settings,
+            self._values['retract'], self._values['plunge_feed'],
         )  # fmt: skip
 
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:

@@ -1,4 +1,4 @@
-"""Motion by hand over ROS: topic ``jog`` and service ``move_axes`` of the machine node."""
+"""Motion by hand over ROS: topic ``jog``, services ``move_axes`` and ``home`` of the machine."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import time
 from typing import Any
 
 from cnc_interp_msgs.msg import Jog as JogMessage
-from cnc_interp_msgs.srv import MoveAxes
+from cnc_interp_msgs.srv import Home, MoveAxes
 
 from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.homing import Homing, SimulatedSwitches
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
@@ -32,6 +33,9 @@ class JogCommands:
 
     def __init__(self, node: Any, playback: Playback, diagnostics: Diagnostics):
         self._jog, self._diagnostics = Jog(playback), diagnostics
+        switches = SimulatedSwitches(playback.axes.machine)
+        self.homing = Homing(playback, self._jog, switches.pressed, switches.towards)
+        node.create_service(Home, 'home', self._home)
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         node.create_service(MoveAxes, 'move_axes', self._move)
         diagnostics.say('jog', OK, 'no motion by hand refused')
@@ -40,6 +44,9 @@ class JogCommands:
         """Take a beat, or name on the diagnostics why not."""
         try:
             shares = _pairs(message.axes, message.shares)
+            if self.homing.active and not (any(shares.values()) or message.tool):
+                self.homing.stop(time.monotonic())
+            self._refuse_beside_homing()
             self._jog.beat(shares, message.tool, time.monotonic())
             self._diagnostics.say('jog', OK, 'follows jog')
         except StreamError as problem:
@@ -48,6 +55,7 @@ class JogCommands:
     def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> Any:
         """Answer ``move_axes``."""
         try:
+            self._refuse_beside_homing()
             values = _pairs(request.axes, request.values)
             place = self._jog.move(values, request.relative, request.tool, request.speed)
             response.success, response.message = True, 'moving'
@@ -56,9 +64,23 @@ class JogCommands:
             response.success, response.message = False, str(problem)
         return response
 
+    def _home(self, request: Home.Request, response: Home.Response) -> Any:
+        """Answer ``home``."""
+        try:
+            axes = self.homing.begin(list(request.axes), time.monotonic())
+            response.success, response.message = True, f'homing {" ".join(axes)}'
+        except StreamError as problem:
+            response.success, response.message = False, str(problem)
+        return response
+
+    def _refuse_beside_homing(self) -> None:
+        if self.homing.active:
+            raise StreamError('the axes are being homed; feed_hold or an empty jog ends it')
+
     def work(self, override: float) -> None:
         """Hand out what the machine needs next; name what cannot be moved."""
         try:
+            self.homing.work(time.monotonic())
             self._jog.work(time.monotonic(), override)
         except StreamError as problem:
             self._diagnostics.say('jog', WARN, str(problem))

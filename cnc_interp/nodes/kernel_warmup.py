@@ -2,7 +2,8 @@
 A tiny built-in path: it loads every compiled kernel before anything moves.
 
 Each function works once in a process, and not again in a process that is forked from one where it
-has worked.
+has worked. What several nodes need is loaded before they are forked; the rest each node loads
+itself, at the same time as the others.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
@@ -25,7 +27,8 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.leg import LIVE
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
@@ -136,37 +139,50 @@ def warm_all(machine: str, period: float) -> None:
     table = limit_table(transform.machine)
     assert state is not None
     stop_law(path, state[1], table, 0.0)
-    warm_machine(transform.machine, period, chunks[0])
 
 
-def warm_machine(machine: Machine, period: float, chunk: Chunk) -> None:
-    """Load the kernels of the machine: it plays the beginning of a chunk without its clock."""
-    stands = chunk.samples.position[0]
+def resting_chunk(position: FloatArray, period: float) -> Chunk:
+    """Return four setpoints that command the same position, shape (n_axes,) [m or rad]."""
+    number, still = np.arange(4), np.zeros((4, len(position)))
+    samples = Setpoints(
+        number * period, still + position, still, still, still, number, np.zeros(4)
+    )
+    return Chunk(samples, part_of(samples, 0, 0), Wait.END)
+
+
+@cache
+def warm_machine(machine: str, period: float) -> None:
+    """Load the kernels of the machine: it plays setpoints at rest, without its clock."""
+    loaded = Machine.load(machine)
+    stands = np.zeros(len(loaded.axis_names))
+    endless = np.tile([-np.inf, np.inf], (len(stands), 1))
     drives = SimulatedDrives(DriveModel(), period, stands)
-    endless = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
-    playback = Playback(replace(machine, travel=endless), period, drives, 1)
+    playback = Playback(replace(loaded, travel=endless), period, drives, 1)
+    chunk = resting_chunk(stands, period)
     playback.switch_on()
     playback.begin_plan(RunId('warm'))
-    playback.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
+    playback.push(chunk, [0] * len(chunk.samples), [])
     playback.step()
     for _ in range(3):
         playback.cycle.step()
     playback.read()
 
 
-def warm_nodes() -> None:
-    """Load all kernels of the four nodes: once in set-up, and in the process they fork from."""
+def warm_shared() -> None:
+    """Load what several nodes need, in the process that they are forked from."""
     settings = Settings()
     read_text(TINY_TEXT, 'warm-up', Transform.of(Machine.load(DEFAULT_MACHINE)), settings)
-    warm_all(DEFAULT_MACHINE, settings.interpolation_period)
+    warm_kinematics(DEFAULT_MACHINE, settings.interpolation_period)
 
 
-def warm_plan() -> None:
-    """Load the kernels that planning without ROS needs in addition."""
-    path = warm_kinematics(DEFAULT_MACHINE, Settings().interpolation_period)
-    plan_path(path, Machine.load(DEFAULT_MACHINE))
+def compile_kernels() -> None:
+    """Compile the kernels of all nodes, and what planning without ROS needs in addition."""
+    period = Settings().interpolation_period
+    warm_shared()
+    warm_all(DEFAULT_MACHINE, period)
+    warm_machine(DEFAULT_MACHINE, period)
+    plan_path(warm_kinematics(DEFAULT_MACHINE, period), Machine.load(DEFAULT_MACHINE))
 
 
 if __name__ == '__main__':
-    warm_nodes()
-    warm_plan()
+    compile_kernels()

@@ -20,6 +20,7 @@ from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.feed_override import FeedOverride
 from cnc_interp.nodes.jog_commands import JogCommands
+from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
@@ -59,6 +60,7 @@ class MachineNode(LifecycleNode):
     def _configure(self) -> None:
         values = self._values
         machine = Machine.load(values['machine'])
+        warm_machine(values['machine'], self._period)
         priority = values['realtime_priority']
         # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
@@ -79,9 +81,11 @@ class MachineNode(LifecycleNode):
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
         self._override = FeedOverride(self, self._diagnostics)
-        self._reports = MachineReports(self, self._playback, values, self._override)
-        self._controls = Controls(self, self._playback, self._give_up)
         self._jog = JogCommands(self, self._playback, self._diagnostics)
+        self._reports = MachineReports(
+            self, self._playback, values, self._override, self._jog.homing
+        )
+        self._controls = Controls(self, self._playback, self._give_up)
         self.create_timer(0.005, self._work)
         self.create_timer(CLOCK_PERIOD, self._report_clock)
 
@@ -100,6 +104,7 @@ class MachineNode(LifecycleNode):
         except StreamError as problem:
             self.get_logger().error(str(problem))
             return TransitionCallbackReturn.FAILURE
+        self._jog.homing.forget()
         return super().on_deactivate(state)
 
     def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
@@ -121,6 +126,8 @@ class MachineNode(LifecycleNode):
             kind = Refusal.MACHINE_FAULT if stopped else Refusal.NOT_READY
             reason = state.text or 'activate it'
             raise StreamError(f'the machine is {state.state.value}: {reason}', kind)
+        if begins and (axes := ' '.join(self._jog.homing.must_home)):
+            raise StreamError(f'{axes} must be homed first; call home', Refusal.NOT_READY)
         number, before = chunk.first_sample, playback.buffer.newest
         if chunk.joins:
             before = playback.before_join(run_id, number)
@@ -165,7 +172,8 @@ class MachineNode(LifecycleNode):
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
-        told = state, run_id, self._override.value, playback.single_block
+        homed = tuple(self._jog.homing.homed)
+        told = state, run_id, self._override.value, playback.single_block, homed
         if told != self._published:
             self._published = told
             level = LEVELS.get(state.state, OK)

@@ -8,6 +8,7 @@ from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
 from cnc_interp.nodes.feed_override import FeedOverride
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
@@ -33,14 +34,21 @@ class MachineReports:
         Parameters of the node.
     override : FeedOverride
         The feed override that counts.
+    homing : Homing
+        The axes whose position is known.
 
     """
 
     def __init__(
-        self, node: Any, playback: Playback, values: dict[str, Any], override: FeedOverride
+        self,
+        node: Any,
+        playback: Playback,
+        values: dict[str, Any],
+        override: FeedOverride,
+        homing: Homing,
     ):
         self._node, self._playback = node, playback
-        self._override = override
+        self._override, self._homing = override, homing
         self._period: float = values['interpolation_period']
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
@@ -63,6 +71,7 @@ class MachineReports:
         message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()
         message.feed_override = self._override.value
+        message.homed, message.must_home = self._homing.homed, self._homing.must_home
         self._states.publish(message)
 
     def _publish_joints(self) -> None:

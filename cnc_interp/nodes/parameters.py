@@ -69,7 +69,7 @@ LOOKAHEAD = (
 FEEDRATE = (
     MACHINE,
     AUTOSTART,
-    *of_settings(Stage.MOTION),
+    *of_settings(Stage.MOTION, Stage.APPROACH),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
     Declared('chunk_time', 0.005, 'Motion in a message, at least a setpoint [s]', 0.0, 0.1),
@@ -94,7 +94,7 @@ MACHINE_NODE = (
 )
 PROGRAM = (
     MACHINE,
-    *of_settings(),
+    *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
     Declared(
         'program_folders', [''], 'Programs that goals may name by path: folders, or single files'
     ),

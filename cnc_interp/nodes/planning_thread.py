@@ -24,9 +24,19 @@ class PlanningThread:
         self.longest = 0.0  # time of the longest task since the last reading [s]
         self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: tuple[Task, Future[Any], float] | None = None
-        # This imports toppra, which takes a third of a second and is needed first when a window is
-        # tried again. The first plan does not wait for it.
-        Thread(target=import_module, args=['cnc_interp.feedrate.time_bound'], daemon=True).start()
+        self._loads_rest = False
+
+    def load_rest(self) -> None:
+        """
+        Import toppra in a thread of its own, unless that has begun.
+
+        It takes a third of a second and is needed where a window is tried again. To be called when
+        the machine moves, so that the first motion does not wait for it.
+        """
+        if not self._loads_rest:
+            self._loads_rest = True
+            rest = 'cnc_interp.feedrate.time_bound'
+            Thread(target=import_module, args=[rest], daemon=True).start()
 
     def submit(self, task: Task) -> None:
         """Submit a task, which is done after those submitted before."""

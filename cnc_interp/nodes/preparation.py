@@ -38,6 +38,12 @@ class Preparation:
             return Outcome(Code.CANCELED if self.cancelled else Code.REFUSED, text)
         return None
 
+    def again(self, future: Future[Prepared]) -> None:
+        """Drop the result and wait for another check."""
+        if self.prepared is not None:
+            self.prepared.blocks.close()
+        self.prepared, self.future, self.checked = None, future, 0.0
+
     def close(self) -> None:
         """Drop the program and end a check that is under way."""
         self.cancelled = True

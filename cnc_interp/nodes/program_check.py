@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import ProgramStream, open_program
+from cnc_interp.program import JobSetup, ProgramStream, open_program
+from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks
+from cnc_interp.program.columns import ProgramChange
+from cnc_interp.program.mdi import MdiLine, MdiReader
 from cnc_interp.program.source import Source
 from cnc_interp.program.spool import BlockSpool
 from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
+from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
@@ -38,7 +45,22 @@ class Prepared:
     settings : Settings
         The choices of the run.
     path_length : float
-        Length of the smoothed path [m].
+        Length of the smoothed path [m]; 0 for a line by hand without motion.
+    stops : ndarray of int, shape (k,)
+        Rows of the corners at which a stop is faster, ascending. All others are known, too, so
+        that the look-ahead need not try them again.
+    setup : JobSetup
+        The offsets and tools that it was read with.
+    is_own_setup : bool
+        Whether the goal has named them, so that they are not those of the machine.
+    changes : tuple of ProgramChange
+        What it changes of them.
+    used : frozenset of str
+        What it uses of them.
+    start : StartPlace or None
+        Where the run starts, if that is not the top.
+    line : MdiLine, optional
+        The line by hand, whose modal state is kept when it is executed.
 
     """
 
@@ -47,6 +69,21 @@ class Prepared:
     text: str
     settings: Settings
     path_length: float
+    stops: IntArray
+    setup: JobSetup
+    is_own_setup: bool
+    changes: tuple[ProgramChange, ...]
+    used: frozenset[str]
+    start: StartPlace | None = None
+    line: MdiLine | None = None
+
+    def __getitem__(self, rows: slice) -> Blocks:
+        """Return consecutive rows, their corners decided."""
+        blocks = self.blocks[rows]
+        first, after = np.searchsorted(self.stops, [rows.start, rows.start + len(blocks)])
+        corner = np.full(len(blocks), ROUND_CORNER)
+        corner[self.stops[first:after] - rows.start] = STOP_CORNER
+        return replace(blocks, corner=corner)
 
 
 def prepare(
@@ -55,6 +92,7 @@ def prepare(
     defaults: Settings,
     told: Callable[[float], None],
     folders: Sequence[str] = (),
+    of_machine: Callable[[], JobSetup] = JobSetup,
 ) -> Prepared:
     """
     Read and check the program of a goal, before anything moves; memory does not grow with it.
@@ -71,6 +109,8 @@ def prepare(
         Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
     folders : sequence of str, optional
         Folders and files that the goal may name; see ``require_allowed``.
+    of_machine : callable, optional
+        Returns offsets and tools of the machine, for a goal that names no setup.
 
     Raises
     ------
@@ -88,17 +128,71 @@ def prepare(
             f"the nodes run machine '{machine.name}', not '{goal.machine}'; start them with it"
         )
     settings = settings_of_goal(goal, defaults)
+    setup = JobSetup.load(settings.setup) if settings.setup else of_machine()
     if goal.program and not goal.text:
         require_allowed(Path(goal.program), folders)
-        stream = open_program(Path(goal.program), transform, settings)
+        stream = open_program(Path(goal.program), transform, settings, setup)
         text = text_of(Path(goal.program))
     else:
         source = Source.of_text(goal.text, Path(goal.program).name or '<text>')
-        stream = ProgramStream(source, transform, settings)
+        stream = ProgramStream(source, transform, settings, setup)
         text = goal.text if len(goal.text) <= LONGEST_TEXT else ''
+    return check(stream, setup, text, transform, settings, told)
+
+
+def prepare_line(
+    goal: Any,
+    reader: MdiReader,
+    setup: JobSetup,
+    stands: FloatArray,
+    transform: Transform,
+    settings: Settings,
+    told: Callable[[float], None],
+) -> Prepared:
+    """
+    Read and check a line by hand.
+
+    Parameters
+    ----------
+    goal : RunProgram.Goal
+        The line.
+    reader : MdiReader
+        Reads it in the modal state of the lines before.
+    setup : JobSetup
+        Offsets and tools of the machine.
+    stands : ndarray, shape (n_axes,)
+        Axis positions of the machine [m, rad].
+    transform, settings, told
+        As for ``prepare``; the settings are those of the node.
+
+    Raises
+    ------
+    InterpError
+        As ``prepare``; a line without motion is sound.
+
+    """
+    if settings_of_goal(goal, settings) != settings:
+        raise InterpError('a line by hand has the settings of program_node; leave out others')
+    line = reader.line(goal.text, stands, setup)
+    done = check(line, setup, goal.text, transform, settings, told, may_rest=True)
+    return replace(done, line=line)
+
+
+def check(
+    stream: ProgramStream,
+    setup: JobSetup,
+    text: str,
+    transform: Transform,
+    settings: Settings,
+    told: Callable[[float], None],
+    may_rest: bool = False,
+) -> Prepared:
+    """Check a program to its last block; raises as ``prepare``."""
     blocks = BlockSpool()
     try:
-        length = checked_length(stream, blocks, transform, settings, told)
+        length, stops, start = checked_path(stream, blocks, transform, settings, told)
+        if not (length > 0.0 or may_rest):
+            raise no_motion(stream.source)
     except OSError as problem:
         blocks.close()
         raise InterpError(
@@ -108,7 +202,10 @@ def prepare(
     except BaseException:
         blocks.close()
         raise
-    return Prepared(blocks, stream.notices, text, settings, length)
+    return Prepared(
+        blocks, stream.notices, text, settings, length, stops, setup,
+        settings.setup is not None, stream.changes, stream.used, start,
+    )  # fmt: skip
 
 
 def require_allowed(program: Path, folders: Sequence[str]) -> None:
@@ -138,32 +235,47 @@ def text_of(path: Path) -> str:
     return '' if len(content) > LONGEST_TEXT else content.decode('utf-8-sig', errors='replace')
 
 
-def checked_length(
+def checked_path(
     stream: ProgramStream,
     spool: BlockSpool,
     transform: Transform,
     settings: Settings,
     told: Callable[[float], None],
-) -> float:
+) -> tuple[float, IntArray, StartPlace | None]:
     """
-    Run a program through look-ahead and kinematics and return the length of its path [m].
+    Run a program through look-ahead and kinematics; its blocks go into the spool on their way.
 
-    Its blocks go into the spool on their way.
+    Returns
+    -------
+    float
+        Length of its path [m].
+    ndarray of int
+        Rows of the corners at which a stop is faster, ascending.
+    StartPlace or None
+        Where the run starts, if that is not the top.
+
     """
     chain, tolerances = PathChain(transform, settings), ToleranceUse()
-    length = 0.0
+    finder = StartFinder(transform, settings.flank_height, stream.start)
+    inside, length = stream.start.line > 0, 0.0
     with at_fault(stream.source):
         for part in stream:
             spool.append(part)
             tolerances.blocks(part)
+            if inside:
+                finder.blocks(part)
             for batch in batches(part):
-                length = checked(chain.push(batch), tolerances, length)
+                done = chain.push(batch)
+                length = checked(done, tolerances, length)
+                if inside:
+                    finder.path(done.path)
                 told(stream.share)
-        length = checked(chain.finish(), tolerances, length)
+        done = chain.finish()
+        length = checked(done, tolerances, length)
+        if inside:
+            finder.path(done.path, last=True)
         stream.note(chain.notice)
-    if not length > 0.0:
-        raise no_motion(stream.source)
-    return length
+    return length, np.sort(chain.stops), finder.found() if inside else None
 
 
 def checked(part: PathPart, tolerances: ToleranceUse, length: float) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
@@ -13,19 +14,23 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.block_feed import BlockFeed
 from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
+from cnc_interp.nodes.mdi import Mdi
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Prepared, prepare
 from cnc_interp.nodes.program_queue import ProgramQueue, answer
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.nodes.qos import LOADED
+from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.stream_outlet import Outlet
+from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
 from cnc_interp.wire.run_messages import add_executed, run_feedback
 
@@ -44,13 +49,16 @@ class ProgramNode(Node):
     def __init__(self) -> None:
         super().__init__('program_node')
         self._values = parameters.declare(self, parameters.PROGRAM)
-        self._settings = parameters.settings_of(self._values)
+        settings = parameters.settings_of(self._values)
+        self._table = SetupTable(settings.setup)
+        self._settings = replace(settings, setup=None)  # a goal without one gets the table
         self._transform = Transform.of(Machine.load(self._values['machine']))
         warm_kinematics(self._values['machine'], self._settings.interpolation_period)
         self._run: ProgramRun | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self)
+        self._setup = SetupServices(self, self._table, self._transform, self._peers)
         self._feed = BlockFeed()
         self._outlet = Outlet(
             self,
@@ -64,6 +72,7 @@ class ProgramNode(Node):
         self._state: MachineState | None = None  # the last one of the run
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
         self._queue = ProgramQueue()
+        self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         self._buttons = {
             name: self.create_client(Trigger, name) for name in ('feed_hold', 'reset')
         }
@@ -79,15 +88,28 @@ class ProgramNode(Node):
     def _accept(self, handle: Any) -> None:
         """Begin to read the program of a goal and queue it. The timer does the rest."""
         run = ProgramRun(handle.request)
-        run.preparation.future = self._worker.submit(
+        if handle.request.mdi:
+            missing = self._peers.missing(time.monotonic(), self._values['peer_timeout'])
+            busy = self._run is not None or bool(self._queue.names)
+            if (outcome := self._mdi.refusal(run, self._peers, missing, busy)) is not None:
+                answer(handle, run.result(outcome))
+                return
+        run.preparation.future = self._prepare(run, handle)
+        self._queue.add(run, handle)
+
+    def _prepare(self, run: ProgramRun, handle: Any) -> Future[Prepared]:
+        """Let the program of a goal be read, with the setup as it is then."""
+        if handle.request.mdi:
+            return self._worker.submit(self._mdi.prepare, run, handle.request)
+        return self._worker.submit(
             prepare,
             handle.request,
             self._transform,
             self._settings,
             run.preparation.has_checked,
             self._values['program_folders'],
+            lambda: self._table.setup,
         )
-        self._queue.add(run, handle)
 
     def _work(self) -> None:
         """Advance the run by one step."""
@@ -96,6 +118,7 @@ class ProgramNode(Node):
             (self._run, self._goal), self._state = following, None
             self._run.take_turn(now)
         self._queue.watch()
+        self._mdi.tell()
         run = self._run
         if run is None:
             self._see_unknown_run()
@@ -108,16 +131,25 @@ class ProgramNode(Node):
         state = self._peers.state
         if state is not None and state.program_id == run.run_id.program_id:
             self._state = state
+        if run.is_stale(self._table.setup):
+            run.check_again(self._prepare(run, self._goal), now)
         before = run.phase
         outcome = run.step(self._peers, now, self._values['peer_timeout'])
         if before is Phase.WAITING and run.phase is Phase.OFFERED:
             self._begin(run)
+            self._mdi.keep(run.preparation.prepared)
             self._loaded.publish(run.loaded())
+            program = run.preparation.prepared
+            assert program is not None
+            used = frozenset[str]() if program.is_own_setup else program.used
+            run_id = '' if program.is_own_setup else run.run_id.program_id
+            self._setup.use(run.name, run_id, used)
         if run.phase in SENDING:
             self._feed.fill(self._outlet.sender)
             self._outlet.pump()
             self._tell_progress(run.preparation.prepared, now)
         self._tell_programs(run)
+        self._keep_changes(run, outcome)
         if outcome is not None:
             self._finish(run, outcome)
         elif run.phase in SENDING:
@@ -157,6 +189,20 @@ class ProgramNode(Node):
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
         self._diagnostics.say('program', level, text, **values)
 
+    def _keep_changes(self, run: ProgramRun, outcome: Outcome | None) -> None:
+        """Keep what the program has changed of the setup, as far as it was executed."""
+        state = self._state
+        ended = outcome is not None and outcome.code is Code.SUCCEEDED
+        if not ended and (state is None or not state.samples):
+            return
+        changes = run.take_changes(0 if state is None else int(state.sequence), ended)
+        if changes:
+            try:
+                who = f'{run.name} line {changes[-1].line_number}'
+                self._setup.apply([found.change for found in changes], who)
+            except InterpError as problem:
+                self._diagnostics.say('setup', WARN, str(problem))
+
     def _press(self, button: str, now: float) -> None:
         """Call a service of the machine at intervals, because a lost node never answers."""
         if now - self._pressed_at > PRESS_AGAIN:
@@ -177,11 +223,14 @@ class ProgramNode(Node):
         if self._state is not None:
             add_executed(result, self._state)
         succeeded = outcome.code is Code.SUCCEEDED
+        if succeeded and run.rests_throughout:
+            self._mdi.keep(run.preparation.prepared)
         self._diagnostics.say(
             'program', OK if succeeded else WARN, outcome.message, **{WAITING: ''}
         )
         self._feed.end(self._outlet.sender)
         run.preparation.close()
+        self._setup.release()
         self._run = None
         answer(self._goal, result)
         if not succeeded:
@@ -191,6 +240,7 @@ class ProgramNode(Node):
         """Close. The blocks sent are executed; the look-ahead ends the path after them."""
         self._worker.shutdown(wait=False, cancel_futures=True)
         self._server.destroy()
+        self._table.close()
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import uuid
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.preparation import Preparation
+from cnc_interp.nodes.program_check import Prepared
+from cnc_interp.program import JobSetup
+from cnc_interp.program.columns import ProgramChange
 from cnc_interp.run.loss_recovery import LossRecovery
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
@@ -22,8 +28,28 @@ from cnc_interp.wire.settings_messages import loaded_program
 
 #: How long the first motion may take to reach the machine when all nodes answer [s].
 PATIENCE = 10.0
+#: Within this, the machine stands where a line by hand starts [m, rad].
+SAME = 1e-9
 MACHINE = RECEIVERS['setpoints']
 PLANNERS = {RECEIVERS['blocks'], RECEIVERS['segments']}
+
+
+def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
+    """Return why nothing can start now, by the silent node and the machine; None if it can."""
+    if missing or machine is None:
+        text = f'{missing or MACHINE} does not answer; start it and try again'
+        return Outcome(Code.STREAM_LOST, text)
+    if machine.state in (State.FAULT, State.STOPPING):
+        return Outcome(Code.STOPPED, f'the machine is stopped: {machine.message}; call reset')
+    if machine.state is State.INACTIVE:
+        return Outcome(Code.REFUSED, 'the drives are off; activate machine_node')
+    if machine.state is State.JOGGING:
+        return Outcome(Code.BUSY, 'the axes are moved by hand; let go, then start again')
+    if machine.must_home:
+        axes = ' '.join(machine.must_home)
+        return Outcome(Code.REFUSED, f'{axes} must be homed first; call home')
+    busy = 'the machine is in another run; wait for its end, or reset it'
+    return None if machine.is_free else Outcome(Code.BUSY, busy)
 
 
 class ProgramRun:
@@ -40,6 +66,7 @@ class ProgramRun:
     def __init__(self, goal: Any):
         self.run_id = RunId(uuid.uuid4().hex)
         self.name = Path(goal.program).name if goal.program else '<text>'
+        self.stands: FloatArray | None = None  # of a line by hand: where it starts [m, rad]
         self.phase = Phase.QUEUED
         self.preparation = Preparation()
         self.missing = ''  # a node that is silent
@@ -47,6 +74,7 @@ class ProgramRun:
         self._since = 0.0  # time at which the phase began [s]
         self.continue_at = 0.0  # path length from which the program goes on [m]
         self._machine: MachineReport | None = None  # its last report on this run
+        self._changes_done = 0  # changes of the machine's setup that were executed
         self._known_by: set[str] = set()
 
     def _change(self, step: Step, now: float) -> None:
@@ -81,6 +109,9 @@ class ProgramRun:
             outcome = self.preparation.look()
             if self.preparation.prepared is not None:
                 self._change(Step.CHECKED, now)
+                self.continue_at = self.start_at
+                if self.rests_throughout:
+                    outcome = Outcome(Code.SUCCEEDED, 'done, without motion')
         elif self.phase is Phase.WAITING:
             outcome = self._wait(peers, now, timeout)
         elif self.phase in SENDING:
@@ -95,22 +126,16 @@ class ProgramRun:
             return Outcome(Code.CANCELED, 'cancelled before anything moved')
         missing, machine = peers.missing(now, timeout), peers.machine
         if not missing and machine is not None:
-            if machine.state in (State.FAULT, State.STOPPING):
-                text = f'the machine is stopped: {machine.message}; call reset'
-                return Outcome(Code.STOPPED, text)
+            if machine.must_home or machine.state in (State.FAULT, State.STOPPING):
+                return why_not(missing, machine)
             if machine.is_free:
+                if self.stands is not None and np.abs(machine.stands - self.stands).max() > SAME:
+                    text = 'the axes have moved since the line was given; give it again'
+                    return Outcome(Code.BUSY, text)
                 self._change(Step.START, now)
                 return None
-        if now - self._since <= PATIENCE:
-            return None
-        if missing:
-            return Outcome(Code.STREAM_LOST, f'{missing} does not answer; start it and try again')
-        if machine is not None and machine.state is State.INACTIVE:
-            return Outcome(Code.REFUSED, 'the drives are off; activate machine_node')
-        text = 'the machine is in another run; wait for its end, or reset it'
-        if machine is not None and machine.state is State.JOGGING:
-            text = 'the axes are moved by hand; let go, then run the program again'
-        return Outcome(Code.BUSY, text)
+        patient = self.stands is None and now - self._since <= PATIENCE
+        return None if patient else why_not(missing, machine)
 
     def _watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         """Tell when the run is over, and how."""
@@ -160,6 +185,11 @@ class ProgramRun:
             self._change(Step.TAKEN, now)
 
     @property
+    def rests_throughout(self) -> bool:
+        """Tell whether this is a line by hand without motion."""
+        return self.preparation.prepared is not None and not self.preparation.prepared.path_length
+
+    @property
     def rests(self) -> bool:
         """Tell whether the machine rests on the path of this run."""
         return self._machine is not None and self._machine.rests_on_path
@@ -184,11 +214,55 @@ class ProgramRun:
         give the same path.
         """
         assert self._machine is not None
-        self.continue_at = self._machine.path_position
+        reached = self._machine.path_position  # not above 0 on the approach
+        self.continue_at = reached if reached > 0.0 else self.start_at
         self.run_id = self.run_id.next_attempt()
         self._known_by.clear()
         self.recovery.begin_again()
         self._change(Step.BEGIN_AGAIN, now)
+
+    @property
+    def start_at(self) -> float:
+        """Path length at which the run starts [m]; 0 at the top."""
+        program = self.preparation.prepared
+        return program.start.s if program is not None and program.start is not None else 0.0
+
+    def is_stale(self, setup: JobSetup) -> bool:
+        """Tell whether the run waits and was checked with another setup of the machine."""
+        program = self.preparation.prepared
+        return (
+            self.phase is Phase.WAITING
+            and program is not None
+            and not program.is_own_setup
+            and program.setup != setup
+        )
+
+    def check_again(self, future: Future[Prepared], now: float) -> None:
+        """Wait for another check, with the setup as it is now."""
+        self.preparation.again(future)
+        self._change(Step.STALE, now)
+
+    def take_changes(self, block: int, ended: bool) -> list[ProgramChange]:
+        """
+        Return what the program has changed of the machine's setup since the last call.
+
+        Parameters
+        ----------
+        block : int
+            The block that the machine executes.
+        ended : bool
+            Whether the program was executed to its end.
+
+        """
+        program = self.preparation.prepared
+        if program is None or program.is_own_setup:
+            return []
+        first = self._changes_done
+        for change in program.changes[first:]:
+            if not ended and change.block > block:
+                break
+            self._changes_done += 1
+        return list(program.changes[first : self._changes_done])
 
     def loaded(self) -> LoadedProgram:
         """Make the message about the program that is about to run."""
@@ -196,6 +270,12 @@ class ProgramRun:
         assert program is not None
         message = loaded_program(self.run_id.program_id, self.name, program.text, program.settings)
         message.path_length = program.path_length
+        if (start := program.start) is not None:
+            message.start_line, message.start_pass = start.block.line, start.block.which
+            message.start_at = start.s
+            message.start_positions = start.position.tolist()
+            message.start_notes = list(start.texts)
+        message.mdi = program.line is not None
         return message
 
     def result(self, outcome: Outcome) -> RunProgram.Result:

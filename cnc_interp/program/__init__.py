@@ -1,7 +1,7 @@
 """text -> Block: part programs in the usual dialects of G-code and as CL data."""
 
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.job import JobSetup
+from cnc_interp.program.job import JobSetup, Tool
 from cnc_interp.program.reading import (
     Program,
     ProgramStream,
@@ -17,6 +17,7 @@ __all__ = [
     'Program',
     'ProgramStream',
     'RotaryGeometry',
+    'Tool',
     'open_program',
     'read_program',
     'read_text',

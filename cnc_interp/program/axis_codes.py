@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.units import DEG
+from cnc_interp.program.job import MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
@@ -13,6 +14,8 @@ from cnc_interp.program.words import BlockWords
 class AxisCodes:
     """
     The codes G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3.
+
+    All but G52 change the setup, which outlives the program on the machine.
 
     Parameters
     ----------
@@ -23,40 +26,39 @@ class AxisCodes:
 
     def __init__(self, mover: Mover):
         self._mover, self.fault = mover, mover.fault
-        points = mover.setup.reference_points
-        self._references = {code: dict(points.get(code, {})) for code in ('G28', 'G30')}
 
     def execute(self, code: str, words: BlockWords) -> None:
         """Execute a code and remove its words from the block."""
         mover, values = self._mover, words.values
         frames = mover.frames
         if code == 'G10':
-            self._write_offset(words)
+            self._write_setup(words)
         elif code in ('G28', 'G30'):
             self._reference(code, words)
         elif code in ('G28.1', 'G30.1'):
             machine = np.concatenate([mover.point + mover.zero, mover.rotary])
             letters = ('X', 'Y', 'Z', *mover.rotary_letters)
-            self._references[code[:3]] = dict(zip(letters, machine.tolist(), strict=False))
+            place = dict(zip(letters, machine.tolist(), strict=False))
+            mover.change(SetupChange('reference_points', place, code[:3]))
         elif code == 'G52':
             # The frame moves; the tool does not.
             for i, value in self._offset_words(values).items():
                 frames.local[i] = value
-        elif code == 'G92':
-            frames.g92_on = True
             frames.update()
-            here = mover.here()
+        elif code == 'G92':
+            # Suspended values do not come back: G92 starts from what counts now, as in LinuxCNC.
+            here, amounts = mover.here(), frames.g92.copy()
             for i, value in self._offset_words(values).items():
-                turned = frames.turn[:, i] if i < 3 else None
-                if turned is None:
-                    frames.g92[i] += here[i] - value
+                if i < 3:
+                    amounts[:3] += frames.turn[:, i] * (here[i] - value)
                 else:
-                    frames.g92[:3] += turned * (here[i] - value)
+                    amounts[i] += here[i] - value
+            mover.change(SetupChange('g92', frames.g92_of(amounts)))
+            mover.change(SetupChange('g92_on', True))
         else:
-            frames.g92_on = code == 'G92.3'
             if code == 'G92.1':
-                frames.g92 = np.zeros(5)
-        frames.update()
+                mover.change(SetupChange('g92', {}))
+            mover.change(SetupChange('g92_on', code == 'G92.3'))
 
     def _offset_words(self, values: dict[str, float]) -> dict[int, float]:
         """Remove axis words and return them as offsets by axis number [m, rad]."""
@@ -68,19 +70,57 @@ class AxisCodes:
                     raise self.fault('an offset beyond 100,000 mm; correct it', letter)
         return found
 
-    def _write_offset(self, words: BlockWords) -> None:
-        """Process G10 L2 and L20: set a work offset."""
+    def _write_setup(self, words: BlockWords) -> None:
+        """Process G10: L2 and L20 set a work offset, L1, L10 and L11 a tool."""
         kind, index = words.values.pop('L', 0.0), words.values.pop('P', 0.0)
-        if kind not in (2.0, 20.0) or index not in range(10) or 'R' in words.values:
-            raise self.fault('only G10 L2 and L20 with P0 to P9 are supported', 'G10')
+        if kind in (1.0, 10.0, 11.0):
+            self._write_tool(int(kind), index, words)
+            return
+        if kind not in (2.0, 20.0) or index not in range(10):
+            raise self.fault(
+                'only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported', 'G10'
+            )
+        if 'R' in words.values:
+            raise self.fault(
+                'a turned work offset is not supported; post the program turned', words.texts['R']
+            )
         mover = self._mover
         position = None
         if kind == 20.0:
-            work = mover.frames
-            base = np.concatenate([mover.point, mover.rotary])
-            position = base - (work.local + (work.g92 if work.g92_on else 0.0))
-            position[2] -= work.length
-        mover.frames.set_work(int(index), self._offset_words(words.values), position)
+            frames = mover.frames
+            position = np.concatenate([mover.point, mover.rotary]) - frames.local - frames.g92
+            position[2] -= frames.length
+        offset = mover.frames.work_change(int(index), self._offset_words(words.values), position)
+        mover.change(offset)
+
+    def _write_tool(self, kind: int, number: float, words: BlockWords) -> None:
+        """
+        Process G10 L1, L10 and L11: set the length (Z) and the radius (R) of a tool.
+
+        L1 gives the length. L10 gives the coordinate that Z reads here once the tool is taken by
+        G43; L11 the same in G59.3, without G92.
+        """
+        mover, frames, values = self._mover, self._mover.frames, words.values
+        if number not in range(1, MOST_TOOL + 1):
+            raise self.fault(f'G10 L{kind} needs P with a tool number, 1 to {MOST_TOOL}', 'G10')
+        if mover.tcp and kind != 1:
+            raise self.fault('a tool is measured with tool-tip programming off', f'G10 L{kind}')
+        tool = mover.setup.tools.get(int(number), Tool())
+        length, radius = tool.length, tool.radius
+        if 'R' in values:
+            radius = values.pop('R') * mover.unit
+            if not 0.0 <= radius <= FARTHEST:
+                raise self.fault('the radius must not be below 0', words.texts['R'])
+        given = self._offset_words(values)
+        if 2 in given:
+            length = given.pop(2)
+            if kind == 10:
+                length = float(mover.point[2] - (frames.origin[2] - frames.length)) - length
+            elif kind == 11:
+                length = float(mover.point[2] - frames.work('G59.3')[2]) - length
+        if given:
+            raise self.fault('a tool has a length (Z) and a radius (R) only', f'G10 L{kind}')
+        mover.change(SetupChange('tools', Tool(length, radius, tool.remark), int(number)))
 
     def _reference(self, code: str, words: BlockWords) -> None:
         """Process G28 and G30: rapid over the point of the block to the reference point."""
@@ -96,7 +136,7 @@ class AxisCodes:
             mover.go(mover.frames.point(target[:3]), rotary, rapid=True)
         point, rotary = mover.point.copy(), mover.rotary.copy()
         for letter in named or letters:
-            home = self._references[code].get(letter, 0.0)
+            home = mover.setup.reference_points.get(code, {}).get(letter, 0.0)
             if letter in 'XYZ':
                 i = 'XYZ'.index(letter)
                 point[i] = mover.frames.machine_point(i, home)

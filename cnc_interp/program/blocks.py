@@ -10,6 +10,8 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 #: Values of ``Blocks.program_stop``: continue, M0, M1.
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2
+#: Values of ``Blocks.corner``: whether a stop is faster is tried, or known.
+OPEN_CORNER, ROUND_CORNER, STOP_CORNER = 0, 1, 2
 #: Values of ``Blocks.interpolation``: what runs linearly in a block.
 POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 
@@ -67,6 +69,9 @@ class Blocks:
     rotary_from : ndarray, shape (n, 2)
         Rotary positions at the start of rows whose rotary axes run linearly, beside the tip or
         about the resting tip [rad], else NaN.
+    corner : ndarray of int, shape (n,)
+        ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block, where
+        the path is not smooth and need not rest. Otherwise OPEN_CORNER, which is the default.
 
     """
 
@@ -86,6 +91,7 @@ class Blocks:
     extra: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     rotary_from: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    corner: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         if len(self.knot_interval) != len(self.tip):
@@ -98,6 +104,8 @@ class Blocks:
         if len(self.interpolation) != len(self.tip):
             object.__setattr__(self, 'interpolation', np.full(len(self.tip), POSES))
             object.__setattr__(self, 'rotary_from', np.full((len(self.tip), 2), np.nan))
+        if len(self.corner) != len(self.tip):
+            object.__setattr__(self, 'corner', np.full(len(self.tip), OPEN_CORNER))
         for column in fields(self):
             getattr(self, column.name).flags.writeable = False
 

@@ -17,13 +17,14 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MINUTE, MM
+from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Place, Source
+from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
 
 _FARTHEST = 1e5 * MM
@@ -80,6 +81,7 @@ class ClReader:
     ):
         self.settings, self.source, self.notices = settings, source, notices
         self.targets = TargetColumns(geometry, settings, source.name)
+        self.used: set[str] = set()  # nothing of the setup
         self.place = source.start
         self.line_number = 0
         self.unit = MM
@@ -89,11 +91,17 @@ class ClReader:
         self._point = (nan, nan, nan)
         self._circle: _Circle | None = None
         self._msys = ''
+        self._outputs: dict[str, str] = {}  # the last statement of each output
 
     @property
     def share(self) -> float:
         """Return the part of the text that has been read, 0 to 1."""
         return self.source.share(self.place)
+
+    @property
+    def start(self) -> StartLine:
+        """The line at which the run starts."""
+        return self.targets.start
 
     def blocks(self) -> Iterator[Blocks]:
         """Read all statements up to FINI, and yield the blocks in batches."""
@@ -101,6 +109,8 @@ class ClReader:
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
         for line_number, statement in self._statements(self._lines()):
             self.line_number = line_number
+            if self.start.line and not self.start.passes and line_number >= self.start.line:
+                self.start.reach(self._state_words)
             match = _GOTO.fullmatch(statement)
             if match:
                 self._goto(match.groups())
@@ -110,6 +120,12 @@ class ClReader:
                 self._other(statement)
             yield from self.targets.take()
         yield from self.targets.finish()
+
+    def _state_words(self) -> tuple[str, ...]:
+        """Return the state of the program as the statements that have set it."""
+        unit = 'MM' if self.unit == MM else 'INCHES'
+        feed = () if self.feedrate is None else (f'FEDRAT/{self.feedrate / MM_PER_MIN:g},MMPM',)
+        return (f'UNITS/{unit}', *feed, *self._outputs.values())
 
     def _lines(self) -> Iterator[str]:
         """Yield the lines of the text."""
@@ -197,6 +213,8 @@ class ClReader:
         if match is None:
             raise self._fault('not a CL statement; write MAJOR/minor', statement.split()[0])
         major, minor = match[1], (match[2] or match[3] or '').strip()
+        if major in cl_words.OUTPUTS:
+            self._outputs[major] = statement
         if major == 'GOTO':
             raise self._fault(
                 'expected three numbers, or six with the tool axis, between commas or spaces',

@@ -17,6 +17,8 @@ HARMLESS = {
     'PLOT', 'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
     'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TURRET',
 }  # fmt: skip
+#: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
+OUTPUTS = {'COOLNT', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
 STOPS = {
     'STOP': (AT_M0, codes.STOP_M['M0']),

@@ -25,7 +25,7 @@ SETTINGS: dict[str, tuple[str, object]] = {
     'G95': ('feed_mode', 'G95'),
     'G98': ('retract_to_start', True),
     'G99': ('retract_to_start', False),
-    **dict.fromkeys(('G60', 'G61', 'G61.1'), ('stop_always', True)),
+    **dict.fromkeys(('G61', 'G60', 'G61.1'), ('stop_always', True)),
     **dict.fromkeys(('G64', 'G641', 'G642', 'G643', 'G644', 'G645'), ('stop_always', False)),
     'G9': ('stop_once', True),
 }
@@ -95,6 +95,13 @@ DWELL = 'exact stop; the dwell time is not kept'
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}
 END_M = {'M2', 'M30'}
+#: Outputs of the machine that M codes switch, each with the code that holds afterwards.
+OUTPUTS: dict[str, dict[str, str]] = {
+    **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},
+    'M7': {'mist': 'M7'},
+    'M8': {'coolant': 'M8'},
+    'M9': {'mist': '', 'coolant': 'M9'},
+}
 REFUSED_M: dict[str, str] = {
     **dict.fromkeys(('M96', 'M97'), 'these subprogram calls are not supported; call with M98'),
     **dict.fromkeys(('M70', 'M71', 'M72', 'M73'), 'restoring modal state is not supported'),

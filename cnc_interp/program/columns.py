@@ -10,7 +10,8 @@ of the program, and Python does not process single rows.
 from __future__ import annotations
 
 from array import array
-from dataclasses import replace
+from collections import deque
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, nan
 
@@ -27,8 +28,10 @@ from cnc_interp.program.blocks import (
     STOP,
     Blocks,
 )
+from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import (
     AXIS,
+    CHANGES,
     CHORD_SHARE,
     CONTOUR,
     EXACT_STOP,
@@ -38,6 +41,7 @@ from cnc_interp.program.moves import (
     LINE,
     NAMED,
     ORIENTATION,
+    PASSES,
     RAPID,
     ROTARY,
     SAME,
@@ -47,6 +51,7 @@ from cnc_interp.program.moves import (
     merge_repeated,
 )
 from cnc_interp.program.rotary_geometry import RotaryGeometry
+from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.subdivide import (
     MOST_PIECES,
     angle_between,
@@ -65,6 +70,31 @@ _ANTIPARALLEL = 1e-4  # [rad]
 _MOST_TURN = 500.0 * 360.0 * DEG
 #: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
 _LONGEST_TURN = 8.0 * 360.0 * DEG
+
+
+#: More changes of the setup than this are not kept one by one.
+MOST_CHANGES = 1000
+
+
+@dataclass(frozen=True)
+class ProgramChange:
+    """
+    A change of the setup by a program.
+
+    Parameters
+    ----------
+    change : SetupChange
+        What changes.
+    line_number : int
+        Line of the program.
+    block : int
+        Row of the blocks before which it happens; the number of rows after the last one.
+
+    """
+
+    change: SetupChange
+    line_number: int
+    block: int
 
 
 class TargetColumns:
@@ -86,8 +116,13 @@ class TargetColumns:
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
         self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
+        self._changed = 0  # changes of the setup so far
+        self._coming: deque[tuple[int, SetupChange, int]] = deque()  # block not yet known
+        self._changes: list[ProgramChange] = []
+        self._emitted = 0  # rows of the blocks so far
         self._before: FloatArray | None = None  # the last target that became a block
         self._parts: list[Blocks] = []
+        self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
         self._dense, self._led = 0, False  # what goes before the next motion (``Moves``)
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
@@ -112,7 +147,26 @@ class TargetColumns:
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)
+        self._append(row)
+
+    def _append(self, row: tuple[float, ...]) -> None:
         self._rows.extend(row)
+        self._rows.append(self.start.passes)
+        self._rows.append(self._changed)
+
+    def change(self, change: SetupChange, line_number: int) -> None:
+        """Record a change of the setup after the last target."""
+        self._changed += 1
+        self._coming.append((self._changed, change, line_number))
+
+    @property
+    def changes(self) -> tuple[ProgramChange, ...]:
+        """
+        The changes of the setup whose place is known, in order; after ``finish`` all of them.
+
+        Of very many, the older ones are kept only where nothing overwrites them.
+        """
+        return tuple(self._changes)
 
     def extend(self, rows: FloatArray) -> None:
         """
@@ -120,12 +174,14 @@ class TargetColumns:
 
         Parameters
         ----------
-        rows : ndarray, shape (n, 29)
-            Targets with the columns of ``add``.
+        rows : ndarray, shape (n, 31)
+            Targets with the columns of ``add``; the last two are filled in here.
 
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)
+        rows[:, PASSES] = self.start.passes
+        rows[:, CHANGES] = self._changed
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
     def stop_here(self, kind: float = 1.0) -> None:
@@ -148,7 +204,7 @@ class TargetColumns:
             last = len(self._rows) - WIDTH
             self._rows[last + ROTARY.start : last + ROTARY.stop] = array('d', rotary)
 
-    def add_curve(self, curve: Blocks, end: tuple[float, ...]) -> None:
+    def add_curve(self, curve: Blocks, end: tuple[float, ...], passes: int) -> None:
         """
         Add a native spline that begins at the last target.
 
@@ -158,12 +214,16 @@ class TargetColumns:
             Control points of the spline, one per row.
         end : tuple of 29 floats
             Target at the end of the spline, as for ``add``; the next motion starts there.
+        passes : int
+            How often the start line was reached before its last control point.
 
         """
         self._convert(last=True)
         extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
         self._curve, self._before = replace(curve, extra=extra), None
         self._rows.extend(end)
+        self._rows.append(passes)
+        self._rows.append(self._changed)
 
     @property
     def stands(self) -> bool:
@@ -186,6 +246,7 @@ class TargetColumns:
             raise ProgramError('no motion found; is this a part program?', self._source)
         self.stop_here()
         self._convert(last=True)
+        self._place_changes(self._changed, self._emitted)
         return self.take()
 
     def _convert(self, last: bool) -> None:
@@ -200,7 +261,9 @@ class TargetColumns:
         self._rows = array('d', held.tobytes())
         self._full = min(4 * self._full, _BATCH_ROWS * WIDTH)
         if self._before is None and len(rows):
-            self._parts.append(self._beginning(rows[:1]))
+            beginning = self._beginning(rows[:1])
+            self.start.see(np.full(len(beginning), rows[0, PASSES]))
+            self._emit(beginning, np.zeros(1, np.int64), rows[:1])
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
             moves = self._moves(self._before, rows)
@@ -211,7 +274,28 @@ class TargetColumns:
             if len(rows):
                 self._before, self._dense, self._led = rows[-1], moves.dense, moves.led
             for part in _portions(moves):
-                self._parts.append(self._blocks(moves[part]))
+                some = moves[part]
+                self._emit(*self._blocks(some), some.rows)
+
+    def _emit(self, blocks: Blocks, row: IntArray, rows: FloatArray) -> None:
+        """Add blocks, made of these rows, and note before which ones the setup changes."""
+        if self._coming:
+            changed, first = np.unique(rows[row, CHANGES], return_index=True)
+            for count, block in zip(changed, first, strict=True):
+                self._place_changes(int(count), self._emitted + int(block))
+        self._emitted += len(blocks)
+        self._parts.append(blocks)
+
+    def _place_changes(self, count: int, block: int) -> None:
+        """Store all changes up to a number, which happen before a block."""
+        while self._coming and self._coming[0][0] <= count:
+            _, change, line = self._coming.popleft()
+            self._changes.append(ProgramChange(change, line, block))
+        if len(self._changes) > MOST_CHANGES:
+            half = MOST_CHANGES // 2
+            last = {(c.change.field, c.change.key): c for c in self._changes[:half]}
+            older = sorted(last.values(), key=lambda c: c.block)
+            self._changes[:half] = older
 
     def _beginning(self, row: FloatArray) -> Blocks:
         """Return the start pose, or the spline that ends in this row."""
@@ -224,17 +308,18 @@ class TargetColumns:
         return replace(curve, exact_stop=stop, program_stop=waits)
 
     def _moves(self, start: FloatArray, rows: FloatArray) -> Moves:
-        """Return the motions from a start target, shape (29,), through these rows."""
+        """Return the motions from a start target, shape (30,), through these rows."""
         before = np.vstack([start, rows])[:-1]
         return Moves(
             self._geometry, self._zero, before, rows, self._settings, self._dense, self._led
         )
 
-    def _blocks(self, moves: Moves) -> Blocks:
-        """Return the blocks of some motions."""
+    def _blocks(self, moves: Moves) -> tuple[Blocks, IntArray]:
+        """Return the blocks of some motions, and the row of each."""
         rows = moves.rows
         counts = self._piece_counts(moves)
         row, piece = ragged(counts)
+        self.start.see(rows[row, PASSES])
         u = (piece + 1.0) / counts[row]
         final = piece + 1 == counts[row]
         rotary = moves.rotary(row, u)
@@ -251,7 +336,7 @@ class TargetColumns:
         # Chords have used a part of the tolerance; the rest remains for the smoothing.
         share = np.where(curved, 1.0 - CHORD_SHARE, 1.0)
         feedrate, duration = moves.speeds()
-        return Blocks(
+        blocks = Blocks(
             tip=tip,
             axis=axis,
             rotary=rotary,
@@ -267,6 +352,7 @@ class TargetColumns:
             interpolation=interpolation,
             rotary_from=rotary_from,
         )
+        return blocks, row
 
     def _piece_counts(self, moves: Moves) -> IntArray:
         """Return the number of pieces of each motion, shape (n,)."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.program.job import WORK_OFFSETS, JobSetup, Position
+from cnc_interp.program.job import WORK_OFFSETS, JobSetup, Position, SetupChange
 
 Vector = FloatArray
 
@@ -24,7 +24,7 @@ class Frames:
     Parameters
     ----------
     setup : JobSetup
-        Work offsets from the operator.
+        Work offsets and G92 at the start.
     zero : ndarray, shape (3,)
         Machine coordinates of the workpiece zero in the machine file [m].
     rotary_letters : tuple of str
@@ -33,39 +33,48 @@ class Frames:
     """
 
     def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
-        self._zero, self._letters = zero, rotary_letters
-        self._work = {
-            name: self._measured(setup.work_offsets[name]) for name in setup.work_offsets
-        }
-        self.work_offset = ''
-        self.g92, self.g92_on = np.zeros(5), True
+        self._zero = np.concatenate([zero, np.zeros(2)])
+        self._letters = ('X', 'Y', 'Z', *rotary_letters)
+        #: The work offset that the program has named last; empty before.
+        self.named = ''
         self.local = np.zeros(5)
         self.length = 0.0
         self.shift, self.turn = np.zeros(3), np.eye(3)
         self.rotated = False
+        self.take(setup)
+
+    def take(self, setup: JobSetup) -> None:
+        """Use the work offsets and G92 of a setup from here on."""
+        self._setup = setup
+        self._work = self.work(setup.offset)
+        self.g92 = np.zeros(5)
+        for i, letter in enumerate(self._letters):
+            self.g92[i] = setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
         self.update()
 
-    def _measured(self, position: Position) -> Vector:
-        """Convert machine coordinates of a zero to an offset from that of the machine file."""
+    def work(self, name: str) -> Vector:
+        """Return a work offset, from the workpiece zero of the machine file, shape (5,)."""
+        position = self._setup.work_offsets.get(name, {})
         offset = np.zeros(5)
-        for i, letter in enumerate('XYZ'):
-            offset[i] = position.get(letter, float(self._zero[i])) - self._zero[i]
         for i, letter in enumerate(self._letters):
-            offset[3 + i] = position.get(letter, 0.0)
+            offset[i] = position.get(letter, float(self._zero[i])) - self._zero[i]
         return offset
+
+    def follow(self, before: Frames) -> None:
+        """Take over what another program has set and the setup does not hold."""
+        self.named, self.length, self.local = before.named, before.length, before.local.copy()
+        self.shift, self.turn, self.rotated = before.shift, before.turn, before.rotated
+        self.update()
 
     def known(self, name: str) -> bool:
         """Tell whether a work offset is set."""
-        return name in self._work
+        return name in self._setup.work_offsets
 
-    def choose(self, name: str) -> None:
-        """Activate a work offset."""
-        self.work_offset = name
-        self.update()
-
-    def set_work(self, index: int, words: dict[int, float], program: Vector | None) -> str:
+    def work_change(
+        self, index: int, words: dict[int, float], program: Vector | None
+    ) -> SetupChange:
         """
-        Set a work offset by G10 L2, or by G10 L20 if the program position is given.
+        Return the change of a work offset by G10 L2, or by L20 if the program position is given.
 
         Parameters
         ----------
@@ -78,24 +87,24 @@ class Frames:
 
         Returns
         -------
-        str
-            Name of the offset.
+        SetupChange
+            The change of the offset.
 
         """
-        name = WORK_OFFSETS[index - 1] if index else (self.work_offset or 'G54')
-        offset = self._work.get(name, np.zeros(5)).copy()
+        name = WORK_OFFSETS[index - 1] if index else self._setup.offset
+        position = dict(self._setup.work_offsets.get(name, {}))
         for i, value in words.items():
-            zero = self._zero[i] if i < 3 else 0.0
-            offset[i] = value - zero if program is None else program[i] - value
-        self._work[name] = offset
-        self.update()
-        return name
+            here = value if program is None else float(program[i] + self._zero[i]) - value
+            position[self._letters[i]] = here
+        return SetupChange('work_offsets', position, name)
+
+    def g92_of(self, amounts: Vector) -> Position:
+        """Return the amounts of G92, shape (5,), by axis letter."""
+        return dict(zip(self._letters, amounts.tolist(), strict=False))
 
     def update(self) -> None:
         """Recompute the sum of the offsets."""
-        total = self._work.get(self.work_offset or 'G54', np.zeros(5)) + self.local
-        if self.g92_on:
-            total = total + self.g92
+        total = self._work + self.local + self.g92
         self.origin = total[:3] + self.shift + np.array([0.0, 0.0, self.length])
         self.rotary_origin = total[3:]
         self.rotated = bool(np.any(self.turn != np.eye(3)))
@@ -138,6 +147,16 @@ class Frames:
     def machine_point(self, axis: int, coordinate: float) -> float:
         """Convert a machine coordinate of X, Y or Z (0, 1, 2) to that of a point [m]."""
         return coordinate - float(self._zero[axis])
+
+    def shifts(self) -> list[str]:
+        """Return the codes of the shifts beside the work offset that are not zero."""
+        found = {
+            'G92': self.g92.any(),
+            'G52': self.local.any(),
+            'TRANS': self.shift.any(),
+            'ROT': self.rotated,
+        }
+        return [code for code, counts in found.items() if counts]
 
     def reset_frame(self) -> None:
         """Cancel the programmed shift and rotation."""

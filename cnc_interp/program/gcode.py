@@ -9,19 +9,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from copy import deepcopy
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes, scan
+from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.columns import AT_M0, AT_M1
+from cnc_interp.program.columns import AT_M0, AT_M1, TargetColumns
 from cnc_interp.program.cycles import CannedCycle
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import Flow
-from cnc_interp.program.job import JobSetup
-from cnc_interp.program.modal_state import FARTHEST
+from cnc_interp.program.job import JobSetup, SetupChange
+from cnc_interp.program.modal_state import FARTHEST, modal_words
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.notices import Notices
@@ -30,6 +33,7 @@ from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.source import Source
 from cnc_interp.program.splines import Splines
+from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.variables import ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.choices import Settings
@@ -73,21 +77,71 @@ class GcodeReader:
         self.splines = Splines(self.mover)
         self.fault, self.notice = self.mover.fault, self.mover.notice
         self._cycle: CannedCycle | None = None
-        self._tool = self._chosen_tool = 0
+        self._tool = self._chosen_tool = setup.tool
+        self._outputs: dict[str, str] = {}  # the last M code of each output
         self._percent_seen = False
+        self.finished = False  # whether M2 or M30 was read
         self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
+
+    @property
+    def targets(self) -> TargetColumns:
+        """Return the targets of the program."""
+        return self.mover.targets
+
+    @property
+    def used(self) -> set[str]:
+        """Return what the program has used of the setup so far."""
+        return self.mover.used | {'G92', self.mover.last_offset}
 
     @property
     def share(self) -> float:
         """Return the part of the text that has been read, 0 to 1."""
         return self.flow.share
 
+    @property
+    def start(self) -> StartLine:
+        """The line at which the run starts."""
+        return self.mover.targets.start
+
+    def follow(self, before: GcodeReader) -> None:
+        """Take over the modal state and the variables of another reader, which stays as it is."""
+        self.mover.follow(before.mover)
+        self.variables.follow(before.variables)
+        self._chosen_tool = before._chosen_tool or self._tool
+        self._cycle = deepcopy(before._cycle)
+
+    def stand_at(self, q: FloatArray) -> None:
+        """Begin where the machine stands: axis positions, shape (n_axes,) [m, rad]."""
+        self.mover.stand_at(q)
+        if self._cycle is not None:
+            self._cycle.start = self._level()
+
+    def _level(self) -> float:
+        """Return the position along the tool of a canned cycle, in program coordinates [m]."""
+        return float(self.mover.here()[PLANES[self.mover.plane][2]])
+
+    def active_codes(self, offset: str) -> tuple[str, ...]:
+        """Return the active code of each modal group; the work offset is given."""
+        mover = self.mover
+        motion = '' if mover.motion is None else f'G{mover.motion}'
+        length = 'G43' if mover.frames.length else 'G49'
+        turning = ('ORIVECT' if mover.great_circle else 'ORIAXES') if mover.rotary_letters else ''
+        found = (
+            motion if self._cycle is None else self._cycle.code,
+            *mover.codes_of_settings(),
+            offset,
+            *mover.frames.shifts(),
+            mover.tcp or length,
+            turning,
+        )
+        return tuple(code for code in found if code)
+
     def blocks(self) -> Iterator[Blocks]:
         """Read the program and yield its blocks in batches."""
         flow, targets = self.flow, self.mover.targets
         while flow.here():
             window, row = flow.window, flow.row
-            end = window.next_rare(row)
+            end = self._until_start(row, window.next_rare(row))
             if end > row:
                 self._run(row, end)
             else:
@@ -98,6 +152,26 @@ class GcodeReader:
             yield from targets.take()
         self.splines.end()
         yield from targets.finish()
+
+    def _until_start(self, row: int, end: int) -> int:
+        """Note that the line of the start is reached; end lines read together before it."""
+        start, flow = self.start, self.flow
+        ahead = start.line - flow.line_number
+        if not start.line or ahead < 0 or flow.source is not flow.main:
+            return end
+        if ahead == 0:
+            start.reach(self._state_words)
+            return end
+        return min(end, row + ahead)
+
+    def _state_words(self) -> tuple[str, ...]:
+        """Return the state of the program as words that would set it."""
+        words = modal_words(self.mover)
+        if self._tool:
+            words.insert(0, f'T{self._tool}')
+        if self.mover.spindle_speed:
+            words.append(f'S{self.mover.spindle_speed:g}')
+        return (*words, *(code for code in self._outputs.values() if code))
 
     def _run(self, first: int, end: int) -> None:
         """Execute lines that contain no rare line."""
@@ -151,6 +225,8 @@ class GcodeReader:
             self._chosen_tool = round(min(abs(values['T']), 1e6))
         if 'M6' in words.m or not self._tool:
             self._tool = self._chosen_tool
+        if 'M6' in words.m:
+            mover.change(SetupChange('tool', self._tool))
         if 'S' in values:
             mover.spindle_speed = values['S']
         self._settings(words)
@@ -176,7 +252,8 @@ class GcodeReader:
             if code in codes.STOP_M:
                 self._program_stop(code)
         if codes.END_M & set(words.m):
-            self.flow.ended = True
+            mover.change(SetupChange('active', ''))  # all other offsets are kept
+            self.flow.ended = self.finished = True
         elif calling:
             self.flow.call_number(*calling)
         elif 'M99' in words.m:
@@ -207,8 +284,7 @@ class GcodeReader:
                 self._modes.tool_length(code, words, self._tool)
             elif code in codes.CYCLES:
                 if self._cycle is None:
-                    along = 'XYZ'.index({'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane])
-                    self._cycle = CannedCycle(code, float(mover.here()[along]))
+                    self._cycle = CannedCycle(code, self._level())
                 self._cycle.code = code
                 if code in ('G74', 'G84'):
                     self.notice(code, 'feed in, feed out; the spindle is not synchronised')
@@ -234,6 +310,7 @@ class GcodeReader:
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
         elif code not in (codes.END_M | codes.STOP_M.keys() | {'M98', 'M99'}):
+            self._outputs |= codes.OUTPUTS.get(code, {})
             self.notice(code, 'no effect, it does not move the tool')
 
     def _program_stop(self, code: str) -> None:

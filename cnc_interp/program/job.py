@@ -1,43 +1,155 @@
-"""JobSetup: settings of the operator for a job: work offsets, tools, reference points."""
+"""JobSetup: offsets, tools and reference points that a program starts with."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.small_files import UnreadableError, read_yaml
+from cnc_interp.core.small_files import UnreadableError, parse_yaml, read_yaml
 from cnc_interp.core.units import DEG, MM
+from cnc_interp.settings.choices import Settings
 
 LETTERS = 'XYZABC'
 WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
 REFERENCE_POINTS = ('G28', 'G30')
 Position = Mapping[str, float]
 
+#: Longest remark of a tool [characters], and its largest number.
+LONGEST_REMARK, MOST_TOOL = 80, 99_999
+#: Digits after the point in setup files [mm, deg].
+_DIGITS = 9
+
+
+@dataclass(frozen=True)
+class Tool:
+    """
+    An entry of the tool table.
+
+    Parameters
+    ----------
+    length : float
+        Length along the tool that G43 uses [m].
+    radius : float
+        Radius of the cutter [m].
+    remark : str
+        Anything that tells it from others, in one line.
+
+    """
+
+    length: float = 0.0
+    radius: float = 0.0
+    remark: str = ''
+
+
+@dataclass(frozen=True)
+class SetupChange:
+    """
+    One change of a setup.
+
+    Parameters
+    ----------
+    field : str
+        Name of the field of ``JobSetup``.
+    value : object
+        Its new value, or that of one entry; None removes the entry.
+    key : str or int, optional
+        The entry that changes, where the field is a mapping of entries.
+
+    """
+
+    field: str
+    value: Any
+    key: str | int | None = None
+
+    @property
+    def name(self) -> str:
+        """What changes, in the words of the shop floor."""
+        names = {'active': 'active offset', 'tool': 'spindle', 'g92': 'G92', 'g92_on': 'G92'}
+        if self.field == 'tools':
+            return f'tool {self.key}'
+        return str(names.get(self.field, self.key))
+
 
 @dataclass(frozen=True)
 class JobSetup:
     """
-    The settings of the operator for one job.
+    Offsets, tools and reference points: those of the machine, or those of one job.
 
     Parameters
     ----------
     work_offsets : mapping of str to position
         Machine coordinates of the workpiece zeros G54 to G59.3, by axis letter [m, rad]. If a zero
         is missing, the machine file gives the workpiece zero.
-    tool_lengths : mapping of int to float
-        Tool lengths by tool number [m].
+    tools : mapping of int to Tool
+        The tool table, by tool number.
     reference_points : mapping of str to position
         Machine coordinates of G28 and G30 by axis letter [m, rad]; missing values are 0.
+    active : str
+        The work offset that a program begins with; empty: G54, until the program names another.
+    g92 : position
+        What G92 adds to the work offset, by axis letter [m, rad].
+    g92_on : bool
+        Whether that counts; G92.2 suspends it.
+    tool : int
+        Number of the tool in the spindle; 0: none.
 
     """
 
     work_offsets: Mapping[str, Position] = field(default_factory=dict)
-    tool_lengths: Mapping[int, float] = field(default_factory=dict)
+    tools: Mapping[int, Tool] = field(default_factory=dict)
     reference_points: Mapping[str, Position] = field(default_factory=dict)
+    active: str = ''
+    g92: Position = field(default_factory=dict)
+    g92_on: bool = False
+    tool: int = 0
+
+    @property
+    def offset(self) -> str:
+        """Name of the active work offset."""
+        return self.active or WORK_OFFSETS[0]
+
+    @property
+    def loaded_length(self) -> float:
+        """Length of the tool in the spindle [m]; 0 if it is not in the table."""
+        return self.tools.get(self.tool, Tool()).length
+
+    def changed(self, change: SetupChange) -> JobSetup:
+        """Return the setup after a change."""
+        if change.key is None:
+            return replace(self, **{change.field: change.value})
+        entries: dict[Any, Any] = dict(getattr(self, change.field))
+        entries.pop(change.key, None)
+        if change.value is not None:
+            entries[change.key] = change.value
+        fields: dict[str, Any] = {change.field: entries}
+        return replace(self, **fields)
+
+    def told(self, change: SetupChange) -> str:
+        """Return what a change concerns as it is here, in mm and deg, as ``X 40 Y -70``."""
+        value = getattr(self, change.field)
+        if change.field == 'active':
+            return self.offset
+        if change.field == 'tool':
+            return f'tool {self.tool}' if self.tool else 'no tool'
+        if change.field == 'g92_on':
+            return 'on' if value else 'off'
+        entry = value if change.key is None else value.get(change.key)
+        if isinstance(entry, Tool):
+            words = f'length {_shown(entry.length, MM):g} radius {_shown(entry.radius, MM):g}'
+            return f'{words} {entry.remark}'.strip()
+        shown = _position_shown(entry or {})
+        return ' '.join(f'{letter} {value:g}' for letter, value in shown.items()) or 'not set'
+
+    @staticmethod
+    def of(settings: Settings) -> JobSetup:
+        """Return the setup of the file that the settings name, else an empty one."""
+        return JobSetup.load(settings.setup) if settings.setup else JobSetup()
 
     @staticmethod
     def load(path: Path) -> JobSetup:
@@ -66,61 +178,166 @@ class JobSetup:
             raise ProgramError(f'cannot be opened: {problem.strerror}', str(path)) from None
         except UnreadableError as problem:
             raise ProgramError(f'cannot be read as YAML: {problem}', str(path)) from None
-        keys = ('work_offsets', 'tools', 'reference_points')
-        whole = _mapping(content, 'the file', str(path))
-        for key in whole:
-            if key not in keys:
-                raise ProgramError(f'{key}: unknown; known: {", ".join(keys)}', str(path))
-        offsets, tools, references = (
-            _mapping(whole.get(key) or {}, key, str(path)) for key in keys
+        return _Reading(str(path)).setup(content)
+
+    @staticmethod
+    def of_text(text: str) -> JobSetup:
+        """Read a setup from the text of a setup file; raises ProgramError as ``load``."""
+        return _Reading('<setup>').setup(parse_yaml(text)) if text else JobSetup()
+
+    def text(self) -> str:
+        """Return the text of a setup file, in mm and deg to nine digits after the point."""
+        content: dict[str, Any] = {
+            'work_offsets': {
+                name: _position_shown(self.work_offsets[name])
+                for name in WORK_OFFSETS
+                if name in self.work_offsets
+            },
+            'active': self.active,
+            'g92': _position_shown(self.g92),
+        }
+        if self.g92 and not self.g92_on:
+            content['g92_on'] = False
+        content['tools'] = {
+            number: _tool_shown(self.tools[number]) for number in sorted(self.tools)
+        }
+        content['tool'] = self.tool
+        content['reference_points'] = {
+            name: _position_shown(self.reference_points[name])
+            for name in REFERENCE_POINTS
+            if name in self.reference_points
+        }
+        filled = {
+            key: value
+            for key, value in content.items()
+            if value not in ({}, '', 0) or value is False
+        }
+        return str(
+            yaml.safe_dump(
+                filled, sort_keys=False, allow_unicode=True, width=10_000, default_flow_style=None
+            )
         )
-        return JobSetup(
-            {k: _position(offsets, k, WORK_OFFSETS, str(path)) for k in offsets},
-            {_tool(k, str(path)): _length(tools, k, str(path)) for k in tools},
-            {k: _position(references, k, REFERENCE_POINTS, str(path)) for k in references},
-        )
 
 
-def _mapping(content: Any, what: str, source: str) -> dict[Any, Any]:
-    """Return a mapping of keys to values; raise if the content is not one."""
-    if not isinstance(content, dict):
-        raise ProgramError(f'{what}: must be a mapping; give keys with values', source)
-    return content
+def _shown(value: float, unit: float) -> float:
+    """Return a value in a unit, without the rounding of the conversion."""
+    return float(round(value / unit, _DIGITS)) + 0.0
 
 
-def _number(value: Any, key: str, source: str) -> float:
-    """Return a finite number; raise if the value is not one."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ProgramError(f'{key}: must be a number, not {value!r}', source)
-    return float(value)
-
-
-def _position(
-    content: dict[Any, Any], name: Any, known: tuple[str, ...], source: str
-) -> dict[str, float]:
-    """Return one position by axis letters [m, rad], from mm and deg."""
-    if name not in known:
-        raise ProgramError(f'{name}: unknown; known: {", ".join(known)}', source)
-    words = _mapping(content[name], str(name), source)
-    for letter in words:
-        if letter not in list(LETTERS):
-            raise ProgramError(f'{name}.{letter}: unknown axis; known: X Y Z A B C', source)
+def _position_shown(position: Position) -> dict[str, float]:
+    """Return a position in mm and deg, in the order of the letters."""
     return {
-        letter: _number(value, f'{name}.{letter}', source) * (MM if letter in 'XYZ' else DEG)
-        for letter, value in words.items()
+        letter: _shown(position[letter], MM if letter in 'XYZ' else DEG)
+        for letter in LETTERS
+        if letter in position
     }
 
 
-def _tool(key: Any, source: str) -> int:
-    """Return a tool number; raise if the key is not a whole number."""
-    if isinstance(key, bool) or not isinstance(key, int):
-        raise ProgramError(f'tools.{key}: the tool number must be a whole number', source)
-    return key
+def _tool_shown(tool: Tool) -> dict[str, Any]:
+    """Return a tool in mm; what is 0 or empty is left out, but for the length."""
+    shown: dict[str, Any] = {'length': _shown(tool.length, MM)}
+    if tool.radius:
+        shown['radius'] = _shown(tool.radius, MM)
+    if tool.remark:
+        shown['remark'] = tool.remark
+    return shown
 
 
-def _length(tools: dict[Any, Any], key: Any, source: str) -> float:
-    """Return a tool length [m], from mm."""
-    words = _mapping(tools[key], f'tools.{key}', source)
-    if set(words) != {'length'}:
-        raise ProgramError(f'tools.{key}: must have one key, as {{length: 75.0}}', source)
-    return _number(words['length'], f'tools.{key}.length', source) * MM
+class _Reading:
+    """
+    The content of a setup file, read into a setup.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for errors.
+
+    """
+
+    KEYS = ('work_offsets', 'active', 'g92', 'g92_on', 'tools', 'tool', 'reference_points')
+
+    def __init__(self, source: str):
+        self._source = source
+
+    def fault(self, message: str) -> ProgramError:
+        """Return an error that names the file."""
+        return ProgramError(message, self._source)
+
+    def setup(self, content: Any) -> JobSetup:
+        """Return the setup; raise ProgramError for a wrong key or value."""
+        whole = self._mapping(content, 'the file')
+        for key in whole:
+            if key not in self.KEYS:
+                raise self.fault(f'{key}: unknown; known: {", ".join(self.KEYS)}')
+        offsets, tools, references = (
+            self._mapping(whole.get(key) or {}, key)
+            for key in ('work_offsets', 'tools', 'reference_points')
+        )
+        active, g92_on = whole.get('active', ''), whole.get('g92_on', bool(whole.get('g92')))
+        if active not in ('', *WORK_OFFSETS):
+            raise self.fault(f'active: must be one of {", ".join(WORK_OFFSETS)}, not {active!r}')
+        if not isinstance(g92_on, bool):
+            raise self.fault(f'g92_on: must be true or false, not {g92_on!r}')
+        return JobSetup(
+            {k: self._position(offsets[k], k, WORK_OFFSETS) for k in offsets},
+            {self._number_of(k, 'tools'): self._tool(tools[k], k) for k in tools},
+            {k: self._position(references[k], k, REFERENCE_POINTS) for k in references},
+            active,
+            self._position(whole.get('g92') or {}, 'g92', ('g92',)),
+            g92_on,
+            self._number_of(whole.get('tool', 0), 'tool'),
+        )
+
+    def _mapping(self, content: Any, what: str) -> dict[Any, Any]:
+        """Return a mapping of keys to values; raise if the content is not one."""
+        if not isinstance(content, dict):
+            raise self.fault(f'{what}: must be a mapping; give keys with values')
+        return content
+
+    def _number(self, value: Any, key: str) -> float:
+        """Return a finite number; raise if the value is not one."""
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            raise self.fault(f'{key}: must be a number, not {value!r}')
+        return float(value)
+
+    def _position(self, content: Any, name: Any, known: tuple[str, ...]) -> dict[str, float]:
+        """Return one position by axis letters [m, rad], from mm and deg."""
+        if name not in known:
+            raise self.fault(f'{name}: unknown; known: {", ".join(known)}')
+        words = self._mapping(content, str(name))
+        for letter in words:
+            if letter not in list(LETTERS):
+                raise self.fault(f'{name}.{letter}: unknown axis; known: X Y Z A B C')
+        return {
+            letter: self._number(value, f'{name}.{letter}') * (MM if letter in 'XYZ' else DEG)
+            for letter, value in words.items()
+        }
+
+    def _number_of(self, key: Any, what: str) -> int:
+        """Return a tool number; raise if it is not a whole number."""
+        if isinstance(key, bool) or not isinstance(key, int):
+            raise self.fault(f'{what}.{key}: the tool number must be a whole number')
+        return key
+
+    def _tool(self, content: Any, key: Any) -> Tool:
+        """Return a tool [m], from mm."""
+        words = self._mapping(content, f'tools.{key}')
+        if 'length' not in words or not set(words) <= {'length', 'radius', 'remark'}:
+            raise self.fault(
+                f'tools.{key}: must have a length, perhaps a radius and a remark, as '
+                '{length: 75.0, radius: 5.0, remark: ball}'
+            )
+        radius = self._number(words.get('radius', 0.0), f'tools.{key}.radius') * MM
+        remark = words.get('remark', '')
+        if radius < 0.0:
+            raise self.fault(f'tools.{key}.radius: must not be below 0')
+        if not isinstance(remark, str) or not fits_as_remark(remark):
+            raise self.fault(
+                f'tools.{key}.remark: must be a text in one line of {LONGEST_REMARK} characters'
+            )
+        return Tool(self._number(words['length'], f'tools.{key}.length') * MM, radius, remark)
+
+
+def fits_as_remark(remark: str) -> bool:
+    """Tell whether a text can be the remark of a tool."""
+    return len(remark) <= LONGEST_REMARK and (not remark or remark.isprintable())

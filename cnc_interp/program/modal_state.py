@@ -13,7 +13,7 @@ from cnc_interp.program import codes
 from cnc_interp.program.columns import TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
-from cnc_interp.program.job import JobSetup
+from cnc_interp.program.job import WORK_OFFSETS, JobSetup, SetupChange, Tool
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.rotary_geometry import RotaryGeometry
@@ -28,6 +28,32 @@ LENGTH_WITH_TCP = (
 )
 _NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
 _NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
+
+
+#: The modal attributes of codes.SETTINGS, the motion first, and those that other words set.
+_SETTINGS = ('motion', 'plane', 'unit', 'incremental', 'centre_absolute', 'feed_mode',
+             'retract_to_start', 'stop_always')  # fmt: skip
+_VALUES = ('great_circle', 'tcp', 'feedrate', 'turn_rate', 'blocks_per_minute', 'feed_changed',
+           'spindle_speed', 'contour', 'orientation')  # fmt: skip
+
+
+def modal_words(state: ModalState) -> list[str]:
+    """Return the modal settings as words that would set them: codes, tool length, offset, F."""
+    words: dict[str, str] = {}
+    for code, (attribute, value) in codes.SETTINGS.items():
+        held = getattr(state, attribute)
+        if held is not None and type(held) is type(value) and held == value:
+            words.setdefault(attribute, code)
+    words.pop('stop_once', None)
+    frames, feed = state.frames, state.feedrate
+    found = [*words.values(), state.setup.active, state.tcp]
+    if frames.length:
+        found.append(f'G43.1 Z{frames.length / state.unit:g}')
+    if state.feed_mode == 'G93':
+        feed = None
+    if feed is not None:
+        found.append(f'F{feed * MINUTE / state.unit:g}')
+    return [word for word in found if word]
 
 
 class ModalState:
@@ -78,6 +104,9 @@ class ModalState:
         self.contour = settings.contour_tolerance
         self.orientation = settings.orientation_tolerance
         # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
+        #: What the program uses of the setup: work offsets and tools.
+        self.used: set[str] = set()
+        self.last_offset = setup.offset
         self.zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         self.frames = Frames(setup, self.zero, self.rotary_letters)
         self.point = np.zeros(3)
@@ -91,6 +120,23 @@ class ModalState:
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
 
+    def follow(self, before: ModalState) -> None:
+        """Take over the settings of another program, not its position."""
+        for name in (*_SETTINGS, *_VALUES):
+            setattr(self, name, getattr(before, name))
+        self.frames.follow(before.frames)
+
+    def codes_of_settings(self) -> list[str]:
+        """Return the code of each setting of ``codes.SETTINGS`` but the motion."""
+        return [
+            next(
+                code
+                for code, (attribute, value) in codes.SETTINGS.items()
+                if attribute == name and value == getattr(self, name)
+            )
+            for name in _SETTINGS[1:]
+        ]
+
     def fault(self, message: str, word: str = '') -> ProgramError:
         """Return an error for the present line."""
         return self.flow.fault(message, word)
@@ -98,6 +144,20 @@ class ModalState:
     def notice(self, key: str, text: str) -> None:
         """Record a notice about something harmless, once."""
         self.notices.once(key, self.flow.line_number, f'{key}: {text}')
+
+    # --- setup ---------------------------------------------------------------------------------
+
+    def change(self, change: SetupChange) -> None:
+        """Change the setup from here on; the axes do not move."""
+        if change.field == 'active' and not self.targets.empty:
+            self.used.add(self.setup.offset)
+        if change.field == 'active' and change.value:
+            self.last_offset = change.value
+        after = self.setup.changed(change)
+        if after != self.setup:
+            self.setup = after
+            self.frames.take(after)
+            self.targets.change(change, self.flow.main_line)
 
     # --- position ------------------------------------------------------------------------------
 
@@ -219,11 +279,28 @@ class ModalState:
             self.feedrate, self.turn_rate = value * self.unit / MINUTE, value * DEG / MINUTE
 
     def system_variables(self, tool: int) -> dict[int, float]:
-        """Return positions and the work offset: LinuxCNC #5420 ..., Fanuc #5001 ..., #5041 ..."""
-        found = {5400: float(tool), 5220: 1.0}
-        if self.frames.work_offset:
-            found[5220] = 1.0 + sorted(codes.WORK_OFFSETS).index(self.frames.work_offset)
+        """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
+        setup = self.setup
+        found = {
+            5210: float(setup.g92_on),
+            5220: 1.0 + WORK_OFFSETS.index(setup.offset),
+            5400: float(tool),
+            5403: self.frames.length / self.unit,
+            5410: 2.0 * setup.tools.get(tool, Tool()).radius / self.unit,
+        }
         letters = ('X', 'Y', 'Z', *self.rotary_letters)
+        machine = dict(zip(letters, [*self.zero.tolist(), 0.0, 0.0], strict=False))
+        none = dict.fromkeys(letters, 0.0)
+        positions = {5210: none | dict(setup.g92)}
+        for index, name in enumerate(WORK_OFFSETS, start=1):
+            positions[5200 + 20 * index] = machine | dict(setup.work_offsets.get(name, {}))
+        for base, name in ((5160, 'G28'), (5180, 'G30')):
+            positions[base] = none | dict(setup.reference_points.get(name, {}))
+        for base, position in positions.items():
+            for letter in letters:
+                i = 'XYZABC'.index(letter)
+                size = self.unit if i < 3 else DEG
+                found[base + 1 + i] = position[letter] / size
         for letter, value in zip(letters, self.here().tolist(), strict=False):
             number = 'XYZABC'.index(letter)
             shown = value / (self.unit if number < 3 else DEG)

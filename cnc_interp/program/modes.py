@@ -6,6 +6,7 @@ import numpy as np
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
+from cnc_interp.program.job import SetupChange
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
@@ -30,9 +31,9 @@ class Modes:
         mover, frames = self._mover, self._mover.frames
         named = words.values.pop('H', None)
         number = tool if named is None else round(min(abs(named), 1e6))
-        lengths = mover.setup.tool_lengths
+        tools = mover.setup.tools
         if code in codes.TCP_ON:
-            if named is not None and lengths.get(number):
+            if named is not None and number in tools and tools[number].length:
                 raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
             self.switch_tcp(code)
             return
@@ -42,11 +43,13 @@ class Modes:
         if code == 'G43.1':
             length = words.values.pop('Z', 0.0) * mover.unit
         elif code in ('G43', 'G44'):
-            if not lengths:
+            if not tools:
                 self.notice(code, 'no tool lengths are set (--setup); taken as zero')
-            elif number and number not in lengths:
+            elif number and number not in tools:
                 raise self.fault('the setup has no length of this tool; add it', f'H{number}')
-            length = lengths.get(number, 0.0) * (1.0 if code == 'G43' else -1.0)
+            if number in tools:
+                mover.used.add(f'tool {number}')
+                length = tools[number].length * (1.0 if code == 'G43' else -1.0)
         if mover.tcp and length:
             raise self.fault(
                 'a tool length while tool-tip programming is on; switch it off before', code
@@ -64,15 +67,16 @@ class Modes:
     def choose_work_offset(self, code: str) -> None:
         """Select G54 to G59.3. The first one may be unknown; it is then the workpiece zero."""
         frames = self._mover.frames
-        if not frames.known(code) and frames.work_offset not in ('', code):
+        if not frames.known(code) and frames.named not in ('', code):
             raise self.fault(
-                f'the program began with {frames.work_offset}; set where {code} lies in a setup '
+                f'the program began with {frames.named}; set where {code} lies in a setup '
                 'file (--setup)',
                 code,
             )
         if not frames.known(code):
             self.notice(code, 'taken as the workpiece zero')
-        frames.choose(code)
+        frames.named = code
+        self._mover.change(SetupChange('active', code))
 
     def path_tolerance(self, words: BlockWords) -> None:
         """Process G64 P: set both tolerances; without P, restore those of the user."""

@@ -66,6 +66,27 @@ class Mover(ModalState):
             raise self.fault(FAULTS[1])
         self.go(point, rotary, vector, arc, feed_given)
 
+    def stand_at(self, q: FloatArray) -> None:
+        """
+        Begin where the machine stands: its pose becomes the first target.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n_axes,)
+            Axis positions [m, rad].
+
+        """
+        own = 3 + len(self.rotary_letters)
+        for letter, value in zip(self.extra_letters, q[own:], strict=True):
+            self.extra[EXTRA_LETTERS.index(letter)] = value
+        rotary = q[3:own] if self.rotary_letters else self.rotary
+        point = q[:3] - self.zero
+        if self.tcp:
+            stands = np.concatenate([q[:3] + self.extra @ self._along, rotary])
+            point = self.geometry.forward(stands[None])[0][0]
+        self.named = float(bool(self.rotary_letters))
+        self.go(point, rotary, rapid=True)
+
     def _has_axes(self, words: BlockWords) -> bool:
         """Tell whether the block has axis words; raise for an axis that does not exist."""
         for letter in 'ABC':

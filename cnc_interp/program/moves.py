@@ -30,7 +30,11 @@ from cnc_interp.settings.choices import Settings
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
 NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
 CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
-CENTRE, NORMAL, SWEEP, EXTRA, WIDTH = slice(19, 22), slice(22, 25), 25, slice(26, 29), 29
+CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
+#: How often the line at which a run starts was reached before the target; the reader counts.
+PASSES = 29
+#: How many changes of the setup come before it; ``TargetColumns`` counts.
+CHANGES, WIDTH = 30, 31
 #: Letters of the columns EXTRA.
 EXTRA_LETTERS = 'UVW'
 SAME = 1e-12  # [m], [-], [rad]
@@ -57,7 +61,7 @@ class Moves:
         Kinematics of the machine.
     zero : ndarray, shape (3,)
         Axis positions of the workpiece zero, with the rotary axes at zero [m].
-    before, rows : ndarray, shape (n, 29)
+    before, rows : ndarray, shape (n, 30)
         Targets at the start and at the end of each motion.
     settings : Settings
         Choices of the user.

@@ -10,11 +10,13 @@ from pathlib import Path
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
+from cnc_interp.program.columns import ProgramChange
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Source
+from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
 
 _HEAD_LINES = 2000
@@ -88,14 +90,20 @@ class ProgramStream:
         settings: Settings,
         setup: JobSetup | None = None,
     ):
-        if setup is None:
-            setup = JobSetup.load(settings.setup) if settings.setup else JobSetup()
+        setup = JobSetup.of(settings) if setup is None else setup
         self._source, self.source = source, source.name
+        #: Text of the setup at the start; empty where nothing is set.
+        self.setup = '' if setup == JobSetup() else setup.text()
         self.dialect = _dialect(source)
         self._notices = Notices()
         self._reader: ClReader | GcodeReader
         if self.dialect == 'cl':
             self._reader = ClReader(geometry, settings, source, self._notices)
+            if setup.work_offsets or setup.g92_on:
+                self._notices.once(
+                    'offsets', 1, 'CL data: work offsets do not count; it runs from the workpiece '
+                    'zero of the machine file',
+                )  # fmt: skip
         else:
             self._reader = GcodeReader(geometry, settings, setup, source, self._notices)
 
@@ -115,6 +123,21 @@ class ProgramStream:
         """Add what was noticed of the path: source line and text."""
         if notice is not None:
             self._notices.once('path', *notice)
+
+    @property
+    def start(self) -> StartLine:
+        """The line at which the run starts, if it is not the top."""
+        return self._reader.start
+
+    @property
+    def changes(self) -> tuple[ProgramChange, ...]:
+        """Return what the program changes of the setup; complete after the last block."""
+        return self._reader.targets.changes
+
+    @property
+    def used(self) -> frozenset[str]:
+        """Return what the program uses of the setup, as G54, G92, tool 1; complete at its end."""
+        return frozenset(self._reader.used)
 
     @property
     def share(self) -> float:

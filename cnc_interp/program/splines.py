@@ -31,6 +31,7 @@ class Splines:
     def __init__(self, mover: Mover):
         self._mover = mover
         self._curve: Curve | None = None
+        self._passes = 0  # of the start line, at the last control point
         self._second: FloatArray | None = None  # last second point, in program coordinates [m]
 
     @property
@@ -91,7 +92,7 @@ class Splines:
             _point(point), None if second is None else _point(mover.frames.point(second)),
             given.get('PL', 1.0), (rate, mover.contour, mover.orientation), mover.flow.main_line,
         )  # fmt: skip
-        mover.point = point
+        mover.point, self._passes = point, mover.targets.start.passes
         if mover.stop_always:
             mover.notice('exact stop', 'holds at the end of a spline, not at its control points')
         if mover.stop_once:
@@ -114,6 +115,7 @@ class Splines:
                 float(stop or mover.stop_always), mover.contour, mover.orientation,
                 mover.flow.main_line, float(mover.by_axes), nan, *NO_ARC, *mover.extra,
             ),
+            self._passes,
         )  # fmt: skip
 
     def stop_here(self, kind: float = 1.0) -> None:

@@ -28,6 +28,10 @@ class ProgramVariables:
         self._names: dict[str, float] = {}
         self._locals: list[tuple[dict[int, float], dict[str, float]]] = []
 
+    def follow(self, before: ProgramVariables) -> None:
+        """Take over the global variables of another program."""
+        self._numbers, self._names = dict(before._numbers), dict(before._names)
+
     def enter(self, arguments: Mapping[int, float]) -> None:
         """Begin a subprogram with its own local variables."""
         self._locals.append((dict(arguments), {}))

@@ -15,7 +15,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, Move
+from cnc_interp.proof.setup_again import Setup
 
 #: The last digit that is printed, in the unit of the program.
 LAST_DIGIT = 1e-4
@@ -62,7 +63,7 @@ def read_by_linuxcnc(
     axis_names: tuple[str, ...],
     skip: bool,
     rows: int,
-    tool_lengths: Mapping[int, float] | None = None,
+    setup: Setup | None = None,
 ) -> Iterator[Move]:
     """
     Read a program.
@@ -77,8 +78,8 @@ def read_by_linuxcnc(
         Leave out lines that begin with a slash.
     rows : int
         Number of rows of the plan; what may be printed depends on it.
-    tool_lengths : mapping, optional
-        Length of tools by their numbers [m]; 0 for others.
+    setup : Setup, optional
+        Offsets and tools at the start; the length of other tools is 0.
 
     Yields
     ------
@@ -97,7 +98,8 @@ def read_by_linuxcnc(
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
     if len(axis_names) > 5:
         raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
-    text = _prepared(text, skip)
+    setup = setup or Setup()
+    text = _prepared(text, skip, setup.tool)
     most = BESIDE + EACH * (rows + text.count('\n'))
     seconds = SECONDS + SECONDS_PER_MB * (len(text) >> 20)
 
@@ -109,9 +111,10 @@ def read_by_linuxcnc(
 
     with tempfile.TemporaryDirectory(prefix='cnc_interp_') as name:
         folder = Path(name)
-        lengths = dict.fromkeys(range(1, 100), 0.0) | dict(tool_lengths or {})
+        lengths = dict.fromkeys(range(1, 100), 0.0) | dict(setup.tool_lengths)
         table = ''.join(f'T{n} P{n} Z{length / MM / 25.4:.9f}\n' for n, length in lengths.items())
-        for file, content in (('tool.tbl', table), ('part.ngc', text), ('p.var', '')):
+        variables = ''.join(f'{n} {v:.9f}\n' for n, v in sorted(setup.parameters.items()))
+        for file, content in (('tool.tbl', table), ('part.ngc', text), ('p.var', variables)):
             (folder / file).write_text(content, encoding='utf-8')
         words = [command, '-t', 'tool.tbl', '-v', 'p.var', '-g', 'part.ngc']
         with (folder / 'complaints').open('w+b') as complaints, subprocess.Popen(
@@ -137,13 +140,14 @@ def _demand_end(said: str, code: int) -> None:
         raise LinuxCNCError(f"LinuxCNC's rs274 cannot read it: {' '.join(lines)[:100]}")
 
 
-def _prepared(text: str, skip: bool) -> str:
-    """Return a program without comments, and with an end."""
+def _prepared(text: str, skip: bool, tool: int = 0) -> str:
+    """Return a program without comments, with a tool at the start, and with an end."""
     text = (_BLANK if skip else _SLASH).sub('', _COMMENT.sub(' ', text.replace('\r', '')))
     if '(' in text or ';' in text or ')' in text:
         raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
     text = _SWITCH.sub(lambda word: f'({word[1].upper()})', _LEFT_OUT.sub('', text))
-    return _FIRST.sub(r'\1G98\n', f'{text}\nM2\n', count=1)
+    taken = f'T{tool} M6\n' if tool else ''
+    return _FIRST.sub(rf'\1G98\n{taken}', f'{text}\nM2\n', count=1)
 
 
 def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> Iterator[Move]:

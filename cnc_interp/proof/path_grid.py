@@ -15,6 +15,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof import columns
+from cnc_interp.proof.axis_limits import limits_at
 from cnc_interp.proof.columns import held, spans
 from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles
 from cnc_interp.proof.verdict import Ledger
@@ -98,10 +99,12 @@ def _prove_cells(
     apart = np.abs(ends - path['q'][a:b]).max(axis=1)
     ledger.check('axes against path cells', apart, ROUND_TRIP, rows=rows[a:b])
     feed = path['feed'][a : last + 1]
-    for j, name in enumerate(machine.axis_names):
-        rate = np.maximum(np.abs(left[1, :, j]) * feed[:-1], np.abs(right[1, :, j]) * feed[1:])
-        limit = float(machine.max_velocity[j])
-        ledger.check('planned velocity', rate, limit, name, ROUNDING, rows=rows[a:last])
+    for side, speed in ((left, feed[:-1]), (right, feed[1:])):
+        rate, limit = np.abs(side[1]) * speed[:, None], limits_at(machine, 1, side[0])
+        for j, name in enumerate(machine.axis_names):
+            ledger.check(
+                'planned velocity', rate[:, j], limit[:, j], name, ROUNDING, rows=rows[a:last]
+            )
 
 
 def _prove_feeds(
@@ -120,8 +123,8 @@ def _prove_feeds(
         (path['cell_right'][:, first - 1 : b - 1], slice(first - a, b - a)),
     ):
         with np.errstate(divide='ignore'):
-            for k, limits in enumerate(machine.limits, start=1):
-                reach = (limits / np.abs(cell[k])) ** (1.0 / k)
+            for k in (1, 2, 3):
+                reach = (limits_at(machine, k, cell[0]) / np.abs(cell[k])) ** (1.0 / k)
                 bound[side] = np.minimum(bound[side], reach.min(axis=1))
     limit = path['feed_limit'][a:b]
     with np.errstate(invalid='ignore'):

@@ -102,6 +102,11 @@ class PlanFiles:
         return replace(self, setpoints=columns)
 
     @property
+    def starts_inside(self) -> bool:
+        """Tell whether the run started inside the program; row 0 is the end of the row before."""
+        return bool(self.summary.get('start'))
+
+    @property
     def position(self) -> FloatArray:
         """Return the axis positions, shape (K, n) [m, rad]."""
         position: FloatArray = self.setpoints['position']

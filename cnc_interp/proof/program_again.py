@@ -21,6 +21,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.linuxcnc_reader import LAST_DIGIT, LinuxCNCError, read_by_linuxcnc
 from cnc_interp.proof.plain_reader import Move, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
+from cnc_interp.proof.setup_again import setup_of
 
 # Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
 # share [-].
@@ -80,11 +81,20 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     """
     settings = plan.summary.get('settings')
     settings = settings if isinstance(settings, dict) else {}
-    if settings.get('setup') or settings.get('rotary_sense') == 'shortest':
+    if settings.get('rotary_sense') == 'shortest':
         raise InterpError(
-            f'{program}: planned with --setup or --rotary-sense shortest, which no second '
-            'reader knows; this program cannot be compared'
+            f'{program}: planned with --rotary-sense shortest, which no second reader knows; this '
+            'program cannot be compared'
         )
+    if plan.starts_inside:
+        raise InterpError(
+            f'{program}: the plan starts inside the program; compare a plan from its top'
+        )
+    if settings.get('setup') and not plan.summary.get('setup'):
+        raise InterpError(
+            f'{program}: the plan does not tell the values of its setup, so it cannot be compared'
+        )
+    setup = setup_of(plan.summary.get('setup'), machine)
     try:
         with program.open('rb') as file:
             text = file.read(LONGEST + 1).decode('utf-8-sig', errors='replace')
@@ -96,12 +106,14 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     names = machine.axis_names
     found, readers = [], []
     try:
-        moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']))
+        moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']), setup)
         found.append(compare_places(plan.blocks, machine, moves))
         readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
         readers.append(str(reason))
     try:
+        if plan.summary.get('setup'):
+            raise ProgramError('the reader of plain words knows no offsets')
         default = float(feed) if isinstance(feed, int | float) else None
         moves = read_plainly(text, str(program), names, default, skip)
         found.append(_Comparison(plan.blocks, machine).follow(moves))

@@ -166,15 +166,18 @@ def axes_figure(series: Series) -> Any:
         for k, kind in enumerate(KINDS):
             use = series.axis_use[k][:, j]
             rows = extremes(use, SMALL_BUCKETS)
-            limit = series.axis_limits[k, j]
+            limit = series.axis_limits[k, rows, j]
             unit = f'{series.axis_units[j]}/s{"" if k == 0 else k + 1}'
             figure.add_trace(
                 go.Scatter(
                     x=rounded(series.time[rows]), y=rounded(100.0 * use[rows]),
                     name=f'{name} {kind}', line={'color': BLUE, 'width': 1.0}, showlegend=False,
-                    customdata=rounded(np.column_stack([use[rows] * limit, series.line[rows]])),
-                    hovertemplate=f'{name}: %{{customdata[0]:.4g}} of {limit:.4g} {unit} '
-                    '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
+                    customdata=rounded(
+                        np.column_stack([use[rows] * limit, limit, series.line[rows]])
+                    ),
+                    hovertemplate=f'{name}: %{{customdata[0]:.4g}} of %{{customdata[1]:.4g}} '
+                    f'{unit} '
+                    '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
                 ),
                 row=j + 1, col=k + 1,
             )  # fmt: skip

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.limit_table import limits_along
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
@@ -36,8 +37,8 @@ class Series:
         Speed along the path, programmed feed, and the limit of Eq. 10 [mm/min].
     axis_use : ndarray, shape (3, K, n_axes)
         Velocity, acceleration and jerk over their limits, signed [-].
-    axis_limits : ndarray, shape (3, n_axes)
-        Those limits [mm or deg, per s, per s2, per s3].
+    axis_limits : ndarray, shape (3, K, n_axes)
+        Those limits where the axes are [mm or deg, per s, per s2, per s3].
     axis_names, axis_units : tuple of str
         Names, and ``mm`` or ``deg``.
     contour_error, orientation_error : ndarray, shape (K,)
@@ -82,6 +83,8 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
     contour, orientation = program.tolerances(deviation)
     s: FloatArray = plan.setpoints['s']
     grid: FloatArray = plan.path['s']
+    limits = limits_along(machine.limit_table, plan.position)
+    shown = np.array([one.shown_size for one in machine.axes])
     cell: IntArray = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
     return Series(
         time=plan.setpoints['time'],
@@ -91,8 +94,8 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         feed=np.abs(np.gradient(s, plan.period)) / MM_PER_MIN,
         programmed_feed=np.asarray(plan.path['programmed_feed'][cell], float) / MM_PER_MIN,
         feed_limit=_between(plan.path['feed_limit'], grid, cell, s) / MM_PER_MIN,
-        axis_use=axis_use(plan, machine.limits),
-        axis_limits=machine.limits / np.array([one.shown_size for one in machine.axes]),
+        axis_use=axis_use(plan, machine.limit_table),
+        axis_limits=np.broadcast_to(limits / shown, (3, len(s), len(shown))),
         axis_names=machine.axis_names,
         axis_units=tuple(one.shown_unit for one in machine.axes),
         contour_error=deviation.contour / UM,
@@ -105,7 +108,7 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
     )
 
 
-def axis_use(plan: PlanFiles, limits: FloatArray) -> FloatArray:
+def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
     """
     Differentiate the emitted positions and divide by the limits.
 
@@ -113,8 +116,8 @@ def axis_use(plan: PlanFiles, limits: FloatArray) -> FloatArray:
     ----------
     plan : PlanFiles
         The plan, with K setpoints.
-    limits : ndarray, shape (3, n_axes)
-        Limits of velocity, acceleration and jerk [SI].
+    table : ndarray, shape (4, n_axes, m)
+        Limits over position; see ``core/limit_table.py``.
 
     Returns
     -------
@@ -123,7 +126,7 @@ def axis_use(plan: PlanFiles, limits: FloatArray) -> FloatArray:
 
     """
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
-    shares = limit_shares(held, largest_differences(limits, plan.period))
+    shares = limit_shares(held, table, plan.period)
     # Velocity belongs to its later sample, acceleration and jerk to the sample before that.
     return np.stack([shares[0, :-1], shares[1, 1:], shares[2, 1:]])
 

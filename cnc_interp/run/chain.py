@@ -26,6 +26,7 @@ from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -60,6 +61,8 @@ class Chain:
         The choices of the run.
     clock : callable
         Measures the time of each stage [s].
+    start : StartFinder, optional
+        Finds the place where the run starts, if that is not the top.
 
     """
 
@@ -68,8 +71,9 @@ class Chain:
         machine: Machine,
         settings: Settings,
         clock: Callable[[], float] = time.perf_counter,
+        start: StartFinder | None = None,
     ):
-        self._watch = Stopwatch(clock)
+        self._watch, self._start = Stopwatch(clock), start
         self._path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
         options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
@@ -98,7 +102,7 @@ class Chain:
 
     def finish(self) -> None:
         """Plan the motion to its end."""
-        self._plan(self._path.finish())
+        self._plan(self._path.finish(), last=True)
         self._keep(self._watch.timed('feedrate', self._planner.finish))
         self._finished = True
 
@@ -122,11 +126,14 @@ class Chain:
         if self._finished and self.moved:
             yield self._interpolator.finish()
 
-    def _plan(self, part: PathPart) -> None:
+    def _plan(self, part: PathPart, last: bool = False) -> None:
         """Plan the motion along a further part of the path."""
-        self.segments.append(part.segments)
-        if part.path is not None:
-            self._keep(self._watch.timed('feedrate', self._planner.push, part.path))
+        segments, path = part.segments, part.path
+        if self._start is not None:
+            segments, path = self._start.segments(segments), self._start.path(path, last)
+        self.segments.append(segments)
+        if path is not None:
+            self._keep(self._watch.timed('feedrate', self._planner.push, path))
 
     def _keep(self, pieces: list[PlannedPiece]) -> None:
         """Store what the planner committed."""
@@ -219,12 +226,15 @@ def plan_to_files(
 
     """
     settings = settings or Settings()
-    chain = Chain(machine, settings)
+    start = None
+    if stream.start.line:
+        start = StartFinder(Transform.of(machine), settings.flank_height, stream.start)
+    chain = Chain(machine, settings, start=start)
     with PlanWriter(directory, machine, settings) as writer:
         with at_fault(stream.source):
             rows_read, told = 0, 0.0
             for part in stream:
-                writer.blocks(part)
+                writer.blocks(part if start is None else start.blocks(part))
                 rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)
@@ -236,9 +246,11 @@ def plan_to_files(
             chain.finish()
             chain.drain(writer)
             stream.note(chain.notice)
+            if start is not None:
+                writer.figures.start = start.found()
         if not chain.moved:
             raise no_motion(stream.source)
-        return writer.finish(stream.source, chain.seconds)
+        return writer.finish(stream.source, chain.seconds, setup=stream.setup)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ class Wait(IntEnum):
     END = 3  # the program ends here
     OPTIONAL_STOP = 4  # rests until cycle_start (M1)
     SINGLE_BLOCK = 5  # rests until cycle_start
+    APPROACH = 6  # rests until cycle_start; the way to the path follows
 
 
 @dataclass(frozen=True)

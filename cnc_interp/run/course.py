@@ -113,6 +113,11 @@ class Course:
             s=place,
         )
 
+    def first_rest(self) -> Setpoints | None:
+        """Return the setpoint of a machine that rests where the kept path begins."""
+        parts = (item for item in self.items if isinstance(item, AxisPath))
+        return next((self.rest_at(float(part.s[0])) for part in parts), None)
+
     def after(self, s: float) -> deque[AxisPath | LegEnd]:
         """Return all items after a place [m]; the part that contains it is cut there."""
         rest: deque[AxisPath | LegEnd] = deque()

@@ -34,6 +34,8 @@ class MachineReport:
         Time of the report by the machine's clock [s].
     message : str
         The reason for its state, for people.
+    must_home : tuple of str
+        Axes that must be homed before a program may start.
 
     """
 
@@ -46,6 +48,7 @@ class MachineReport:
     stands: FloatArray
     time: float
     message: str
+    must_home: tuple[str, ...] = ()
 
     @property
     def rests_on_path(self) -> bool:

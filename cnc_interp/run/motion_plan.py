@@ -56,7 +56,7 @@ class PlanContext:
     ----------
     limits : AxisLimits
         Limits of the axes.
-    table : ndarray, shape (3, n_axes)
+    table : ndarray, shape (4, n_axes, m)
         The same limits as ``limit_table`` returns them.
     period : float
         Interpolation period [s].
@@ -229,7 +229,9 @@ class MotionPlan:
             assert leg.wait is not None
             self._legs.popleft()
             last = leg.last_sample() if leg.moves else self._last
-            if last is not None and (leg.moves or leg.wait is Wait.END):
+            if leg.wait is Wait.APPROACH:
+                last = self._context.course.first_rest()
+            if last is not None and (leg.moves or leg.wait in (Wait.END, Wait.APPROACH)):
                 self._append(last)
                 cutter.end_leg(leg.wait)
         return cutter.cut()

@@ -16,6 +16,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
+from cnc_interp.core.arrays import IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
@@ -105,6 +106,11 @@ class PathChain:
             transform, settings.flank_height, settings.interpolation_period
         )
         self._watch = watch or Stopwatch()
+
+    @property
+    def stops(self) -> IntArray:
+        """Program rows of the corners so far at which a stop was found to be faster."""
+        return np.array(self._smoother.stops, dtype=np.int64)
 
     @property
     def notice(self) -> tuple[int, str] | None:

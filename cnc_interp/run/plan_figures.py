@@ -11,11 +11,12 @@ import numpy as np
 
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares
 from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.start_place import StartPlace
 from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import values_of
@@ -39,13 +40,13 @@ class PlanFigures:
         period = settings.interpolation_period
         self._machine, self._settings = machine, settings
         self._period, self._height = period, settings.flank_height
-        self._largest = largest_differences(machine.limits, period)
-        self._use = np.zeros_like(self._largest)
+        self._use = np.zeros_like(machine.limits)
         self._last: FloatArray | None = None  # the last three positions
         self._deviation = np.zeros(2)
         self._curved = self._spans = 0  # blocks that became curves, and spans of these
         self._on_curve, self._last_row = False, 0  # where the last segment ended
         self._tolerances = ToleranceUse()
+        self.start: StartPlace | None = None  # where the run started, if not at the top
         self._samples = self._segments = self._blocks = 0
         self._windows = dict.fromkeys(SOLVED_BY, 0)
         self._over_bound = 0.0  # of the windows that have not converged [s]
@@ -106,12 +107,16 @@ class PlanFigures:
     def _measure(self, position: FloatArray) -> None:
         before = np.repeat(position[:1], BEFORE, axis=0) if self._last is None else self._last
         held = np.concatenate([before, position])
-        shares = np.abs(limit_shares(held, self._largest))
+        shares = np.abs(limit_shares(held, self._machine.limit_table, self._period))
         self._use = np.maximum(self._use, shares.max(axis=1))
         self._last = held[-BEFORE:]
 
     def summary(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0
+        self,
+        source: str,
+        seconds: Mapping[str, float],
+        largest_override: float = 1.0,
+        setup: str = '',
     ) -> dict[str, Any]:
         """
         Return the summary at the end of the motion; SI units.
@@ -124,6 +129,8 @@ class PlanFigures:
             Planning time of every room [s]; empty for a run, which is not planned again.
         largest_override : float
             Largest feed override that was in force [-].
+        setup : str
+            Text of the setup file with the offsets and tools at the start; empty for none.
 
         """
         if self._last is not None:
@@ -138,7 +145,9 @@ class PlanFigures:
             'interpolation_period': self._period,
             'flank_height': self._height,
             'settings': values_of(self._settings),
+            'setup': setup,
             'largest_override': largest_override,
+            'start': None if self.start is None else self.start.to_json(),
             'samples': self._samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,

@@ -169,14 +169,18 @@ class PlanWriter:
         self._archives['setpoints'].append(columns)
 
     def finish(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0
+        self,
+        source: str,
+        seconds: Mapping[str, float],
+        largest_override: float = 1.0,
+        setup: str = '',
     ) -> dict[str, Any]:
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
         if self._path is not None:
             self._grid(self._path[0], np.zeros(2), slice(1, 2))
         for name, archive in self._archives.items():
             archive.save(self._directory / f'{name}.npz')
-        summary = self.figures.summary(source, seconds, largest_override)
+        summary = self.figures.summary(source, seconds, largest_override, setup)
         text = json.dumps(summary, indent=2)
         (self._directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
         return summary

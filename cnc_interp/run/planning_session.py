@@ -194,8 +194,11 @@ class PlanningSession:
         if not self._segments or report is None or not report.takes(self.run_id):
             return
         goes_on = self.run_id.attempt > 0 and report.run_id.program_id == self.run_id.program_id
-        # The machine may have executed more since the rest of the program was requested.
-        place = report.path_position if goes_on else self._continue_at
+        # The machine may have executed more since the rest of the program was requested. On the
+        # approach it has executed nothing.
+        place = self._continue_at
+        if goes_on and report.path_position > 0.0:
+            place = report.path_position
         self.planner = self._port.make_planner(
             self._segments[0], report.stands, place, self.settings
         )

@@ -25,6 +25,7 @@ class Step(Enum):
 
     TURN = 'the programs before it have ended'
     CHECKED = 'it is known to run'
+    STALE = 'offsets or tools were changed after the check'
     START = 'all nodes answer and the machine rests'
     TAKEN = 'look-ahead and planner are on the run'
     LOSE = 'a node was restarted'
@@ -36,6 +37,7 @@ P, S = Phase, Step
 TABLE: dict[tuple[Phase, Step], Phase] = {
     (P.QUEUED, S.TURN): P.CHECKING,
     (P.CHECKING, S.CHECKED): P.WAITING,
+    (P.WAITING, S.STALE): P.CHECKING,
     (P.WAITING, S.START): P.OFFERED,
     (P.OFFERED, S.TAKEN): P.STREAMING,
     (P.OFFERED, S.LOSE): P.LOST,

@@ -13,7 +13,7 @@ from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.run.approach import approach
+from cnc_interp.run.approach import approach, approach_inside
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.interpolator import Setpoints
@@ -59,9 +59,12 @@ class RunPlanner:
     stands : ndarray, shape (n_axes,)
         Where the machine stands, at rest [m, rad].
     continue_at : float
-        Path length from which the program goes on; NaN or below 0 from its start [m].
+        Path length from which the program goes on; NaN or below 0 from its start [m]. A machine
+        that stands elsewhere waits for cycle_start, then goes there.
     settings : OperatorSettings, optional
         The settings that the first plan follows.
+    retract, plunge_feed : float
+        The way to a place inside the program: see ``approach_inside`` [m, m/s].
 
     """
 
@@ -74,6 +77,8 @@ class RunPlanner:
         stands: FloatArray,
         continue_at: float = math.nan,
         settings: OperatorSettings | None = None,
+        retract: float = 0.0,
+        plunge_feed: float = math.inf,
     ):
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height, period)
@@ -83,6 +88,7 @@ class RunPlanner:
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)
+        self._retract, self._plunge_feed = retract, plunge_feed
         self._begun = False
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -116,7 +122,7 @@ class RunPlanner:
         self.stream.push(path)
 
     def _begin(self, path: AxisPath) -> AxisPath | None:
-        """Add the approach before the program, or skip the part executed before a loss."""
+        """Add the approach before the path, or skip what comes before the place to go on from."""
         if self._continue_at is None:
             start = np.array(path.cell_left[0, 0])
             way = approach(self._transform, self._flank_height, self._stands, start)
@@ -128,13 +134,15 @@ class RunPlanner:
         if path.s[-1] <= self._continue_at + SAME:
             return None
         there = evaluate(path, np.array([self._continue_at]))[0][0]
-        off = np.abs(there - self._stands)
-        if off.max() > ON_PATH:
-            axis = self._transform.machine.axis_names[int(np.argmax(off))]
-            raise PlanningError(
-                f'the machine does not stand on the path any more: {axis} is {off.max():.3g} '
-                '(m, rad) away; reset and run the program again'
-            )
+        if np.abs(there - self._stands).max() > ON_PATH:
+            way = approach_inside(
+                self._transform, self._flank_height, self._stands, there,
+                self._retract, self._plunge_feed,
+            )  # fmt: skip
+            assert way is not None
+            self.stream.end_leg(Wait.APPROACH)  # the operator sees it before it begins
+            self.stream.push(way)
+            self.stream.end_leg(Wait.NOTHING)
         self._begun = True
         return from_place(path, self._continue_at)
 

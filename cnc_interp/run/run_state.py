@@ -67,6 +67,7 @@ class Reason(IntEnum):
     SETPOINT_REFUSED = 8
     DRIVE_FAULT = 9
     STREAM_REFUSED = 10
+    APPROACH = 11
 
 
 class WaitsFor(IntEnum):
@@ -96,6 +97,9 @@ TEXTS = {
     Reason.SETPOINT_REFUSED: '{}',
     Reason.DRIVE_FAULT: 'fault of a drive: {}; reset to continue',
     Reason.STREAM_REFUSED: '{}',
+    Reason.APPROACH: (
+        'the way to the path is ready: retract along the tool, position, plunge; cycle_start moves'
+    ),
 }
 
 _ACTIVE = tuple(state for state in State if state is not State.INACTIVE)

@@ -23,6 +23,7 @@ from cnc_interp.settings.declaration import (
 )
 
 READING, SMOOTHING, MOTION = Stage.READING, Stage.SMOOTHING, Stage.MOTION
+START, APPROACH = Stage.START, Stage.APPROACH
 #: The machine where none is named.
 DEFAULT_MACHINE = 'xyzac'
 #: Range of every tolerance and block length [m].
@@ -56,7 +57,7 @@ class Settings:
         'feedrate where the program has no F', option='feed',
     )  # fmt: skip
     setup: Path | None = file(  # noqa: RUF009 (a field)
-        READING, 'YAML file with work offsets, tool lengths and reference points'
+        READING, 'YAML file with work offsets, tools and reference points'
     )
     interpolation: str = one_of(
         ('auto', 'vector', 'axes'), READING,
@@ -76,9 +77,15 @@ class Settings:
         'shape of the corners, 1.2 to 4, or auto: chosen for each',
         option='ratio', nothing='auto', metavar='L2/L1',
     )  # fmt: skip
+    corner: str = one_of(
+        ('default', 'paper'), SMOOTHING,
+        'how corners are made; paper: those of Beudaert et al. (2013), word for word',
+        for_comparison=True,
+    )  # fmt: skip
     parametrization: str = one_of(
-        ('exact', 'linear', 'paper'), SMOOTHING,
-        'how the orientation of a corner joins its lines', for_comparison=True,
+        ('auto', 'exact', 'linear', 'paper'), SMOOTHING,
+        'how the orientation of a corner joins its lines; auto: exact, or paper on such corners',
+        for_comparison=True,
     )  # fmt: skip
     top: str = one_of(
         ('in_step', 'tolerance'), SMOOTHING,
@@ -103,6 +110,22 @@ class Settings:
     interpolation_period: float = number(
         1.0 * MS, TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period', option='period'
     )
+    from_line: int = whole_number(
+        0, (0, 10**12), START, 'line of the program at which the run starts, 0: at its top'
+    )
+    line_pass: int = whole_number(
+        0, (0, 10**12), START,
+        'which execution of that line, where loops or calls repeat it, 0: the only one',
+        option='pass',
+    )  # fmt: skip
+    retract: float = number(
+        25.0 * MM, LENGTH, (0.0, 1e3 * MM), APPROACH,
+        'way along the tool on which the tool is drawn back and plunges',
+    )  # fmt: skip
+    plunge_feed: float = number(
+        500.0 * MM_PER_MIN, FEED, (1e-3 * MM_PER_MIN, 1e9 * MM_PER_MIN), APPROACH,
+        'feedrate of the plunge to a place inside the program',
+    )  # fmt: skip
     law: str = one_of(
         ('optimal', 'vpop'), Stage.OFFLINE,
         'how the motion law is found; vpop goes forward period by period', for_comparison=True,
@@ -115,6 +138,5 @@ class Settings:
     @property
     def compares_corners(self) -> bool:
         """Tell whether corners are made in a way that exists for comparison only."""
-        ways = (self.parametrization, self.top, self.septic)
-        usual = Settings()
-        return ways != (usual.parametrization, usual.top, usual.septic)
+        exact = self.parametrization in ('auto', 'exact')
+        return (self.corner, exact, self.top, self.septic) != ('default', True, 'in_step', False)

@@ -32,6 +32,8 @@ class Stage(enum.Enum):
     READING = 'reading'
     SMOOTHING = 'smoothing'
     MOTION = 'motion'
+    START = 'start'  # where one run begins; never a habit of the nodes or of the page
+    APPROACH = 'approach'  # the way from where the machine stands
     OFFLINE = 'offline'  # motion that is planned without the nodes
 
 

@@ -19,7 +19,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners import corner
-from cnc_interp.smoothing.corners.corner import Corners, Style
+from cnc_interp.smoothing.corners.corner import PAPER_RATIO, Corners, Style
 from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.corners.stop_trials import StopTrials
 from cnc_interp.smoothing.corners.vertices import (
@@ -38,6 +38,8 @@ from cnc_interp.smoothing.segments import PathSegments
 
 #: A line shorter than this share of its block goes to the corners [-].
 LEFT_OVER = 0.05
+#: The same with the paper's corners, which are enlarged by rounding errors only [-].
+ROUNDING = 1e-9
 
 
 class LookAhead:
@@ -54,20 +56,30 @@ class LookAhead:
         Program row of the first block.
     joined : bool
         Whether a native spline ends at the first pose. Then the first block stays a line.
+    stops : list of int, optional
+        Receives the program rows of the corners at which a stop was found to be faster.
 
     """
 
     def __init__(
-        self, settings: Settings, machine: MachineTraits, row: int = 0, joined: bool = False
+        self,
+        settings: Settings,
+        machine: MachineTraits,
+        row: int = 0,
+        joined: bool = False,
+        stops: list[int] | None = None,
     ):
         self._settings, self._machine = settings, machine
         self._style = Style.of(settings)
+        self._ratio = settings.corner_ratio
+        if self._ratio is None and self._style.literal:
+            self._ratio = PAPER_RATIO
         self._none = no_segments(self._style)
         self._compressor = Compressor(settings, machine, row, joined)
         self._rows: Rows | None = None
         # Corners that are made to be compared stay corners.
         tried = replace(machine, motion_time=None) if settings.compares_corners else machine
-        self._trials = StopTrials(tried, settings.flank_height)
+        self._trials = StopTrials(tried, settings.flank_height, [] if stops is None else stops)
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -147,7 +159,7 @@ class LookAhead:
             )
             half = self._available(lines, legs, rows)
             ratios = self._ratios(corners)
-            start = corner.initial_lengths(corners, half, ratios)
+            start = corner.initial_lengths(corners, half, ratios, self._style.literal)
             inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
         return inner, outer
 
@@ -169,14 +181,13 @@ class LookAhead:
             return rows
         own = corners.row
         lengths = self._available(lines, legs, own)
-        inner[own], outer[own] = corners.sizes(lengths, self._settings.corner_ratio, jerk)
+        inner[own], outer[own] = corners.sizes(lengths, self._ratio, jerk)
         return rows[~np.isin(rows, own)]
 
     def _ratios(self, corners: Corners) -> FloatArray:
         """Return L2/L1 on both sides of corners, shape (n, 2): the setting, or the best value."""
-        ratio = self._settings.corner_ratio
-        if ratio is not None:
-            return np.full((len(corners.tip), 2), ratio)
+        if self._ratio is not None:
+            return np.full((len(corners.tip), 2), self._ratio)
         return ratios_at(corners, self._settings.flank_height, self._machine.axis_rates)
 
     def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
@@ -184,7 +195,8 @@ class LookAhead:
         used = outer[:known, 1] + outer[1 : known + 1, 0]
         length = legs.length[:known]
         rest = length - used
-        stretch = (rest < LEFT_OVER * length) & (used > 0.0)
+        share = ROUNDING if self._style.literal else LEFT_OVER
+        stretch = (rest < share * length) & (used > 0.0)
         factor = np.where(stretch, length / np.where(used > 0.0, used, 1.0), 1.0)
         outer[:known, 1] *= factor
         outer[1 : known + 1, 0] *= factor

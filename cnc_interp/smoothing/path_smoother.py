@@ -18,13 +18,9 @@ from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.machine_traits import MachineTraits
-from cnc_interp.smoothing.native.joining import Jets, line_jets
+from cnc_interp.smoothing.native.joining import Jets, line_between
 from cnc_interp.smoothing.native.spline_run import SplineRun
-from cnc_interp.smoothing.orientation import norm, rotations_between
 from cnc_interp.smoothing.segments import PathSegments
-
-#: A tip that moves less than this does not move [m].
-STANDSTILL = 1e-9
 
 
 class PathSmoother:
@@ -43,7 +39,8 @@ class PathSmoother:
     def __init__(self, settings: Settings, machine: MachineTraits):
         self.settings, self.machine = settings, machine
         self._style = Style.of(settings)
-        self._lookahead = LookAhead(settings, machine)
+        self.stops: list[int] = []  # program rows of corners at which a stop is faster
+        self._lookahead = LookAhead(settings, machine, stops=self.stops)
         self._run: SplineRun | None = None
         self._recent: Blocks | None = None  # the last two linear blocks
         self._waiting: PathSegments | None = None  # lines before a spline
@@ -91,7 +88,7 @@ class PathSmoother:
         found: list[PathSegments | None] = []
         if self._run is not None:
             pose = self._run.last_row
-            found += self._end_run(_line_at(pose, blocks[:1], at_end=False))
+            found += self._end_run(line_between(pose, blocks[:1], at_end=False))
         found.append(self._lookahead.push(blocks))
         known = [] if self._recent is None else [self._recent]
         self._recent = Blocks.concatenate([*known, blocks[-2:]])[-2:]
@@ -105,7 +102,7 @@ class PathSmoother:
             recent = self._recent if self._recent is not None else rows[:1]
             before = None
             if len(recent) > 1 and not recent.exact_stop[-1]:
-                before = _line_at(recent[:1], recent[1:], at_end=True)
+                before = line_between(recent[:1], recent[1:], at_end=True)
             self._waiting = self._lookahead.finish(joined=before is not None)
             self._run = SplineRun(self._row, recent[-1:], before, self._style)
         run = self._run
@@ -135,7 +132,7 @@ class PathSmoother:
         self._run = None
         pose = replace(run.last_row, top=np.full((1, 3), np.nan), knot_interval=np.full(1, np.nan))
         self._lookahead = LookAhead(
-            self.settings, self.machine, self._row - 1, joined=after is not None
+            self.settings, self.machine, self._row - 1, after is not None, self.stops
         )
         self._lookahead.push(pose)
         self._recent = pose
@@ -154,16 +151,3 @@ class PathSmoother:
             segments = replace(segments, rotary=rotary)
         self._start = None
         return segments
-
-
-def _line_at(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
-    """Return the jets at one end of the line between two poses; None without such a line."""
-    if end.by_rotary[0]:
-        return None
-    step = end.tip - start.tip
-    length = norm(step)[:, None]
-    if length[0, 0] < STANDSTILL:
-        return None
-    rate = rotations_between(start.axis, end.axis) / length
-    row = end if at_end else start
-    return line_jets(row.tip, step / length, row.axis, rate)

@@ -50,4 +50,5 @@ def machine_report(message: MachineState) -> MachineReport:
         stands=np.array(message.commanded_positions),
         time=stamp.sec + 1e-9 * stamp.nanosec,
         message=message.message,
+        must_home=tuple(message.must_home),
     )

@@ -39,6 +39,8 @@ def check_block(message: G1Block, extra_count: int = 0) -> None:
             raise StreamError(f'{name}: {field} is {value:g} m; it must be greater than 0')
     if message.program_stop > G1Block.OPTIONAL_STOP:
         raise StreamError(f'{name}: program_stop is {message.program_stop}; it must be 0, 1 or 2')
+    if message.corner > G1Block.CORNER_STOP:
+        raise StreamError(f'{name}: corner is {message.corner}; it must be 0, 1 or 2')
     if message.settings:
         _check_settings(name, message)
     if message.sequence == 0:
@@ -202,7 +204,7 @@ def check_chunk(
     _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
     if (len(message.line_numbers), len(message.tail_line_numbers)) != (n, tail):
         raise StreamError(f'{name}: each setpoint needs a line number')
-    if message.wait > SetpointChunk.SINGLE_BLOCK or message.end_of_program != (
+    if message.wait > SetpointChunk.APPROACH or message.end_of_program != (
         message.wait == SetpointChunk.END
     ):
         raise StreamError(f'{name}: wait {message.wait} does not fit end_of_program')

@@ -68,6 +68,7 @@ def block_messages(
             flank_height=flank_height,
             exact_stop=bool(blocks.exact_stop[i]),
             program_stop=int(blocks.program_stop[i]),
+            corner=int(blocks.corner[i]),
             end_of_program=end and i == len(blocks) - 1,
         )
         for i in range(len(blocks))
@@ -105,6 +106,7 @@ def blocks_from(messages: list[G1Block]) -> Blocks:
         extra=column('extra_axes').reshape(len(messages), len(messages[0].extra_axes)),
         interpolation=column('interpolation', np.int64),
         rotary_from=column('rotary_from'),
+        corner=column('corner', np.int64),
     )
 
 

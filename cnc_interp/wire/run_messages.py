@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import MachineState, ModalState
 
+from cnc_interp.program.mdi import ActiveModes
 from cnc_interp.run.run_phase import Outcome
 
 
@@ -56,3 +58,8 @@ def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback
         remaining_time=driven * (1.0 - share) / share if share > 0.0 else math.nan,
         elapsed_time=state.samples * period,
     )
+
+
+def modal_state(modes: ActiveModes) -> ModalState:
+    """Make the message about the modal state of the lines by hand."""
+    return ModalState(**asdict(modes))

@@ -70,8 +70,8 @@ class PageUnderTest:
 class PanelUnderTest(NodesUnderTest):
     """The nodes, and the page beside them."""
 
-    def __init__(self):
-        super().__init__()
+    def __init__(self, parameters=None):
+        super().__init__(parameters)
         self.set_override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
         self.page = PageUnderTest(self.namespace, self.domain)
         self.open, self.open_in_charge = self.page.open, self.page.open_in_charge

@@ -499,6 +499,54 @@ def test_axes_are_moved_by_hand_from_the_page(panel):
     assert tab.faults == []
 
 
+def test_lines_by_hand_are_given_on_the_page(panel, long_program):
+    tab = panel.open_in_charge()
+    panel.load(tab, long_program)
+    tab.wait(lambda: {'G17', 'G90'} <= set(tab.text('modes').split()))
+
+    def give(line, told):
+        tab.fill('mdi', line)
+        tab.type_key('Enter', 13)
+        tab.wait(lambda: told in tab.text('mdi answer') or tab.run(REFUSED))
+        if tab.run(REFUSED):  # a busy computer interrupts the connection: then nothing was given
+            tab.wait(lambda: not tab.run(REFUSED))
+            tab.type_key('Enter', 13)
+            tab.wait(lambda: told in tab.text('mdi answer'))
+
+    def field():
+        return tab.run('document.querySelector("[data-mark=mdi]").value')
+
+    before = np.array(panel.next_state().commanded_positions)
+    give('g91 g1 f2000', 'g91 g1 f2000: done')
+    tab.wait(lambda: {'G91', 'G1', 'F2000'} <= set(tab.text('modes').split()))
+    give('X2', 'X2: done')
+    after = np.array(panel.next_state().commanded_positions)
+    assert after - before == pytest.approx([0.002, 0, 0, 0, 0], abs=1e-9)
+    # A refused line says why and stays to be corrected; nothing moves.
+    give('X1 Q5', 'MDI:1: Q5')
+    assert (np.array(panel.next_state().commanded_positions) == after).all()
+    assert field() == 'X1 Q5'
+    # Lines before, by the arrow keys.
+    for key, code, line in (
+        ('ArrowUp', 38, 'X1 Q5'), ('ArrowUp', 38, 'X2'), ('ArrowDown', 40, 'X1 Q5'),
+        ('ArrowDown', 40, ''),
+    ):  # fmt: skip
+        tab.type_key(key, code)
+        tab.wait(lambda line=line: field() == line)
+    # The loaded program stays, and runs.
+    assert tab.text('program') == long_program.name
+    panel.begin(tab)
+    give('X1', 'program is running')
+    tab.click('feed hold')
+    panel.until(MachineState.HELD)
+    panel.reset(tab)
+    # A page that does not command gives no line.
+    other = panel.open()
+    assert other.text('rights') == 'view only'
+    assert other.run('document.querySelector("[data-mark=mdi]").disabled')
+    assert tab.faults == []
+
+
 @pytest.mark.thorough
 def test_the_page_fits_every_window(panel):
     tab = panel.open()

@@ -7,7 +7,13 @@ from scipy.special import comb
 from tiers import examples
 
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.smoothing.corners.corner import Corners, Style, fit, initial_lengths
+from cnc_interp.smoothing.corners.corner import (
+    PAPER_RATIO,
+    Corners,
+    Style,
+    fit,
+    initial_lengths,
+)
 from cnc_interp.smoothing.corners.corner_curves import poses
 from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
@@ -218,6 +224,62 @@ def test_no_sample_of_a_corner_is_beyond_the_bound_and_the_bound_is_close(method
         assert tip <= deviation[k, 0] * (1 + 1e-9) + 1e-15
         assert top <= deviation[k, 1] * (1 + 1e-9) + rounding(corners)[k]
         assert deviation[k, 1] <= 1.02 * top + rounding(corners)[k]
+
+
+LITERAL = ['paper', 'linear', 'exact']
+
+
+@pytest.mark.parametrize('method', LITERAL)
+def test_literal_corners_are_those_of_the_paper(method):
+    """Sections 2.2 and 2.3: both polygons; Eq. 3 at both middles; each tolerance for itself."""
+    lengths, corners = random_corners(5, examples(2000, 20_000))
+    ratios = np.full((len(lengths), 2), PAPER_RATIO)
+    start = initial_lengths(corners, 0.5 * lengths, ratios, literal=True)
+    style = Style(HEIGHT, False, method, False, literal=True)
+    inner, outer, curves, deviation = fit(corners, *start, style, ratios)
+    bottom, top = curves.bottom, curves.top
+    assert np.array_equal(outer[:, 0], outer[:, 1])
+    assert np.abs(outer[:, 0] / inner - 1.4).max() < 1e-12
+
+    # The bottom: all of the tolerance, or half of the shorter line, but where the axis binds.
+    cosine = dot(corners.legs[:, 0], corners.legs[:, 1])
+    half_angle = 0.5 * np.arccos(cosine.clip(-1.0, 1.0))
+    by_tolerance = 2.0 * corners.tolerances[:, 0] / np.cos(half_angle)
+    swings = norm(corners.rates).max(axis=1) * 0.5 * lengths.min(axis=1)
+    expected = np.minimum(by_tolerance, 0.5 * lengths.min(axis=1) / 1.4)
+    free = (inner > 0.999 * start[0]) & (swings < 0.69)
+    assert free.mean() > 0.5
+    assert np.allclose(inner[free], expected[free], rtol=1e-3)
+    middle = poses(curves, 0.5)[0]
+    missed = norm(middle - corners.tip)
+    assert np.allclose(missed, 0.5 * inner * np.cos(half_angle), rtol=1e-6, atol=1e-15)
+    assert (missed <= corners.tolerances[:, 0] * (1 + 1e-9)).all()
+
+    # The top: it begins and ends on programmed axes, and its inner points are symmetric.
+    for side in (0, 1):
+        end = bottom[:, 4 * side] + HEIGHT * corners.axis_at(side, outer[:, side])
+        assert np.abs(top[:, 4 * side] - end).max() < 1e-14
+        leg, short = (top[:, k] - top[:, 2] for k in (4 * side, 1 + 2 * side))
+        assert (norm(cross(leg, short)) <= 1e-12 * norm(leg) * norm(leg) + 1e-17).all()
+        assert (dot(leg, short) >= 0.0).all()
+    sizes = [norm(top[:, k] - top[:, 2]) for k in (0, 1, 3, 4)]
+    assert np.allclose(sizes[1], sizes[2], rtol=1e-9, atol=1e-15)
+    assert (1.4 * sizes[1] <= np.minimum(sizes[0], sizes[3]) + 1e-12).all()
+    bent = norm(0.25 * (top[:, 1] + top[:, 3]) - 0.5 * top[:, 2])
+    assert (bent <= corners.tolerances[:, 1] * (1 + 1e-9)).all()
+
+    # Both tolerances hold, measured at the tip and at flank height; the bounds bound.
+    assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
+    allowed = deviation * (1 + 1e-9) + rounding(corners)[:, None]
+    for u in np.linspace(0.02, 0.98, 17):
+        tip, tool = poses(curves, u)
+        away = top_distance(corners, top, outer, tip + HEIGHT * tool)
+        gap = np.full(len(tip), np.inf)
+        for side in (0, 1):
+            x = dot(tip - corners.tip, corners.legs[:, side]).clip(0.0, outer[:, side])
+            beside = tip - corners.tip - x[:, None] * corners.legs[:, side]
+            gap = np.minimum(gap, norm(beside))
+        assert (np.stack([gap, away], axis=1) <= allowed).all()
 
 
 def test_great_circles_between_axes_end_where_they_should():

@@ -6,9 +6,10 @@ import numpy as np
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, read_program
+from cnc_interp.program import JobSetup, Tool, read_program
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, read_by_linuxcnc
 from cnc_interp.proof.program_again import compare_places
+from cnc_interp.proof.setup_again import Setup
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.choices import Settings
 
@@ -34,7 +35,8 @@ def motions_of(path, machine, rows, lengths=None, partly=False):
     """Yield LinuxCNC's motions; also those before it stops, where it reads only a part."""
     text = path.read_text('utf-8-sig', errors='replace')
     try:
-        yield from read_by_linuxcnc(text, machine.axis_names, False, rows, lengths)
+        setup = Setup(tool_lengths=lengths or {})
+        yield from read_by_linuxcnc(text, machine.axis_names, False, rows, setup)
     except LinuxCNCError:
         if not partly:
             raise
@@ -50,7 +52,7 @@ def judged(path, machine_name, partly, tools=None):
     machine = replace(Machine.load(machine_name), offsets=np.zeros((3, 3)))
     at_zero = {f'G{number}': dict.fromkeys('XYZ', 0.0) for number in range(54, 60)}
     lengths = {number: length / 1e3 for number, length in (tools or {}).items()}
-    setup = JobSetup(at_zero, lengths)
+    setup = JobSetup(at_zero, {number: Tool(length) for number, length in lengths.items()})
     blocks = read_program(path, Transform.of(machine), Settings(feedrate=0.05), setup).blocks
     moves = motions_of(path, machine, len(blocks), lengths, partly)
     found = compare_places(columns_of(blocks), machine, moves)

@@ -1,23 +1,26 @@
 """The blocks of a program go out in batches, each once and in order, whatever the window."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
+from cnc_interp_msgs.msg import G1Block
+
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.block_feed import MOST_QUEUED, MOST_TOGETHER, BlockFeed
-from cnc_interp.program import read_text
+from cnc_interp.nodes.program_check import Prepared
+from cnc_interp.program import JobSetup, read_text
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')
+#: Rows at whose ends a stop is faster, the last of a batch and the first of the next among them.
+STOPS = (5, MOST_TOGETHER - 1, MOST_TOGETHER)
 TEXT = 'G21 G90 G94\nG0 X0 Y0 Z0\nF600\n' + ''.join(f'G1 X{k}\n' for k in range(1, 1300)) + 'M2\n'
 
 
@@ -26,7 +29,10 @@ def feed():
     transform, settings = Transform.of(Machine.load('xyz')), Settings()
     blocks = read_text(TEXT, 'line.ngc', transform, settings).blocks
     feed, sender = BlockFeed(), WindowedSender(1.0)
-    feed.begin(SimpleNamespace(blocks=blocks, settings=settings), RUN, 0.0, sender)
+    program = Prepared(
+        blocks, (), TEXT, settings, 1.3, np.array(STOPS), JobSetup(), False, (), frozenset()
+    )
+    feed.begin(program, RUN, 0.0, sender)
     return feed, sender, blocks
 
 
@@ -49,6 +55,9 @@ def test_every_block_goes_out_once_and_in_order(feed, window):
     again = blocks_from(received)
     assert np.array_equal(again.tip, blocks.tip) and np.array_equal(again.axis, blocks.axis)
     assert received[0].settings and not received[1].settings
+    corners = [block.corner for block in received]
+    assert {row for row, corner in enumerate(corners) if corner == G1Block.CORNER_STOP} == {*STOPS}
+    assert set(corners) == {G1Block.CORNER_ROUND, G1Block.CORNER_STOP}
 
 
 def test_a_batch_that_was_lost_goes_out_again(feed):

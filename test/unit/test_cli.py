@@ -98,7 +98,13 @@ def test_check_of_a_spoilt_plan_fails(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    'way', [['--parametrization', 'paper'], ['--top', 'tolerance', '--septic']]
+    'way',
+    [
+        ['--parametrization', 'paper'],
+        ['--top', 'tolerance', '--septic'],
+        ['--corner', 'paper'],
+        ['--corner', 'paper', '--parametrization', 'linear', '--ratio', '1.75'],
+    ],
 )
 def test_other_ways_to_make_corners_are_proven_too(way, tmp_path):
     program = str(EXAMPLES / 'pyramid.apt')

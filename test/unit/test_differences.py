@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core.differences import BEFORE, largest_differences, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.limit_table import constant_table
 
 T = 2e-3
 LIMITS = np.array([[0.5, 2.0], [3.0, 5.0], [40.0, 80.0]])
@@ -14,7 +15,7 @@ def test_a_constant_derivative_is_its_share_of_the_limit_and_keeps_its_sign(orde
     time = np.arange(20) * T
     rate = np.array([-0.25, 0.5]) * LIMITS[order - 1]
     positions = time[:, None] ** order / np.prod(np.arange(1, order + 1)) * rate
-    shares = limit_shares(positions, largest_differences(LIMITS, T))
+    shares = limit_shares(positions, constant_table(LIMITS), T)
     assert shares.shape == (3, len(time) - BEFORE, 2)
     np.testing.assert_allclose(shares[order - 1], [[-0.25, 0.5]] * 17, rtol=1e-6)
     assert np.abs(shares[order:]).max(initial=0.0) < 1e-5  # higher derivatives vanish
@@ -23,7 +24,7 @@ def test_a_constant_derivative_is_its_share_of_the_limit_and_keeps_its_sign(orde
 def test_a_jump_is_seen_in_the_row_at_which_it_ends():
     positions = np.zeros((BEFORE + 6, 2))
     positions[BEFORE + 2 :, 1] = 1e-3
-    shares = limit_shares(positions, largest_differences(LIMITS, T))
+    shares = limit_shares(positions, constant_table(LIMITS), T)
     first = [int(np.flatnonzero(shares[k, :, 1])[0]) for k in range(3)]
     assert first == [2, 2, 2]
     assert shares[0, 2, 1] == pytest.approx(1e-3 / T / LIMITS[0, 1])

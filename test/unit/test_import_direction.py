@@ -21,6 +21,7 @@ FLOW = (
     'proof',
     'command_options',
     'convert_splines',
+    'convert_joins',
     'convert',
     'report',
     'description',

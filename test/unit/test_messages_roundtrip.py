@@ -168,6 +168,7 @@ def test_splines_keep_every_bit():
         {'parametrization': 'paper', 'top': 'tolerance'},
         {'parametrization': 'exact', 'top': 'tolerance', 'septic': True},
         {'parametrization': 'linear'},
+        {'corner': 'paper'},
     ],
 )
 def test_every_way_to_make_a_corner_keeps_every_bit(options):
@@ -277,7 +278,7 @@ NAN, INF = float('nan'), float('inf')
         (SetpointChunk, 'tail_positions', [0.0] * 30 + [1e-7] + [0.0] * 4, 'X asked for'),
         (SetpointChunk, 'positions', [0.0] * 49 + [1e6], 'C asked'),
         (SetpointChunk, 'positions', [0.6] + [0.0] * 49, 'soft limit: X'),
-        (SetpointChunk, 'wait', 6, 'wait 6'),
+        (SetpointChunk, 'wait', 7, 'wait 7'),
         (SetpointChunk, 'end_of_program', True, 'wait 0 does not fit'),
     ],
 )

@@ -15,6 +15,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import open_program
+from cnc_interp.program.start_line import StartLine
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
@@ -53,6 +54,7 @@ class AtOnce:
 
     def __init__(self, program):
         self.source, self.share, self.blocks = program.source, 1.0, program.blocks
+        self.start, self.setup = StartLine(0, 0, program.source), ''
 
     def __iter__(self):
         yield self.blocks

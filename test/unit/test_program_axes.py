@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, read_text
+from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.settings.choices import Settings
 
@@ -117,7 +117,7 @@ OFFSETS = JobSetup(
         'G54': {'X': 0.04, 'Y': -0.06985, 'Z': 0.14},
         'G55': {'X': 0.05, 'Y': -0.06985, 'Z': 0.14, 'C': np.radians(10)},
     },
-    tool_lengths={1: 0.02, 2: 0.05},
+    tools={1: Tool(0.02), 2: Tool(0.05)},
 )
 
 

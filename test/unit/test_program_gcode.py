@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.program import JobSetup, columns, read_program, read_text
+from cnc_interp.program import JobSetup, Tool, columns, read_program, read_text
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
 from cnc_interp.settings.choices import Settings
 
@@ -144,7 +144,7 @@ def test_g64_keeps_the_path_within_p_whatever_q_allows():
     ],
 )
 def test_words_that_would_be_lost_are_refused(text, part):
-    setup = JobSetup(tool_lengths={1: 0.075, 2: 0.0})
+    setup = JobSetup(tools={1: Tool(0.075), 2: Tool()})
     with pytest.raises(ProgramError, match=part):
         read(f'G0 X0\nG43.4 H2\nG49\n{text}\nG1 X9', setup=setup)
 

@@ -9,9 +9,11 @@ from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import read_program
+from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.linuxcnc_reader import interpreter
-from cnc_interp.proof.program_again import compare_places
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.program_again import compare_places, compare_with_text
+from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.choices import Settings
 
 if not interpreter():
@@ -42,6 +44,11 @@ SNIPPETS = {
     'centres': 'G90.1 G2 X3.5 Y0 I2 J0\nG3 X-0.5 Y0 I1.5 J0\nG91.1 G2 X2.5 Y0 I1.5 J0',
     'offsets': 'G10 L2 P1 X5 Y6\nG10 L2 P3 X-1 Z2\nG54 G0 X1\nG56 X1 Z1\nG55 X1\nG54 X0',
     'here': 'G0 X3 Y4\nG10 L20 P1 X0 Y1\nG0 X1\nG92 X5\nX6\nG92.2\nX7\nG92.3\nX8\nG92.1\nX9',
+    'suspended': 'G0 X5 Y5\nG92 X10 Y20\nG92.2\nG92 X1\nG0 X0 Y0\nG92.1\nG92.3\nX1',
+    'measured': (
+        'G10 L2 P1 Z100\nG10 L2 P9 Z30\nG0 Z5\nG92 Z7\nG43 H2\nG10 L10 P1 Z1\nG43 H1\nG0 Z0\n'
+        'G10 L11 P1 Z1\nG43 H1\nG0 Z2\nG10 L1 P1 Z10\nG43 H1\nG0 Z3'
+    ),
     'tools': 'T1 M6 G43 G0 Z5\nG43 H2 Z5\nG49 Z5\nG43.1 Z3\nZ5\nG53 G0 Z1\nX2',
     'reference': 'G0 X5 Y5 Z5\nG91 G28 Z1\nG90 G0 X3\nG28\nG0 X1 Y1\nG30 X2',
     'drilling': 'G0 Z5\nG98 G81 X1 Y1 Z-2 R2\nX2\nG99 X3\nX4 Y2\nG80 G0 Z9',
@@ -100,3 +107,29 @@ def test_the_comparison_sees_differences(tmp_path):
         blocks[: len(blocks) - 1],
     ):
         assert compare_places(columns_of(changed), machine, motions).faults
+
+
+SETUP = """
+work_offsets: {G54: {X: 45.5, Z: 150.0}, G56: {X: 12.25, Y: -70.0, C: 15.0}}
+active: G56
+g92: {Y: 2.5}
+tools: {3: {length: 20.75, radius: 5.0}}
+tool: 3
+"""
+
+
+@pytest.mark.parametrize('wrong', ['', 'X: 12.25', 'G56\n', 'Y: 2.5', 'length: 20.75', 'C: 15.0'])
+def test_a_plan_with_offsets_and_tools_is_compared(wrong, tmp_path):
+    program, machine = tmp_path / 'part.ngc', Machine.load('xyzac')
+    program.write_text('G21 G90 F1000\nG43\nG0 X0 Y0 Z5 C0\nG1 X4 Y1 Z0\nG54 G1 X3 Z1\nM30\n')
+    setup = tmp_path / 'setup.yaml'
+    setup.write_text(SETUP)
+    settings = Settings(setup=setup)
+    stream = open_program(program, Transform.of(machine), settings)
+    plan_to_files(stream, machine, tmp_path / 'plan', settings)
+    plan = read_plan(tmp_path / 'plan')
+    told = plan.summary['setup'].replace(wrong, wrong.replace('5', '4').replace('G46', 'G54'))
+    plan = replace(plan, summary={**plan.summary, 'setup': told})
+    found = compare_with_text(plan, machine, program)
+    assert bool(found.faults) == bool(wrong), found.faults
+    assert wrong or found.motions == 3

@@ -7,7 +7,7 @@ import pytest
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.program import JobSetup, read_text
+from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
@@ -16,7 +16,7 @@ from cnc_interp.smoothing.segments import SPLINE
 MACHINE = Machine.load('xyzac')
 SETUP = JobSetup(
     work_offsets={'G54': {'X': 10 * MM}, 'G55': {'X': 20 * MM, 'Y': 5 * MM, 'C': pi / 2}},
-    tool_lengths={1: 75 * MM, 2: 50 * MM},
+    tools={1: Tool(75 * MM), 2: Tool(50 * MM)},
     reference_points={'G28': {'Z': 200 * MM}, 'G30': {'X': 100 * MM}},
 )
 HEAD = 'G21 G90 G0 X0 Y0 Z0\nF1200\n'

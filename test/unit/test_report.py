@@ -93,8 +93,8 @@ def test_series_are_the_proof_s_figures(tmp_path):
             assert np.abs(series.axis_use[k][:, j]).max() == pytest.approx(found.ratio, abs=1e-9)
             assert np.abs(series.axis_use[k][found.sample, j]) == pytest.approx(found.ratio)
     assert series.contour_error.max() == pytest.approx(3.0, rel=1e-3)
-    assert series.axis_limits[:, 0] == pytest.approx([500.0, 2500.0, 5000.0])
-    assert series.axis_limits[0, 4] == pytest.approx(MACHINE.max_velocity[4] / DEG)
+    assert series.axis_limits[:, 0, 0] == pytest.approx([500.0, 2500.0, 5000.0])
+    assert series.axis_limits[0, 0, 4] == pytest.approx(MACHINE.max_velocity[4] / DEG)
     assert series.feed.max() == pytest.approx(6000.0, rel=1e-3)
     assert series.way[-1] == pytest.approx(60.0)
 

@@ -88,6 +88,7 @@ OTHERS = Settings(
     skip_blocks=True,
     most_jumps=77,
     corner_ratio=5.0 / 3.0,
+    corner='paper',
     parametrization='linear',
     top='tolerance',
     septic=True,
@@ -96,6 +97,10 @@ OTHERS = Settings(
     corner_angle=50.0 * DEG,
     tolerance_share=2.0 / 3.0,
     interpolation_period=0.002,
+    from_line=12,
+    line_pass=3,
+    retract=0.1 / 3.0,
+    plunge_feed=0.01 / 3.0,
     law='vpop',
 )
 
@@ -150,6 +155,7 @@ def test_nodes_declare_every_choice_where_it_is_used():
         Stage.READING: ['program_node'],
         Stage.SMOOTHING: ['program_node', 'lookahead_node'],
         Stage.MOTION: ['program_node', 'feedrate_node', 'machine_node'],
+        Stage.APPROACH: ['program_node', 'feedrate_node'],
     }.items():
         for node in nodes:
             declared = {p.name: p for p in parameters.NODES[node]}
@@ -211,7 +217,7 @@ def test_a_goal_carries_all_choices_and_its_fields_still_count():
     )
 
 
-MOTION = {c.name: getattr(OTHERS, c.name) for c in choices(Settings, Stage.MOTION)}
+MOTION = {c.name: getattr(OTHERS, c.name) for c in choices(Settings, Stage.MOTION, Stage.APPROACH)}
 
 
 @pytest.mark.parametrize(
@@ -291,7 +297,9 @@ def test_the_form_gives_the_settings_that_filled_it_in():
     with pytest.raises(SettingsError, match='flank_height'):
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
-    assert hidden == {'parametrization', 'top', 'septic', 'interpolation_period', 'law'}
+    compared = {'corner', 'parametrization', 'top', 'septic', 'law'}
+    of_nodes = {'interpolation_period', 'retract', 'plunge_feed'}
+    assert hidden == compared | of_nodes | {'from_line', 'line_pass'}
 
 
 def test_the_documentation_lists_every_choice_with_its_default():

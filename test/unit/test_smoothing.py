@@ -181,7 +181,7 @@ def test_paper_parametrization_removes_most_of_the_kink_that_linear_leaves():
 
 
 def test_unknown_way_to_make_a_corner_is_refused():
-    with pytest.raises(InterpError, match="'cubic' is unknown; choose exact or linear or paper"):
+    with pytest.raises(InterpError, match="'cubic' is unknown; choose auto or exact"):
         Settings(parametrization='cubic')
 
 

@@ -10,7 +10,8 @@ from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.run.path_chain import path_of, segments_of, smoother_of
+from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
+from cnc_interp.run.path_chain import PathChain, path_of, segments_of, smoother_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import PathSegments
@@ -73,3 +74,21 @@ def test_stops_do_not_depend_on_how_the_blocks_arrive(batch):
     whole = segments_of(blocks, TRANSFORM, settings)
     assert (found.stop == whole.stop).all()
     np.testing.assert_array_equal(found.bottom, whole.bottom)
+
+
+def refuse_to_plan(_blocks):
+    raise AssertionError('nothing is to be tried')
+
+
+@pytest.mark.parametrize('make', [beside_the_pole, swivel, plain])
+def test_corners_that_are_known_are_not_tried_again(make):
+    blocks, settings = make(), Settings(compress=False)
+    chain = PathChain(TRANSFORM, settings)
+    tried = PathSegments.concatenate([chain.push(blocks).segments, chain.finish().segments])
+    corner = np.full(len(blocks), ROUND_CORNER)
+    corner[chain.stops] = STOP_CORNER
+    traits = replace(smoother_of(TRANSFORM, settings).machine, motion_time=refuse_to_plan)
+    known = LookAhead(settings, traits)
+    found = PathSegments.concatenate([known.push(replace(blocks, corner=corner)), known.finish()])
+    assert (found.stop == tried.stop).all()
+    np.testing.assert_array_equal(found.bottom, tried.bottom)

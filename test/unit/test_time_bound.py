@@ -75,7 +75,7 @@ def test_no_linear_program_finds_a_faster_motion_and_it_comes_near(seed):
 @pytest.mark.parametrize('feed', [0.02, 0.3, math.inf])
 @pytest.mark.parametrize('cells', [1, 7])
 def test_the_bound_of_a_stroke_is_its_trapezoid(feed, cells):
-    length, (fastest, rate, _) = 0.3, TABLE[:, 0]
+    length, fastest, rate = 0.3, XYZAC.max_velocity[0], XYZAC.max_acceleration[0]
     v = min(feed, fastest, math.sqrt(length * rate))
     least = bound_of(plan_path(line_path(length, feed, cells), XYZAC).path).time.sum()
     trapezoid = v / rate + length / v

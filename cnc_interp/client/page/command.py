@@ -50,6 +50,8 @@ class PanelRequest:
         Laid on the desk at start.
     machine : str
         Machine of the nodes that are started.
+    setup : Path, optional
+        File in which they keep offsets and tools.
     attach : bool
         Join nodes that run already instead.
     namespace, domain
@@ -63,6 +65,7 @@ class PanelRequest:
 
     program: Path | None = None
     machine: str = DEFAULT_MACHINE
+    setup: Path | None = None
     attach: bool = False
     namespace: str = '/'
     domain: int | None = None
@@ -76,6 +79,7 @@ class PanelRequest:
         return PanelRequest(
             program=options.program,
             machine=options.machine,
+            setup=options.setup,
             attach=getattr(options, 'attach', False),
             namespace=getattr(options, 'namespace', '/'),
             domain=getattr(options, 'domain', None),
@@ -119,7 +123,10 @@ def run_panel(request: PanelRequest) -> None:
         name: {'machine': f"'{request.machine}'"}
         for name in ('program_node', 'lookahead_node', 'feedrate_node', 'machine_node')
     }
+    if request.setup is not None:
+        parameters['program_node']['setup'] = f"'{request.setup.resolve()}'"
     with Children(request.namespace, domain, parameters, nodes_file()):
+        print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
         until_asked(served, request.namespace, domain)
 
 

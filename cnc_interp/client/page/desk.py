@@ -14,9 +14,11 @@ import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram
 
+from cnc_interp.client.mdi import LineHistory
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.client.page.preview import Planner, Preview
 from cnc_interp.client.page.tube import tube
+from cnc_interp.client.setup_client import SetupClient
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
@@ -75,6 +77,8 @@ class Job:
         Line that is wrong; 0 if none is.
     proven : bool, optional
         Result of the last check.
+    setup : str
+        Text of the offsets and tools that it is planned with; empty where its settings name them.
 
     """
 
@@ -88,6 +92,7 @@ class Job:
     failed: bool = False
     fault_line: int = 0
     proven: bool | None = None
+    setup: str = ''
 
     def is_run(self, program: LoadedProgram, settings: Settings) -> bool:
         """Tell whether a run has the text and all the settings of this job."""
@@ -125,6 +130,7 @@ class Desk:
         self.description: Description | None = None
         self.job: Job | None = None
         self.settings = Settings()
+        self.lines = LineHistory()
         self.single_block = self.optional_stop = False
         self.tube, self.tube_number = b'', 0
         self._drawn = np.zeros(0)  # path lengths at the points of the tube [m]
@@ -135,6 +141,7 @@ class Desk:
         self._tasks: set[asyncio.Task[None]] = set()
         self._peak = np.zeros((3, 0))
         self.nodes = OperatorClient('panel', namespace, domain, self._see_state)
+        self.setup = SetupClient(self.nodes, 'page')
         self.nodes.start()  # its thread calls this desk, so the desk must be complete
 
     # The machine --------------------------------------------------------------------------------
@@ -188,15 +195,20 @@ class Desk:
             self.machine = Machine.load(self.nodes.machine)
             self.description = describe_machine(self.machine)
             self._planner = Planner(self.nodes.machine)
+        self._plan_with_new_setup()
         program = self.nodes.program
         if self._planner is None or program is None or program.program_id == self._adopted:
             return
         self._adopted = program.program_id
+        if program.mdi:  # the loaded program stays
+            self._running = None
+            return
         settings = settings_from(program.settings, Settings())
         if self.job is not None and self.job.is_run(program, settings):
             self._running = self.job
             return
-        self._running = self._lay(self._planner, program.name, program.text, settings)
+        setup = self._setup_text(settings)
+        self._running = self._lay(self._planner, program.name, program.text, settings, setup)
 
     # The program --------------------------------------------------------------------------------
 
@@ -210,7 +222,8 @@ class Desk:
                 False,
                 'a program is running: load another one when it has ended, or press queue next',
             )
-        self._lay(self._planner, name, text, self._for_nodes())
+        settings = self._for_nodes()
+        self._lay(self._planner, name, text, settings, self._setup_text(settings))
         return Answer(True, f'{name} loaded')
 
     async def queue(self, name: str, text: str) -> Answer:
@@ -235,7 +248,10 @@ class Desk:
             return Answer(False, 'a program is running: change the settings when it has ended')
         self.settings = settings
         if self.job is not None and self._planner is not None:
-            self._set_job(self._planner, replace(self.job, settings=self._for_nodes(), plan=None))
+            settings = self._for_nodes()
+            setup = self._setup_text(settings)
+            job = replace(self.job, settings=settings, plan=None, setup=setup)
+            self._set_job(self._planner, job)
         return Answer(True, 'settings taken')
 
     def _for_nodes(self) -> Settings:
@@ -245,9 +261,24 @@ class Desk:
             return self.settings
         return replace(self.settings, interpolation_period=state.interpolation_period)
 
-    def _lay(self, planner: Planner, name: str, text: str, settings: Settings) -> Job:
+    def _setup_text(self, settings: Settings) -> str:
+        """Return the offsets and tools of the machine, unless the settings name others."""
+        table = self.setup.table
+        return '' if settings.setup is not None or table is None else str(table.text)
+
+    def _plan_with_new_setup(self) -> None:
+        """Plan the loaded program again after a change of offsets or tools."""
+        job = self.job
+        if job is None or self._planner is None or in_program(self.nodes.state):
+            return
+        setup = self._setup_text(job.settings)
+        if setup != job.setup:
+            self._set_job(self._planner, replace(job, plan=None, setup=setup))
+
+    def _lay(self, planner: Planner, name: str, text: str, settings: Settings, setup: str) -> Job:
         path = planner.keep(name, text)
-        return self._set_job(planner, Job(path.name, text.splitlines(), path, settings))
+        job = Job(path.name, text.splitlines(), path, settings, setup=setup)
+        return self._set_job(planner, job)
 
     def _set_job(self, planner: Planner, job: Job) -> Job:
         """Make a job the loaded one and plan it."""
@@ -268,7 +299,7 @@ class Desk:
             job.status = said
 
         try:
-            plan = await planner.plan(job.path, job.settings, see_progress)
+            plan = await planner.plan(job.path, job.settings, see_progress, job.setup)
         except InterpError as problem:
             job.refuse(str(problem))
             if self.job is job:
@@ -323,6 +354,10 @@ class Desk:
             return Answer(False, self.job.status)
         started = self.nodes.start_program(self.job.goal())
         return await asyncio.wrap_future(started)
+
+    async def give_line(self, text: str) -> Answer:
+        """Have a line by hand executed; answered at its end."""
+        return await asyncio.wrap_future(self.nodes.give_line(text))
 
     async def trigger(self, name: str) -> Answer:
         """Pass one of the plain commands on."""

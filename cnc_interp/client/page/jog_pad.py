@@ -12,6 +12,7 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable
+from typing import Any
 
 from cnc_interp_msgs.msg import Jog
 from cnc_interp_msgs.srv import MoveAxes
@@ -82,6 +83,7 @@ class JogPad:
         self._axes, self._names = machine.axes, machine.axis_names
         self._nodes, self._may_move, self._command = nodes, may_move, command
         self._step = HOLD
+        self._shown: list[bool] = []  # which axes are homed
         with ui.element('div').classes('jog') as self._pad:
             steps = ui.toggle([HOLD, *STEPS], value=HOLD, on_change=self._choose)
             steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
@@ -95,6 +97,7 @@ class JogPad:
                 self._speed = ui.slider(min=LEAST_SPEED, max=100, value=SPEED).props('dense')
                 self._speed.props('data-mark="jog speed"')
                 ui.label().bind_text_from(self._speed, 'value', lambda value: f'{value:.0f}%')
+            self._homes = self._home_keys(tuple(machine.homing.switches))
         self._pad.props(f'data-step={HOLD}').set_visibility(False)
         ui.on('jog', self._beat)
 
@@ -108,6 +111,37 @@ class JogPad:
             js_handler=f'() => jog.pad() && jog.hold({json.dumps(name)}, {sign})',
         )
         key.on('click', lambda: self._move(name, sign))
+
+    def _home_keys(self, switches: tuple[str, ...]) -> dict[str, Any]:
+        """Make a key that homes all axes with a switch, and one for each of them."""
+        if not switches:
+            return {}
+        keys = {}
+        with ui.element('div').classes('homes'):
+            for name in ('', *switches):
+                key = ui.button(f'home {name}' if name else 'home all', color='blue-grey-8')
+                key.classes('moves').props(f'dense unelevated no-caps data-mark="home {name}"')
+                key.on('click', lambda name=name: self._home((name,) if name else ()))
+                keys[name] = key
+        return keys
+
+    async def _home(self, axes: tuple[str, ...]) -> None:
+        """Home axes, all where none is named."""
+
+        async def homed() -> Answer:
+            return await asyncio.wrap_future(self._nodes.home(axes))
+
+        await self._command(homed)
+
+    def show(self, state: Any) -> None:
+        """Show by the colour of their keys which axes must still be homed."""
+        if not self._homes or state is None or self._shown == list(state.homed):
+            return
+        self._shown = list(state.homed)
+        known = dict(zip(self._names, state.homed, strict=True))
+        for name, key in self._homes.items():
+            done = known[name] if name else all(known.values())
+            key.props(f'color={"blue-grey-8" if done else "warning"}')
 
     def toggle(self) -> None:
         """Show the pad, or hide it."""

@@ -13,7 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -179,7 +179,11 @@ class Planner:
         return path
 
     async def plan(
-        self, program: Path, settings: Settings, see_progress: Callable[[str], None]
+        self,
+        program: Path,
+        settings: Settings,
+        see_progress: Callable[[str], None],
+        setup: str = '',
     ) -> Preview:
         """
         Plan a program.
@@ -192,6 +196,8 @@ class Planner:
             The choices of the run.
         see_progress : callable
             Told how far it is, as `cnc-interp plan` says it.
+        setup : str
+            Text of a setup file; empty where the settings name one, or none is wanted.
 
         Raises
         ------
@@ -199,6 +205,10 @@ class Planner:
             With the line that `cnc-interp plan` says; it names the program without its folder.
 
         """
+        if setup:
+            file = Path(self._folder.name) / 'offsets and tools.yaml'
+            file.write_text(setup, encoding='utf-8')
+            settings = replace(settings, setup=file)
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
         _, said = await self._run([*words, *command_words(settings)], see_progress)
         notes = [line.removeprefix('note: ') for line in said if line.startswith('note: ')]

@@ -9,6 +9,7 @@ from cnc_interp.client.alarms import Alarm
 from cnc_interp.client.operator_client import MachineState
 from cnc_interp.client.page.desk import Desk
 from cnc_interp.client.page.preview import Preview
+from cnc_interp.client.setup_client import shown, work_coordinates
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.wire.machine_report import state_of
@@ -23,7 +24,7 @@ def readings(desk: Desk) -> dict[str, str]:
     words = {'state': 'no machine', 'why': f'waiting for {silent}' if silent else ''}
     if state is None or machine is None:
         return words
-    words |= axis_words(state, machine) | feed_words(desk, state)
+    words |= axis_words(state, machine) | work_words(desk, state) | feed_words(desk, state)
     job = desk.job
     if job is not None and not desk.shows_run(state):
         words |= words_before_start(job.plan, desk.nodes.override)
@@ -48,6 +49,20 @@ def axis_words(state: MachineState, machine: Machine) -> dict[str, str]:
     for name, tip, axis in zip('xyz', state.tip, state.axis, strict=True):
         words[f'tip {name}'] = f'{tip / MM:.3f}'
         words[f'tool {name}'] = f'{axis:+.5f}'
+    return words
+
+
+def work_words(desk: Desk, state: MachineState) -> dict[str, str]:
+    """Return coordinates with the active offset, and which offset and tool these are."""
+    table, setup = desk.setup.table, desk.setup.setup
+    if table is None:
+        return {}
+    words = {
+        f'work {letter}': shown(letter, value)
+        for letter, value in work_coordinates(table, setup, state.positions).items()
+    }
+    g92 = ' + G92' if setup.g92_on and setup.g92 else ''
+    words['setup'] = f'{setup.offset}{g92}, {f"tool {setup.tool}" if setup.tool else "no tool"}'
     return words
 
 

@@ -15,10 +15,12 @@ from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.client.page.jog_pad import JogPad
 from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
 from cnc_interp.client.page.listing import Listing
+from cnc_interp.client.page.mdi_line import MdiField
 from cnc_interp.client.page.messages import Messages
 from cnc_interp.client.page.readings import NOTHING, progress, readings
 from cnc_interp.client.page.scene import VIEWS, MachineView
 from cnc_interp.client.page.settings_dialog import SettingsDialog
+from cnc_interp.client.page.setup_dialog import SetupDialog
 from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.settings.choices import Settings
@@ -80,6 +82,7 @@ class Page:
             with ui.element('div').classes('charts'):
                 self._charts = Charts(desk.machine.axis_names if desk.machine else ())
         self._settings = SettingsDialog(self._use)
+        self._setup = SetupDialog(desk.setup, self._command_in_sight)
         self._keyboard = self._build_keyboard()
         ui.timer(PACE, self._show)
         ui.context.client.on_connect(self._show_override_again)
@@ -105,12 +108,14 @@ class Page:
 
     def _build_readouts(self) -> None:
         axes = self._desk.machine.axes if self._desk.machine else ()
-        ui.html('<h2>machine axes</h2>', sanitize=False)
+        ui.html('<h2>machine axes, and coordinates in the workpiece</h2>', sanitize=False)
+        self._label('setup', 'small')
         for axis in axes:
             with ui.element('div').classes('place'):
                 ui.label(axis.name).classes('name')
                 self._label(f'axis {axis.name}')
                 ui.label('mm' if axis.linear else '°').classes('unit')
+                self._label(f'work {axis.name}', 'work')
         for title, mark, letters in (
             ('tool tip in the workpiece, mm', 'tip', 'XYZ'), ('tool axis', 'tool', 'IJK'),
         ):  # fmt: skip
@@ -152,8 +157,11 @@ class Page:
                 marked(key.props('dense no-caps unelevated color=blue-grey-9'), f'from {name}')
             jog = ui.button('jog').props('dense no-caps unelevated color=blue-grey-9')
             marked(jog, 'jog')
+            offsets = ui.button('offsets', on_click=lambda: self._setup.open())
+            marked(offsets.props('dense no-caps unelevated color=blue-grey-9'), 'offsets')
+        self._pad: JogPad | None = None
         if self._desk.machine is not None:
-            pad = JogPad(
+            self._pad = pad = JogPad(
                 self._desk.machine,
                 self._desk.nodes,
                 lambda: self._in_charge,
@@ -168,6 +176,7 @@ class Page:
             self._label('scale', '')
 
     def _build_program(self) -> None:
+        desk = self._desk
         with ui.element('div').classes('title'):
             self._label('program', 'grow name')
         with ui.element('div').classes('title keyrow'):
@@ -195,6 +204,7 @@ class Page:
         with ui.element('div').classes('bar'):
             self._bar = ui.element('div')
         self._listing = Listing()
+        self._mdi = MdiField(desk.lines, desk.give_line, self._command_in_sight)
         self._messages = Messages(self._desk.nodes.alarms)
 
     def _build_keys(self) -> None:
@@ -249,7 +259,12 @@ class Page:
                     ui.label(MEANINGS.get(mark, mark))
                 ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
                 ui.label('X, Y, Z while the key is held and the jog keys are shown')
-            ui.label('Space and Enter never press a key that moves the machine.').classes('small')
+                ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
+                ui.label('in the MDI field: execute the line; show the lines before')
+            ui.label(
+                'Space and Enter never press a key that moves the machine. '
+                'Enter executes the line in the MDI field.'
+            ).classes('small')
         return dialog
 
     @staticmethod
@@ -426,7 +441,7 @@ class Page:
             self._take.set_visibility(not self._in_charge)
             buttons = (self._loader, self._follower, self._checker, self._setter)
             switches = (self._single, self._optional, self._slider, *self._steps)
-            for element in (*self._keys, *switches, self._upload, *buttons):
+            for element in (*self._keys, *switches, self._upload, *buttons, self._mdi.field):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._trusted)
         if self._changed('single block', self._desk.single_block):
@@ -452,3 +467,6 @@ class Page:
         if self._changed('bar', round(share, 3)):
             self._bar.style(f'transform: scaleX({share:.3f})')
         self._messages.show()
+        self._mdi.show(desk.nodes.modes)
+        if self._pad is not None:
+            self._pad.show(state)

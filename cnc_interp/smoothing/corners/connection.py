@@ -124,15 +124,8 @@ class End:
             Derivatives of the top parameter by the bottom parameter [-].
 
         """
-        b, c, o, h = self.b, self.c, self.o, self.height
-        e = c[0] - dot(c[0], self.axis)[:, None] * self.axis
-        reach = dot(c[0], e)
-        moving = reach > 1e-12 * h * h
-        reach = np.where(moving, reach, 1.0)
-        f1 = np.where(moving, dot(b[0] + h * o[0], e) / reach, 1.0)
-        rho1 = dot(f1[:, None] * c[0] - b[0], self.axis)[:, None]
-        rest = b[1] - (f1**2)[:, None] * c[1] + 2.0 * rho1 * o[0] + h * o[1]
-        return f1, np.where(moving, dot(rest, e) / reach, 0.0)
+        rho = np.full((len(self.axis), 1), self.height)
+        return matching_slopes(self.b, self.c, self.axis, self.o, rho)[:2]
 
     def residuals(self, f: FloatArray, free_length: FloatArray) -> FloatArray:
         """
@@ -168,6 +161,50 @@ class End:
                 rho3 * self.axis + 3.0 * rho2 * o[0] + 3.0 * rho1 * o[1] + h * o[2] - d3,
             ]
         )
+
+
+def matching_slopes(
+    bottom: FloatArray, top: FloatArray, axis: FloatArray, turning: FloatArray, rho: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """
+    Return the derivatives of f for which the tool axis continues along the top curve.
+
+    D = C_top(f(u)) - C_bottom(u) shall be rho o(u) in each order [B2013, B.3-B.5]. The highest
+    derivative of f acts along C_top' only. So it follows from the component e of C_top' at right
+    angles to o; rho follows from the component along o. Of all f, this one leaves the least jump.
+
+    Parameters
+    ----------
+    bottom, top : ndarray, shape (3, n, 3)
+        First three derivatives of both curves, each by its own parameter [m].
+    axis : ndarray, shape (n, 3)
+        Unit tool axis o [-].
+    turning : ndarray, shape (3, n, 3)
+        o', o'' and o''' by u that are to be continued [-].
+    rho : ndarray, shape (n, 1)
+        Distance between both curves [m].
+
+    Returns
+    -------
+    f1, f2, f3 : ndarray, shape (n,)
+        f', f'' and f'''; 1, 0 and 0 where the top curve rests [-].
+
+    """
+    b, c, o = bottom, top, turning
+    e = c[0] - dot(c[0], axis)[:, None] * axis
+    reach = dot(c[0], e)
+    moving = reach > 1e-12 * rho[:, 0] ** 2
+    reach = np.where(moving, reach, 1.0)
+    f1 = np.where(moving, dot(b[0] + rho * o[0], e) / reach, 1.0)
+    p = f1[:, None]
+    rho1 = dot(p * c[0] - b[0], axis)[:, None]
+    rest = b[1] - p**2 * c[1] + 2.0 * rho1 * o[0] + rho * o[1]
+    f2 = np.where(moving, dot(rest, e) / reach, 0.0)
+    q = f2[:, None]
+    rho2 = dot(p**2 * c[1] + q * c[0] - b[1] - rho * o[1], axis)[:, None]
+    rest = b[2] - p**3 * c[2] - 3.0 * p * q * c[1]
+    rest = rest + 3.0 * rho2 * o[0] + 3.0 * rho1 * o[1] + rho * o[2]
+    return f1, f2, np.where(moving, dot(rest, e) / reach, 0.0)
 
 
 def _sextic(

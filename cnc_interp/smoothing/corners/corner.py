@@ -9,7 +9,11 @@ Top polygon: P12 = P2 + h o. P10 and P14 lie on the programmed tool axis at the 
 the corner. There are two ways to place the inner points. ``in_step`` divides the legs in the same
 ratio as on the bottom, so that u_top = u_bottom is right to first order; if the top then exceeds
 the orientation tolerance, L1 shrinks. ``tolerance`` is the paper's way: the inner points follow
-from the orientation tolerance alone. All functions work on many corners at once.
+from the orientation tolerance alone.
+
+``literal`` corners follow the paper word for word: L2 is the same on both sides, at most half of
+the shorter line, and L1 = L2 / ratio. Each tolerance counts for its own curve. All functions work
+on many corners at once.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.connection import connect
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
@@ -29,6 +33,8 @@ from cnc_interp.smoothing.orientation import norm, turned_by
 LEAST_RATIO = 1.5
 #: The same for the top polygon with ``tolerance``.
 LEAST_TOP_RATIO = 1.4
+#: L2/L1 of literal corners, and how often they shrink on top alone, before both curves shrink.
+PAPER_RATIO, TOP_TURNS = 1.4, 4
 #: Largest turn of the tool axis on each side of one corner [rad].
 LARGEST_TURN = 0.7
 #: A corner whose deviation over tolerance is below this value is accepted [-].
@@ -52,6 +58,8 @@ class Corners:
         Contour and orientation tolerance [m].
     extra_rates : ndarray, shape (n, 2, k)
         What the extra axes move by per metre of path on the lines before and after [-].
+    near_pole : ndarray of bool, shape (n,)
+        Whether the tool axis may pass the pole within the tolerance.
 
     """
 
@@ -61,8 +69,11 @@ class Corners:
     rates: FloatArray
     tolerances: FloatArray
     extra_rates: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 0)))
+    near_pole: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
+        if len(self.near_pole) != len(self.tip):
+            object.__setattr__(self, 'near_pole', np.zeros(len(self.tip), dtype=np.bool_))
         if len(self.extra_rates) != len(self.tip):
             object.__setattr__(self, 'extra_rates', np.zeros((len(self.tip), 2, 0)))
 
@@ -105,6 +116,8 @@ class Style:
         How the orientation is connected (``connection.py``).
     septic : bool
         Whether the connection E is septic instead of quintic.
+    literal : bool
+        Whether the corners are those of the paper, word for word (module docstring).
 
     """
 
@@ -112,12 +125,16 @@ class Style:
     in_step: bool
     method: str
     septic: bool
+    literal: bool = False
 
     @staticmethod
     def of(settings: Settings) -> Style:
         """Return the construction of corners that the settings ask for."""
-        in_step = settings.top == 'in_step'
-        return Style(settings.flank_height, in_step, settings.parametrization, settings.septic)
+        literal, method = settings.corner == 'paper', settings.parametrization
+        if method == 'auto':
+            method = 'paper' if literal else 'exact'
+        in_step = settings.top == 'in_step' and not literal
+        return Style(settings.flank_height, in_step, method, settings.septic, literal)
 
     def empty_curves(self, count: int) -> Curves:
         """Return empty curves for a number of corners."""
@@ -126,7 +143,7 @@ class Style:
 
 
 def initial_lengths(
-    corners: Corners, lengths: FloatArray, ratios: FloatArray
+    corners: Corners, lengths: FloatArray, ratios: FloatArray, literal: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """
     Compute L1 and L2 from the contour tolerance and the available lengths [B2013, Eq. 3].
@@ -139,6 +156,8 @@ def initial_lengths(
         Length of each line that the corner may use [m].
     ratios : ndarray, shape (n, 2)
         L2/L1 where the lines are long enough [-].
+    literal : bool
+        Whether L2 is the same on both sides and the ratio holds on short lines, too.
 
     Returns
     -------
@@ -150,7 +169,10 @@ def initial_lengths(
     """
     turn = norm(corners.rates) * lengths
     available = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
-    inner = available.min(axis=1) / LEAST_RATIO
+    least = np.full(len(available), LEAST_RATIO)
+    if literal:
+        available, least = np.minimum(available, available[:, ::-1]), ratios[:, 0]
+    inner = available.min(axis=1) / least
     bend = norm(corners.legs[:, 0] + corners.legs[:, 1])
     # an extra axis is a fourth coordinate: its middle deviates by L1 |w_2 - w_1| / 4 likewise
     drift = np.abs(corners.extra_rates[:, 1] - corners.extra_rates[:, 0])
@@ -259,6 +281,11 @@ def fit(
         rows = rows[too_large]
         if not len(rows):
             break
+        if style.literal and turn < TOP_TURNS:
+            reach[rows] *= np.maximum(0.9999 / excess[too_large], 0.05)
+            continue
+        if style.literal and turn == TOP_TURNS:  # a sharper top does not help: begin again
+            reach[rows] = corners.tolerances[rows, 1]
         # If only the turn of the axis is too large, L1 must shrink far before L2 follows.
         shrink = np.clip(0.998 / excess[too_large], 0.05, 0.995 if turn < 6 else 0.9)
         inner[rows] *= shrink
@@ -276,11 +303,13 @@ def _deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Styl
     the largest deviation in both directions. The orientation deviation is measured at flank
     height. It is the largest of three values: the distance of the middle on top, the distance of
     any top point from the programmed top curve, and the turn of the axis from the programmed one.
+    The last one does not count on literal corners, unless they are near the pole.
     """
     point, tool = poses(curves, 0.5)
     contour = norm(point - corners.tip)
     missed = norm(point + style.height * tool - curves.top[:, 2])
+    both = corners.near_pole | (not style.literal)
     bounds = orientation_bounds(
-        curves, corners.legs, corners.rates, outer, style.height, least=missed
+        curves, corners.legs, corners.rates, outer, style.height, missed, both
     )
     return np.stack([contour, bounds], axis=1)

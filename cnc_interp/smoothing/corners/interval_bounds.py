@@ -60,9 +60,13 @@ def _write_axis_error(
 @njit(cache=True, nogil=True)
 def bound_interval(
     half: float, tip: FloatArray, tool: FloatArray, lines: FloatArray, side: int, top_side: int,
-    height: float, largest_seen: float,
+    height: float, largest_seen: float, both: bool,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return a proven bound of both errors on an interval, and the largest error seen so far."""
+    """
+    Return a proven bound of the errors on an interval, and the largest error seen so far.
+
+    Without ``both``, the axis error does not count.
+    """
     swing, tips, axes = (
         np.empty((DEGREE + 1, 3)),
         np.empty((DEGREE + 1, 3)),
@@ -79,15 +83,14 @@ def bound_interval(
         length = sqrt(scalar_product(o, o))
         for c in range(3):
             o[c] /= length
-        largest_seen = max(
-            largest_seen,
-            _write_axis_error(gap, o, line, scalar_product(p, line[LEG]), height, swing[j]),
-        )
+        swings = _write_axis_error(gap, o, line, scalar_product(p, line[LEG]), height, swing[j])
+        if both:
+            largest_seen = max(largest_seen, swings)
     nearest, away = np.full(DEGREE + 1, np.inf), np.inf
     remainder = _remainders(half, tip, tool, line, lines[top_side], height)
     if remainder[0] == np.inf:
         return np.inf, largest_seen
-    swung = _hull(swing) + remainder[0]
+    swung = _hull(swing) + remainder[0] if both else 0.0
     for attempt in range(2):
         if attempt == 1:  # the other side of the top polygon may be nearer
             remainder = _remainders(half, tip, tool, line, lines[1 - top_side], height)

@@ -22,7 +22,7 @@ from math import comb, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.corner_spline import corner_spline_jet
 from cnc_interp.smoothing.corners.corner_curves import Curves
 from cnc_interp.smoothing.corners.interval_bounds import (
@@ -52,6 +52,7 @@ def orientation_bounds(
     outer: FloatArray,
     height: float,
     least: FloatArray,
+    both: BoolArray,
 ) -> FloatArray:
     """
     Compute a proven bound of the orientation deviation of corners.
@@ -69,6 +70,8 @@ def orientation_bounds(
         Flank height h [m].
     least : ndarray, shape (n,)
         Deviation that is known to occur. Errors below it need no close bound [m].
+    both : ndarray of bool, shape (n,)
+        Whether both errors count, or only the top error, which is the tolerance of [B2013].
 
     Returns
     -------
@@ -79,7 +82,7 @@ def orientation_bounds(
     return np.asarray(
         _bounds_of(
             curves.bottom, curves.top, curves.connection, curves.parametrization,
-            legs, rates, outer, height, least,
+            legs, rates, outer, height, least, both,
         )
     )  # fmt: skip
 
@@ -88,6 +91,7 @@ def orientation_bounds(
 def _bounds_of(
     bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
     legs: FloatArray, rates: FloatArray, outer: FloatArray, height: float, least: FloatArray,
+    both: BoolArray,
 ) -> FloatArray:  # fmt: skip
     """Return the bounds of many corners, shape (n,) [m]."""
     bounds = least.copy()
@@ -98,7 +102,7 @@ def _bounds_of(
         for k in range(len(breaks) - 1):
             largest_seen, bounds[i] = _bound_piece(
                 breaks[k], breaks[k + 1], bottom[i], top[i], lift, parametrization[i], lines,
-                height, largest_seen, bounds[i],
+                height, largest_seen, bounds[i], both[i],
             )  # fmt: skip
     return bounds
 
@@ -167,7 +171,7 @@ def _shifted(coefficients: FloatArray, place: float) -> FloatArray:
 def _bound_piece(
     low: float, high: float, bottom: FloatArray, top: FloatArray, lift: FloatArray,
     parametrization: FloatArray, lines: FloatArray, height: float, largest_seen: float,
-    proven: float,
+    proven: float, both: bool,
 ) -> tuple[float, float]:  # fmt: skip
     """
     Raise the largest error seen and the bound to those of one smooth piece.
@@ -184,7 +188,7 @@ def _bound_piece(
         half = 0.5 * (end - start)
         tip, tool, late, outside = _taylor(middle, half, bottom, top, lift, parametrization)
         bound, largest_seen = bound_interval(
-            half, tip, tool, lines, int(middle > 0.5), int(late), height, largest_seen
+            half, tip, tool, lines, int(middle > 0.5), int(late), height, largest_seen, both
         )
         bound += 4.0 * height * outside / sqrt(scalar_product(tool[0], tool[0]))
         if bound <= max(CLOSE * largest_seen, proven, ROUNDING) or depth >= HALVINGS:

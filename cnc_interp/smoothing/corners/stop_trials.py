@@ -22,7 +22,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, IntArray
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.machine_traits import MachineTraits
@@ -86,11 +86,13 @@ class StopTrials:
         The machine, whose ``motion_time`` plans the trials. Without it nothing is tried.
     height : float
         Flank height [m].
+    found : list of int
+        Receives the program rows at whose ends a stop was found to be faster.
 
     """
 
-    def __init__(self, machine: MachineTraits, height: float):
-        self._machine, self._height = machine, height
+    def __init__(self, machine: MachineTraits, height: float, found: list[int]):
+        self._machine, self._height, self._found = machine, height, found
         self._stops: dict[int, bool] = {}  # of corners tried, by program row
         self._past: Blocks | None = None  # decided rows up to the first known one
         self._plain = np.zeros(0, dtype=np.bool_)  # which of them are lines of poses
@@ -116,9 +118,12 @@ class StopTrials:
             All vertices before this one are decided.
 
         """
-        if self._machine.motion_time is None:
+        known = rows.blocks.corner
+        vertex[(vertex == ROUND) & (known == STOP_CORNER)] = STOP
+        tried = (vertex == ROUND) & (known == OPEN_CORNER)
+        if self._machine.motion_time is None or not tried.any():
             return len(rows)
-        tried = doubtful(rows, legs, self._height, self._machine) & (vertex == ROUND)
+        tried &= doubtful(rows, legs, self._height, self._machine)
         for v in np.flatnonzero(tried):
             row = int(rows.row[v])
             if row not in self._stops:
@@ -133,6 +138,8 @@ class StopTrials:
                 ):
                     begin -= 1
                 self._stops[row] = self._is_faster(blocks[begin:], at - begin)
+                if self._stops[row]:
+                    self._found.append(row)
             if self._stops[row]:
                 vertex[v] = STOP
         return len(rows)

@@ -244,6 +244,7 @@ def corners_at(
         np.minimum(column[rows], column[rows + 1])
         for column in (blocks.contour_tolerance, blocks.orientation_tolerance)
     ]
+    near = np.zeros(len(rows), dtype=np.bool_)
     if machine.pole is not None:
         pole, angle = np.array(machine.pole), tolerances[1] / flank_height
         turns = -legs.rotation[rows - 1], legs.rotation[rows]
@@ -252,7 +253,8 @@ def corners_at(
             for turn in turns
         ]
         turning = (turns[0] != 0.0).any(axis=1) | (turns[1] != 0.0).any(axis=1)
-        tolerances[1] = np.where(turning, tolerances[1] * np.minimum(*shares), tolerances[1])
+        share = np.where(turning, np.minimum(*shares), 1.0)
+        tolerances[1], near = tolerances[1] * share, share < 1.0
     return Corners(
         tip=blocks.tip[rows],
         axis=blocks.axis[rows],
@@ -260,4 +262,5 @@ def corners_at(
         rates=np.stack([legs.rate[rows - 1], legs.rate[rows]], axis=1),
         tolerances=np.stack(tolerances, axis=1),
         extra_rates=np.stack([legs.extra_rate[rows - 1], legs.extra_rate[rows]], axis=1),
+        near_pole=near,
     )

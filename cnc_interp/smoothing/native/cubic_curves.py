@@ -16,9 +16,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
-from cnc_interp.smoothing.native.joining import Jets, span_jets
+from cnc_interp.smoothing.native.portion import Portion
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segment_curves import corner_jets, spline_jets
 from cnc_interp.smoothing.segments import CORNER, PathSegments
@@ -31,16 +30,12 @@ MOST_INTERVALS, PROBES = 512, 8
 
 
 @dataclass(frozen=True)
-class CubicCurve:
+class CubicCurve(Portion):
     """
-    One segment as control points, one row each as in Blocks.
+    One segment as a portion.
 
     Parameters
     ----------
-    bottom, top : ndarray, shape (n, 3)
-        Control points of tip and second point [m].
-    knot_interval : ndarray, shape (n,)
-        Knot interval of each control point [m]; 0 in the first and in the last two rows.
     late : int
         First row whose knot interval lies in the second half of the segment.
     deviation : float
@@ -48,23 +43,8 @@ class CubicCurve:
 
     """
 
-    bottom: FloatArray
-    top: FloatArray
-    knot_interval: FloatArray
     late: int
     deviation: float
-
-    def jets(self, at_end: bool) -> Jets:
-        """Return the jets at the start or the end of the curves, in the direction of motion."""
-        step = self.knot_interval[1:4] if not at_end else self.knot_interval[-3:-6:-1]
-        ends = np.cumsum(np.concatenate([step, np.zeros(3)]))[:3]
-        knots = np.concatenate([np.zeros(3), ends])[None]
-        bottom, top = (
-            cubic_bezier_points((points[:4] if not at_end else points[:-5:-1])[None], knots)
-            for points in (self.bottom, self.top)
-        )
-        jets = span_jets(bottom, top, np.zeros((1, 4, 3)))
-        return jets.backwards() if at_end else jets
 
 
 def cubic_curve(
@@ -97,12 +77,15 @@ def cubic_curve(
         If more than MOST_INTERVALS knot intervals are necessary.
 
     """
+    if segments.kind[i] == CORNER and not len(segments.parametrization[i]):
+        if not segments.connection[i].any():
+            return _own_points(segments, i)
     count = 2 if segments.kind[i] == CORNER else 1
     rate = _points(segments, i, np.array([0.0, 1.0]), height, constant_height)[1]
     while count <= MOST_INTERVALS:
         sites = np.linspace(0.0, 1.0, count + 1)
         values, _ = _points(segments, i, sites, height, constant_height)
-        spline = _clamped(sites, values, rate)
+        spline = clamped(sites, values, rate)
         probes = (np.arange(count * PROBES) + 0.5) / (count * PROBES)
         deviation = _distance(spline, segments, i, probes, height)
         if deviation <= tolerance:
@@ -122,7 +105,14 @@ def cubic_curve(
     )
 
 
-def _clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
+def _own_points(segments: PathSegments, i: int) -> CubicCurve:
+    """Return a corner with u_top = u_bottom by its own 5 + 5 control points [B2013, 4.1]."""
+    bottom, top = segments.bottom[i, :5], segments.top[i, :5]
+    half = 0.5 * float(norm(np.diff(bottom, axis=0)).sum())
+    return CubicCurve(bottom, top, half * np.array([0.0, 1.0, 1.0, 0.0, 0.0]), 2, 0.0)
+
+
+def clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
     """Interpolate values by a cubic spline with given derivatives at both ends."""
     # Importing it takes a tenth of a second; only native programs need it.
     from scipy.interpolate import BSpline, make_interp_spline

@@ -23,8 +23,12 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import start_derivatives
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import hermite
-from cnc_interp.smoothing.orientation import cross, dot, norm
+from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between
+
+#: A line shorter than this has no direction [m].
+STANDSTILL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -256,11 +260,8 @@ def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
     """Return (rho o - D) in the first three derivatives by u, shape (3, n, 3) [m]."""
     p = start_derivatives(bottom)
     d1, d2, d3 = start_derivatives(top) - p
-    s1, s2, s3 = arc_length(p)
-    o, o_s, o_ss, o_sss = jets.axis
-    o1 = o_s * s1
-    o2 = o_ss * s1**2 + o_s * s2
-    o3 = o_sss * s1**3 + 3.0 * o_ss * s1 * s2 + o_s * s3
+    o = jets.axis[0]
+    o1, o2, o3 = by_parameter(jets, p)
     rho = norm(top[:, 0] - bottom[:, 0])[:, None]
     rho1 = dot(d1, o)[:, None]
     rho2 = dot(d2 - rho * o2, o)[:, None]
@@ -272,6 +273,62 @@ def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
             rho3 * o + 3.0 * rho2 * o1 + 3.0 * rho1 * o2 + rho * o3 - d3,
         ]
     )
+
+
+def by_parameter(jets: Jets, p: FloatArray) -> FloatArray:
+    """
+    Convert the derivatives of the tool axis from arc length to a curve parameter.
+
+    Parameters
+    ----------
+    jets : Jets
+        Jets at n places.
+    p : ndarray, shape (3, n, 3)
+        C', C'' and C''' of the curve of the tip [m].
+
+    Returns
+    -------
+    ndarray, shape (3, n, 3)
+        o', o'' and o''' by the parameter [-].
+
+    """
+    s1, s2, s3 = arc_length(p)
+    _, o_s, o_ss, o_sss = jets.axis
+    return np.stack(
+        [
+            o_s * s1,
+            o_ss * s1**2 + o_s * s2,
+            o_sss * s1**3 + 3.0 * o_ss * s1 * s2 + o_s * s3,
+        ]
+    )
+
+
+def line_between(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
+    """
+    Return the jets at one end of the line between two poses.
+
+    Parameters
+    ----------
+    start, end : Blocks
+        One row each.
+    at_end : bool
+        Whether the jets are those at the end of the line.
+
+    Returns
+    -------
+    Jets or None
+        None if the tip rests or the rotary axes run linearly.
+
+    """
+    if end.by_rotary[0]:
+        return None
+    step = end.tip - start.tip
+    length = norm(step)[:, None]
+    if length[0, 0] < STANDSTILL:
+        return None
+    rate = rotations_between(start.axis, end.axis) / length
+    row = end if at_end else start
+    return line_jets(row.tip, step / length, row.axis, rate)
 
 
 def shortest_tool(bottom: FloatArray, top: FloatArray) -> FloatArray:

@@ -5,7 +5,8 @@ Each span of the pair of cubic B-splines becomes exactly one SPLINE segment. The
 line, or its own next span at a repeated knot. There the jets of both sides are compared. If they
 differ, the span takes the derivatives of the other side by the general connection of
 ``joining.py``. It may use a share of the tolerances. If the deviation is too large, the span is
-halved, so that only its end changes. If the path turns too sharply, the tool rests.
+halved, so that only its end changes. If the path turns too sharply, the tool rests. With
+``--parametrization linear`` nothing is connected, as on a control with u_top = u_bottom.
 """
 
 from __future__ import annotations
@@ -236,6 +237,8 @@ class SplineRun:
         start = piece.jets(at_end=False)
         if same_jets(start, before, self._style.height):
             return True, None
+        if self._style.method == 'linear':
+            return joins_gently(start, before), None
         fits = joins_gently(start, before) and self._absorb(piece, before, None) is not None
         return fits, before if fits else None
 
@@ -245,10 +248,11 @@ class SplineRun:
         piece, taken = self._held
         if after is not None:
             end = piece.jets(at_end=True)
-            same = same_jets(end, after, self._style.height)
-            fits = joins_gently(end, after) and self._absorb(piece, None, after) is not None
+            same, plain = same_jets(end, after, self._style.height), self._style.method == 'linear'
+            fits = joins_gently(end, after)
+            fits = fits and (plain or self._absorb(piece, None, after) is not None)
             stop = not (same or fits)
-            after = after if fits and not same else None
+            after = after if fits and not (same or plain) else None
         made = self._absorb(piece, taken, after)
         assert made is not None  # each end fits alone, and halving separates the ends
         done += [(part, False) for part in made[:-1]]

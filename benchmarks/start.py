@@ -1,0 +1,96 @@
+"""
+How long a run takes until the machine moves, and how long nodes take to find each other.
+
+``python benchmarks/start.py [--runs 10]`` prints both. The second one starts a node, and four
+others a while later, as a run does: its own end of ROS is there before the nodes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+from statistics import median
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Nodes that look for each other, topics of each, and the longest look [s].
+NODES, TOPICS, LONGEST = 5, 10, 6.0
+
+
+def first_motion() -> float:
+    """Return the time from the command to the first executed setpoint [s]."""
+    command = [sys.executable, '-m', 'cnc_interp', 'run', 'examples/pyramid.ngc', '--json']
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return float(json.loads(done.stdout)['start_to_motion'])
+
+
+def look(
+    number: int, domain: int, begin: float, found: multiprocessing.Queue[tuple[float, float]]
+) -> None:
+    """Be a node from a time on; report when it and all others see each other's topics."""
+    time.sleep(max(0.0, begin - time.monotonic()))
+    from cnc_interp.nodes.this_host import stay_on_this_host
+
+    stay_on_this_host()
+    import rclpy
+    from std_msgs.msg import String
+
+    rclpy.init(domain_id=domain)
+    node = rclpy.create_node(f'node_{number}')
+    names = [[f'of_{i}_{k}' for k in range(TOPICS)] for i in range(NODES)]
+    own = [node.create_publisher(String, name, 10) for name in names[number]]
+    others = [name for i in range(NODES) if i != number for name in names[i]]
+    for name in others:
+        node.create_subscription(String, name, lambda _: None, 10)
+    begun = time.monotonic()
+    while time.monotonic() < begun + LONGEST:
+        heard = all(publisher.get_subscription_count() == NODES - 1 for publisher in own)
+        if heard and all(node.count_publishers(name) for name in others):
+            break
+        time.sleep(0.002)
+    found.put((begun, time.monotonic()))
+    time.sleep(max(0.0, begun + LONGEST - time.monotonic()))
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def discovery(delay: float) -> float:
+    """Return the time until all nodes see each other, once the last one is made [s]."""
+    context = multiprocessing.get_context('spawn')
+    found, domain = context.Queue(), random.randrange(1, 101)
+    early = time.monotonic() + 0.5
+    late = early + delay
+    processes = [
+        context.Process(target=look, args=(i, domain, late if i else early, found))
+        for i in range(NODES)
+    ]
+    for process in processes:
+        process.start()
+    times = [found.get() for _ in processes]
+    for process in processes:
+        process.join()
+    begun, seen = zip(*times, strict=True)
+    return max(seen) - max(begun)
+
+
+def main() -> None:
+    """Print both."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--runs', type=int, default=10)
+    runs = parser.parse_args().runs
+    for title, measure in (
+        ('first motion after start', first_motion),
+        ('nodes found, 2 s after one', lambda: discovery(2.0)),
+    ):
+        values = sorted(measure() for _ in range(runs))
+        spread = f'{values[0]:.2f} to {values[-1]:.2f} s'
+        print(f'{title:<28} median {median(values):.2f} s, {spread}, {runs} times', flush=True)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,212 @@
+"""The dialog for offsets and tools: a table of each to edit, and touch-off."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from cnc_interp.client.operator_client import Answer
+from cnc_interp.client.setup_client import SetupClient, shown, unit_of
+from cnc_interp.core.units import MM
+from cnc_interp.program.job import WORK_OFFSETS
+
+Command = Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]]
+LENGTHS = ('length', 'radius')
+
+
+class SetupDialog:
+    """
+    Offsets and tools in one page.
+
+    Parameters
+    ----------
+    setup : SetupClient
+        The table, and its services.
+    command : callable
+        Has something done, or says why not.
+
+    """
+
+    def __init__(self, setup: SetupClient, command: Command):
+        self._setup, self._command = setup, command
+        self._dialog = ui.dialog()
+        self._fields: dict[str, Any] = {}
+        self._known: dict[str, tuple[str, float]] = {}  # text of a field, and its value in SI
+
+    def open(self) -> None:
+        """Show the table as it is now, in fields that are made anew."""
+        table = self._setup.table
+        if table is None:
+            ui.notify('program_node does not answer yet', type='warning')
+            return
+        self._dialog.clear()
+        self._fields, self._known = {}, {}
+        axes = list(table.axes)
+        fields = f'repeat({len(axes)}, minmax(4em, 1fr))'
+        columns = f'grid-template-columns: 4.5em {fields} auto auto auto'
+        with self._dialog, ui.card().classes('setup'):
+            ui.label('offsets [mm, deg]').classes('title')
+            with ui.element('div').classes('rows').style(columns):
+                for text in ('', *axes, '', '', ''):
+                    ui.label(text).classes('name')
+                for name in (*WORK_OFFSETS, 'G92'):
+                    self._offset_row(name, axes)
+                self._name('here reads')
+                for letter in axes:
+                    self._field(f'here {letter}', '')
+                self._key('touch off', partial(self._touch_off, axes), 'touch off')
+            ui.label('tools [mm]').classes('title')
+            with ui.element('div').classes('rows tools'):
+                for text in ('number', *LENGTHS, 'remark', '', '', ''):
+                    ui.label(text).classes('name')
+                for number in sorted(self._setup.setup.tools):
+                    self._tool_row(number)
+                self._tool_row(None)
+            place = table.file or 'program_node only, until it ends'
+            ui.label(f'kept in {place}').classes('small')
+            if table.change:
+                told = ui.label(f'last change by {table.changed_by}: {table.change}')
+                told.classes('small').props('data-mark="setup change"')
+            with ui.element('div').classes('ends'):
+                self._key('no tool in the spindle', partial(self._load, 0), 'load tool 0')
+                self._key('close', self._dialog.close, 'close setup')
+        self._dialog.open()
+
+    # Building -----------------------------------------------------------------------------------
+
+    def _name(self, text: str) -> None:
+        ui.label(text).classes('value')
+
+    def _field(self, mark: str, text: str, value: float | None = None) -> None:
+        field = ui.input(value=text).props(f'dense data-mark="{mark}"')
+        self._fields[mark] = field
+        if value is not None:
+            self._known[mark] = text, value
+
+    def _key(self, text: str, act: Callable[[], Any], mark: str) -> None:
+        key = ui.button(text, on_click=act, color='blue-grey-8')
+        key.props(f'dense no-caps unelevated data-mark="{mark}"')
+
+    def _offset_row(self, name: str, axes: list[str]) -> None:
+        """Make the row of one offset; what is not set is empty."""
+        setup = self._setup.setup
+        position = setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
+        active = name == setup.offset or (name == 'G92' and setup.g92_on)
+        self._name(f'{name} ●' if active else name)
+        for letter in axes:
+            value = position.get(letter)
+            text = '' if value is None else shown(letter, value)
+            self._field(f'{name} {letter}', text, value)
+        self._key('set', partial(self._set_offset, name, axes), f'set {name}')
+        clear = partial(self._ask, 'set_offset', offset=name, clear=True)
+        self._key('clear', clear, f'clear {name}')
+        if name == 'G92':
+            ui.label('')
+        else:
+            use = partial(self._ask, 'set_offset', offset=name, activate=True)
+            self._key('use', use, f'use {name}')
+
+    def _tool_row(self, number: int | None) -> None:
+        """Make the row of one tool, or the one for a new tool."""
+        setup = self._setup.setup
+        mark = 'new tool' if number is None else f'tool {number}'
+        if number is None:
+            self._field(f'{mark} number', '')
+        else:
+            self._name(f'{number} ●' if number == setup.tool else str(number))
+        tool = None if number is None else setup.tools[number]
+        for name in LENGTHS:
+            value = None if tool is None else getattr(tool, name)
+            self._field(f'{mark} {name}', '' if value is None else f'{value / MM:.3f}', value)
+        self._field(f'{mark} remark', '' if tool is None else tool.remark)
+        self._key('set', partial(self._set_tool, mark, number), f'set {mark}')
+        if number is None:
+            return
+        remove = partial(self._ask, 'set_tool', number=number, remove=True)
+        self._key('remove', remove, f'remove {mark}')
+        self._key('in the spindle', partial(self._load, number), f'load {mark}')
+
+    # Commands -----------------------------------------------------------------------------------
+
+    async def _ask(self, service: str, **request: Any) -> None:
+        """Ask for a change, and show the table after it."""
+        before = self._setup.table
+
+        async def asked() -> Answer:
+            answer = await asyncio.wrap_future(self._setup.ask(service, **request))
+            for _ in range(20):  # the table follows its answer on another topic
+                if not answer.ok or self._setup.table is not before:
+                    break
+                await asyncio.sleep(0.05)
+            if answer.ok:
+                ui.notify(answer.message.partition(': ')[2])
+                self.open()
+            return answer
+
+        await self._command(asked)
+
+    def _value(self, mark: str, unit: float) -> float | None:
+        """Return the value of a field [SI]; None if it is empty; ValueError for other text."""
+        text = (self._fields[mark].value or '').strip()
+        if not text:
+            return None
+        known, value = self._known.get(mark, ('', 0.0))
+        if text == known:  # shown with fewer digits than it has
+            return value
+        number = float(text.replace(',', '.'))
+        if not math.isfinite(number):
+            raise ValueError
+        return number * unit
+
+    def _values(self, marks: dict[str, tuple[str, float]]) -> dict[str, float] | None:
+        """Return the values of fields that are not empty; None, and say so, if one is wrong."""
+        found = {}
+        for name, (mark, unit) in marks.items():
+            try:
+                value = self._value(mark, unit)
+            except ValueError:
+                text = f'{mark}: write a number, not {self._fields[mark].value!r}'
+                ui.notify(text, type='negative')
+                return None
+            if value is not None:
+                found[name] = value
+        return found
+
+    async def _set_offset(self, name: str, axes: list[str]) -> None:
+        """Set an offset to what its fields say; an empty field removes the value."""
+        values = self._values({k: (f'{name} {k}', unit_of(k)) for k in axes})
+        if values is not None:
+            await self._ask('set_offset', offset=name, clear=True, **_of_axes(values))
+
+    async def _touch_off(self, axes: list[str]) -> None:
+        """Set the active offset from where the axes stand."""
+        values = self._values({k: (f'here {k}', unit_of(k)) for k in axes})
+        if values is not None:
+            await self._ask('touch_off', **_of_axes(values))
+
+    async def _set_tool(self, mark: str, number: int | None) -> None:
+        """Set a tool to what its fields say."""
+        marks = {name: (f'{mark} {name}', MM) for name in LENGTHS}
+        if number is None:
+            marks['number'] = f'{mark} number', 1.0
+        values = self._values(marks)
+        if values is None:
+            return
+        number = round(min(max(values.pop('number', 0.0), 0.0), 1e9)) if number is None else number
+        remark = str(self._fields[f'{mark} remark'].value or '')
+        fields = [*values, 'remark']
+        await self._ask('set_tool', number=number, fields=fields, remark=remark, **values)
+
+    async def _load(self, number: int) -> None:
+        """Tell which tool is in the spindle."""
+        await self._ask('set_tool', number=number, load=True)
+
+
+def _of_axes(values: dict[str, float]) -> dict[str, Any]:
+    """Return values by axis letter as fields of a request."""
+    return {'axes': list(values), 'values': list(values.values())}

@@ -1,0 +1,99 @@
+"""Offsets and tools of the machine as users see them: the table that is told, its services."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import Future
+from typing import Any
+
+from cnc_interp_msgs.msg import SetupTable
+from cnc_interp_msgs.srv import SetOffset, SetTool, TouchOff
+
+from cnc_interp.client.operator_client import Answer, OperatorClient
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.nodes.qos import LOADED
+from cnc_interp.program import JobSetup
+from cnc_interp.program.setup_requests import work_shift
+
+#: Services that change the table.
+SERVICES: dict[str, Any] = {'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff}
+
+
+class SetupClient:
+    """
+    Hears the table of offsets and tools, and asks for changes.
+
+    Parameters
+    ----------
+    nodes : OperatorClient
+        The ROS node; not yet served by a thread.
+    who : str
+        Name of this client in the log of changes.
+
+    """
+
+    def __init__(self, nodes: OperatorClient, who: str):
+        self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
+        #: The table as it was told last; None before.
+        self.table: SetupTable | None = None
+        self.setup = JobSetup()
+        nodes.node.create_subscription(SetupTable, 'setup_table', self._see, LOADED)
+        self._clients = {
+            name: nodes.node.create_client(kind, name) for name, kind in SERVICES.items()
+        }
+
+    def _see(self, table: SetupTable) -> None:
+        self.table, self.setup = table, JobSetup.of_text(table.text)
+
+    @property
+    def is_ready(self) -> bool:
+        """Tell whether the table is known and can be changed."""
+        ready = all(client.service_is_ready() for client in self._clients.values())
+        return self.table is not None and ready
+
+    def ask(self, service: str, **request: Any) -> Future[Answer]:
+        """Call one of ``SERVICES``, with the fields of its request in SI."""
+        message = SERVICES[service].Request(client=self._who, **request)
+        return self._nodes.ask(self._clients[service], message, service)
+
+
+def unit_of(letter: str) -> float:
+    """Return the unit in which people read an axis [m or rad]."""
+    return MM if letter in 'XYZ' else DEG
+
+
+def shown(letter: str, value: float) -> str:
+    """Return a position in mm or deg, without its unit."""
+    return f'{value / MM:.3f}' if letter in 'XYZ' else f'{value / DEG:.4f}'
+
+
+def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
+    """Return a work offset with the zero of the machine file where it has no value [m, rad]."""
+    zero = dict(zip(table.axes, table.zero, strict=True))
+    return zero | dict(setup.work_offsets.get(name, {}))
+
+
+def work_coordinates(table: SetupTable, setup: JobSetup, positions: Any) -> dict[str, float]:
+    """
+    Return what the coordinates read with the active offset, G92 and the tool in the spindle.
+
+    Parameters
+    ----------
+    table : SetupTable
+        The table.
+    setup : JobSetup
+        The same as offsets and tools.
+    positions : sequence of float
+        Positions of the axes of the machine [m, rad].
+
+    Returns
+    -------
+    dict
+        Coordinate by axis letter [m, rad].
+
+    """
+    offset = offset_row(table, setup, setup.offset)
+    return {
+        letter: position - offset[letter] - work_shift(setup, letter)
+        for letter, position in zip(table.axes, positions, strict=False)
+    }

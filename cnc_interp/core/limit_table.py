@@ -1,0 +1,154 @@
+"""
+Limits of the axes over their positions: one table, from the machine file to every room.
+
+Each limit of an axis is piecewise linear between a few positions, and constant beyond the first
+and the last. An axis with constant limits has one position. The table has the shape
+(4, n_axes, m): rows ``VELOCITY``, ``ACCELERATION``, ``JERK`` hold the limits at the m positions
+of row ``PLACE`` [m or rad, per s, s2, s3]. Axes with fewer positions are filled up by infinite
+ones. With m = 1 all limits are constants.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+
+VELOCITY, ACCELERATION, JERK, PLACE = 0, 1, 2, 3
+
+FAR = 1e300
+"""Beyond every position; infinite positions would give no difference [m or rad]."""
+
+
+def constant_table(limits: FloatArray) -> FloatArray:
+    """
+    Return the table of constant limits.
+
+    Parameters
+    ----------
+    limits : ndarray, shape (3, n_axes)
+        Velocity, acceleration and jerk limits [m or rad, per s, s2, s3].
+
+    Returns
+    -------
+    ndarray, shape (4, n_axes, 1)
+        The same limits everywhere.
+
+    """
+    table: FloatArray = np.concatenate([limits, np.full_like(limits[:1], -FAR)])[:, :, None]
+    return table
+
+
+def place_table(limits: FloatArray, places: dict[int, FloatArray]) -> FloatArray:
+    """
+    Return the table of limits of which some depend on the position.
+
+    Parameters
+    ----------
+    limits : ndarray, shape (3, n_axes)
+        Limits of the axes that are not in ``places`` [m or rad, per s, s2, s3].
+    places : dict of int to ndarray, shape (4, k)
+        For some axes: limits, and in the last row the increasing positions at which they hold.
+
+    Returns
+    -------
+    ndarray, shape (4, n_axes, m)
+        The table; m is the largest k, at least 1.
+
+    """
+    m = max((of.shape[1] for of in places.values()), default=1)
+    table = np.repeat(constant_table(limits), m, axis=2)
+    table[PLACE, :, 1:] = np.inf
+    for axis, of in places.items():
+        k = of.shape[1]
+        table[:PLACE, axis] = of[:PLACE, -1:]
+        table[:, axis, :k] = of
+    return table
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def limit_at(table: FloatArray, row: int, axis: int, q: float) -> float:
+    """
+    Return one limit of an axis at a position.
+
+    Parameters
+    ----------
+    table : ndarray, shape (4, n_axes, m)
+        Limits over position.
+    row, axis : int
+        ``VELOCITY``, ``ACCELERATION`` or ``JERK``, and the axis.
+    q : float
+        Position of the axis [m or rad].
+
+    """
+    last = table.shape[2] - 1
+    if last == 0:
+        return float(table[row, axis, 0])
+    i = 0
+    while i + 1 < last and q >= table[PLACE, axis, i + 1]:
+        i += 1
+    start = table[PLACE, axis, i]
+    share = (q - start) / (table[PLACE, axis, i + 1] - start)
+    share = min(max(share, 0.0), 1.0)
+    first = table[row, axis, i]
+    return float(first + share * (table[row, axis, i + 1] - first))
+
+
+def limits_along(table: FloatArray, q: FloatArray) -> FloatArray:
+    """
+    Return all limits at many positions.
+
+    Parameters
+    ----------
+    table : ndarray, shape (4, n_axes, m)
+        Limits over position.
+    q : ndarray, shape (K, n_axes)
+        Positions [m or rad].
+
+    Returns
+    -------
+    ndarray, shape (3, K, n_axes)
+        Limits [m or rad, per s, s2, s3]; (3, 1, n_axes) where they are constant.
+
+    """
+    if table.shape[2] == 1:
+        return np.ascontiguousarray(table[:PLACE].transpose(0, 2, 1))
+    along: FloatArray = _along(table, np.ascontiguousarray(q))
+    return along
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _along(table: FloatArray, q: FloatArray) -> FloatArray:
+    """Return all limits at positions, shape (3, K, n_axes)."""
+    out = np.empty((3, q.shape[0], q.shape[1]))
+    for row in range(3):
+        for i in range(q.shape[0]):
+            for axis in range(q.shape[1]):
+                out[row, i, axis] = limit_at(table, row, axis, q[i, axis])
+    return out
+
+
+def largest_between(table: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """
+    Return the largest value of each limit between two positions.
+
+    Parameters
+    ----------
+    table : ndarray, shape (4, n_axes, m)
+        Limits over position.
+    low, high : ndarray, shape (K, n_axes)
+        Lowest and highest positions [m or rad].
+
+    Returns
+    -------
+    ndarray, shape (3, K, n_axes)
+        Largest limits there [m or rad, per s, s2, s3]; (3, 1, n_axes) where they are constant.
+
+    """
+    largest = np.maximum(limits_along(table, low), limits_along(table, high))
+    for i in range(1, table.shape[2]):
+        place, there = table[PLACE, :, i], table[:PLACE, None, :, i]
+        inside = (low < place) & (place < high)
+        largest = np.where(inside, np.maximum(largest, there), largest)
+    return largest

@@ -1,0 +1,63 @@
+"""Grid points where the limits of an axis over its position have a kink."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import PLACE
+from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
+
+NEAR = 1e-6
+"""A kink nearer to a border of its cell gets no grid point, as a part of the cell [-]."""
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
+    """Return the path positions inside cells at which an axis passes a place of its table [m]."""
+    found = [0.0 for _ in range(0)]
+    c, jet = np.empty(8), np.empty(4)
+    for i in range(left.shape[1]):
+        h = s[i + 1] - s[i]
+        for k in range(left.shape[2]):
+            rises = left[0, i, k] < right[0, i, k]
+            septic_coefficients(left[:, i, k], right[:, i, k], h, c)
+            for place in table[PLACE, k]:
+                if (place - left[0, i, k]) * (right[0, i, k] - place) <= 0.0:
+                    continue
+                low, high = 0.0, 1.0
+                for _ in range(60):
+                    u = 0.5 * (low + high)
+                    septic_value(c, u, h, jet)
+                    if (jet[0] < place) == rises:
+                        low = u
+                    else:
+                        high = u
+                if NEAR < low < 1.0 - NEAR:
+                    found.append(s[i] + low * h)
+    return np.array(found)
+
+
+def with_kinks(path: AxisPath, table: FloatArray) -> AxisPath:
+    """
+    Add grid points where the limits of an axis have a kink, so that they are linear in each cell.
+
+    Without the points, a cell as long as a block would hide a low limit in its middle.
+
+    Parameters
+    ----------
+    path : AxisPath
+        The path.
+    table : ndarray, shape (4, n_axes, m)
+        Limits of the axes over position; see ``core/limit_table.py``.
+
+    Returns
+    -------
+    AxisPath
+        The same curve; the path itself where all limits are constant.
+
+    """
+    if table.shape[2] == 1 or len(path.s) < 2:
+        return path
+    return refine(path, _kinks(path.s, path.cell_left, path.cell_right, table))

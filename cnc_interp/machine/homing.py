@@ -1,0 +1,204 @@
+"""
+Homing: axes find their reference switches.
+
+An axis moves towards its switch until it is pressed, and slowly back until it releases. There its
+position is known. Groups of axes home one after the other, in the order of the machine file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import Enum
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.jog import Jog
+from cnc_interp.machine.playback import Playback
+from cnc_interp.run.run_state import Reason, State
+
+#: Shares of the velocity limits towards the switch and back from it [-].
+SEARCH, BACK = 0.1, 0.01
+#: Nearer than this to its end of travel, an axis has not found its switch [m, rad].
+AT_END = 1e-6
+
+
+class Stage(Enum):
+    """What an axis does."""
+
+    SEARCHES = 'moves towards its switch'
+    LEAVES = 'moves back until the switch releases'
+    DONE = 'its position is known'
+
+
+class SimulatedSwitches:
+    """
+    Reference switches that are pressed from a position to the nearer end of the travel.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its ``homing`` has the positions.
+
+    """
+
+    def __init__(self, machine: Machine):
+        names, given = machine.axis_names, machine.homing.switches
+        self._at = np.array([given.get(name, np.nan) for name in names])
+        low, high = machine.travel.T
+        self.towards = np.where(self._at - low >= high - self._at, 1.0, -1.0)
+
+    def pressed(self, q: FloatArray) -> BoolArray:
+        """Return which switches are pressed at axis positions, shape (n_axes,)."""
+        return np.asarray((q - self._at) * self.towards >= 0.0)
+
+
+class Homing:
+    """
+    The homing of a machine.
+
+    Parameters
+    ----------
+    playback : Playback
+        The machine's buffer.
+    jog : Jog
+        Moves the axes.
+    pressed : callable
+        Tells which switches are pressed at actual axis positions, as ``SimulatedSwitches``.
+    towards : ndarray, shape (n_axes,)
+        Direction to each switch, 1 or -1.
+
+    """
+
+    def __init__(
+        self,
+        playback: Playback,
+        jog: Jog,
+        pressed: Callable[[FloatArray], BoolArray],
+        towards: FloatArray,
+    ):
+        self._playback, self._jog, self._pressed, self._towards = playback, jog, pressed, towards
+        self._machine = playback.axes.machine
+        self._names = self._machine.axis_names
+        self._groups: list[tuple[str, ...]] = []
+        self._stages: dict[str, Stage] = {}  # of the axes of a group; empty while none is homed
+        self._unknown = set(self._machine.homing.switches)
+        self._seen = playback.state
+
+    @property
+    def active(self) -> bool:
+        """Tell whether axes are being homed."""
+        return bool(self._stages)
+
+    @property
+    def homed(self) -> list[bool]:
+        """Tell for each axis whether its position is known."""
+        return [name not in self._unknown for name in self._names]
+
+    @property
+    def must_home(self) -> list[str]:
+        """Return the axes that must be homed before a program may start."""
+        return (
+            sorted(self._unknown, key=self._names.index) if self._machine.homing.required else []
+        )
+
+    def forget(self) -> None:
+        """Count all axes with a switch as not homed, as after the drives were off."""
+        self._unknown = set(self._machine.homing.switches)
+        self._groups, self._stages = [], {}
+
+    def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
+        """
+        Begin to home axes, all where none is named; return which.
+
+        Parameters
+        ----------
+        axes : sequence of str
+            Their letters.
+        now : float
+            Time of any steady clock [s].
+
+        Raises
+        ------
+        StreamError
+            If it cannot begin.
+
+        """
+        given = self._machine.homing
+        for name in axes:
+            if name not in given.switches:
+                known = ' '.join(given.switches) or 'none'
+                raise StreamError(f'{name} has no reference switch (axes that have: {known})')
+        if not given.switches:
+            raise StreamError('the machine file names no reference switches (homing)')
+        if self._playback.state.state is not State.IDLE:
+            raise StreamError(
+                f'homing is not possible while {self._playback.state.state.value}; '
+                'the machine must be at rest without a program'
+            )
+        self._playback.check_jog()
+        self._jog.beat({}, 0.0, now)  # a key that is still held does not count
+        self._seen = self._playback.state
+        wanted = set(axes or given.switches)
+        groups = [tuple(name for name in group if name in wanted) for group in given.groups]
+        self._groups = [group for group in groups if group]
+        self._unknown |= wanted
+        self._next()
+        return tuple(name for group in groups for name in group)
+
+    def _next(self) -> None:
+        """Begin with the next group."""
+        group = self._groups.pop(0) if self._groups else ()
+        self._stages = dict.fromkeys(group, Stage.SEARCHES)
+
+    def stop(self, now: float) -> None:
+        """End homing; the axes come to rest."""
+        self._groups, self._stages = [], {}
+        self._jog.beat({}, 0.0, now)
+
+    def work(self, now: float) -> None:
+        """
+        Go on; to be called every few milliseconds before the work of the jog.
+
+        Raises
+        ------
+        StreamError
+            If homing has ended early. The axes come to rest.
+
+        """
+        if not self._stages:
+            return
+        state = self._playback.state
+        held = state is not self._seen and state.reason is Reason.FEED_HOLD
+        self._seen = state
+        if held or state.state not in (State.IDLE, State.JOGGING):
+            self.stop(now)
+            raise StreamError('homing was stopped; home again')
+        q = self._playback.feedback.position[-1]
+        pressed = self._pressed(q)
+        for name, stage in self._stages.items():
+            i = self._names.index(name)
+            if stage is Stage.SEARCHES and pressed[i]:
+                self._stages[name] = Stage.LEAVES
+            elif stage is Stage.LEAVES and not pressed[i]:
+                self._stages[name] = Stage.DONE
+                self._unknown.discard(name)
+            end = self._machine.travel[i][int(self._towards[i] > 0.0)]
+            if stage is Stage.SEARCHES and not pressed[i] and abs(q[i] - end) < AT_END:
+                self.stop(now)
+                raise StreamError(f'{name} has reached its end of travel without a switch')
+        self._jog.beat(self._shares(), 0.0, now)
+        rests = state.state is State.IDLE
+        if rests and all(stage is Stage.DONE for stage in self._stages.values()):
+            self._next()
+
+    def _shares(self) -> dict[str, float]:
+        """Return the velocity of each axis that moves, as a share of its limit [-]."""
+        share = {Stage.SEARCHES: SEARCH, Stage.LEAVES: -BACK}
+        return {
+            name: share[stage] * float(self._towards[self._names.index(name)])
+            for name, stage in self._stages.items()
+            if stage in share
+        }

@@ -1,0 +1,144 @@
+"""Offsets and tools of the machine over ROS: services and the topic ``setup_table``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import SetupTable as SetupMessage
+from cnc_interp_msgs.srv import ReadSetup, SetOffset, SetTool, TouchOff
+
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.qos import LOADED
+from cnc_interp.program.job import SetupChange
+from cnc_interp.program.setup_requests import (
+    offset_changes,
+    tool_changes,
+    touch_off_changes,
+    values_by_axis,
+)
+from cnc_interp.program.setup_table import SetupTable
+from cnc_interp.wire.setup_messages import setup_table
+
+#: The machine's last word on its axes must not be older than this for a touch-off [s].
+FRESH = 1.0
+#: The rotary axes stand at zero within this [rad].
+AT_ZERO = 1e-9
+RUNNING = frozenset(('active offset', 'spindle'))
+
+
+class SetupServices:
+    """
+    Answers the services, and tells the table to all.
+
+    Parameters
+    ----------
+    node : Node
+        The program node.
+    table : SetupTable
+        The setup of the machine.
+    transform : Transform
+        The machine's transformation.
+    peers : Peers
+        What the machine says.
+
+    """
+
+    def __init__(self, node: Any, table: SetupTable, transform: Transform, peers: Peers):
+        self._table, self._peers, self._node = table, peers, node
+        machine = transform.machine
+        own = len(machine.axis_names) - len(machine.extra_names)
+        zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0].tolist()
+        self._zero = dict(zip(machine.axis_names[:own], [*zero, 0.0, 0.0], strict=False))
+        self._program, self._program_id, self._in_use = '', '', frozenset[str]()
+        self._publisher = node.create_publisher(SetupMessage, 'setup_table', LOADED)
+        node.create_service(ReadSetup, 'read_setup', self._read)
+        node.create_service(SetOffset, 'set_offset', self._answer(self._offset))
+        node.create_service(SetTool, 'set_tool', self._answer(self._tool))
+        node.create_service(TouchOff, 'touch_off', self._answer(self._touch_off))
+        self._publisher.publish(self._message())
+
+    def _message(self) -> SetupMessage:
+        """Return the table as a message."""
+        table, file = self._table, self._table.file
+        return setup_table(
+            table.setup, str(file) if file else '', self._zero, self._program_id, self._in_use,
+            table.changed_by, table.change,
+        )  # fmt: skip
+
+    def use(self, program: str, program_id: str, in_use: frozenset[str]) -> None:
+        """Protect what a program uses from now on."""
+        self._program, self._program_id, self._in_use = program, program_id, in_use
+        self._publisher.publish(self._message())
+
+    def release(self) -> None:
+        """Protect nothing any more, because the program has ended."""
+        self.use('', '', frozenset())
+
+    def apply(self, changes: Sequence[SetupChange], who: str) -> str:
+        """Change the table and tell all; returns what was changed, raises InterpError."""
+        told = self._table.apply(changes, who)
+        if told:
+            self._node.get_logger().info(f'{who}: {told}')
+            self._publisher.publish(self._message())
+        return told
+
+    def _read(self, _request: Any, response: ReadSetup.Response) -> Any:
+        response.table = self._message()
+        return response
+
+    def _answer(self, changes: Callable[[Any], tuple[list[SetupChange], str]]) -> Any:
+        """Return a service that makes changes, or says in one line why not."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                wanted, note = changes(request)
+                self._require_unused(wanted)
+                told = self.apply(wanted, request.client)
+                response.success, response.message = True, (told or 'nothing changes') + note
+            except InterpError as problem:
+                response.success, response.message = False, str(problem)
+            return response
+
+        return answer
+
+    def _require_unused(self, changes: list[SetupChange]) -> None:
+        """Refuse to change what the program that runs uses."""
+        for change in changes:
+            if self._program and change.name in self._in_use | RUNNING:
+                raise InterpError(
+                    f'{change.name} is in use by {self._program}, which runs; change it when the '
+                    'program has ended'
+                )
+
+    def _offset(self, request: SetOffset.Request) -> tuple[list[SetupChange], str]:
+        values = values_by_axis(request.axes, request.values, tuple(self._zero))
+        return offset_changes(
+            self._table.setup, request.offset, values, request.clear, request.activate
+        ), ''
+
+    def _tool(self, request: SetTool.Request) -> tuple[list[SetupChange], str]:
+        given = {name: getattr(request, name, 0.0) for name in request.fields}
+        setup = self._table.setup
+        return tool_changes(setup, request.number, given, request.remove, request.load), ''
+
+    def _touch_off(self, request: TouchOff.Request) -> tuple[list[SetupChange], str]:
+        values = values_by_axis(request.axes, request.values, tuple(self._zero))
+        state = self._peers.state
+        if state is None or self._peers.missing(time.monotonic(), FRESH) == 'machine_node':
+            raise InterpError('machine_node does not answer; start it, then touch off')
+        if not self._peers.at_rest:
+            raise InterpError('the axes move; touch off when they rest')
+        machine = dict(zip(self._zero, state.commanded_positions, strict=False))
+        turned = [letter for letter in list(self._zero)[3:] if abs(machine[letter]) > AT_ZERO]
+        note = ''
+        if turned and set(values) & set('XYZ'):
+            note = (
+                f'; {" and ".join(turned)} not at 0: right for axis positions, with TCP touch off '
+                'at 0'
+            )
+        return touch_off_changes(self._table.setup, request.offset, values, machine), note

@@ -1,0 +1,146 @@
+"""
+Lines by hand (MDI): single lines of G-code that share one modal state.
+
+A line starts where the machine stands, because it may have been moved by hand since the line
+before. Everything else (units, plane, feed, offsets, variables) is taken over from there. A line
+that is refused leaves nothing behind: its reader is simply not kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import MINUTE
+from cnc_interp.program.gcode import GcodeReader
+from cnc_interp.program.job import JobSetup
+from cnc_interp.program.notices import Notices
+from cnc_interp.program.reading import ProgramStream
+from cnc_interp.program.rotary_geometry import RotaryGeometry
+from cnc_interp.program.source import Source
+from cnc_interp.settings.choices import Settings
+
+#: Name of a line in messages.
+MDI = 'MDI'
+
+
+@dataclass(frozen=True)
+class ActiveModes:
+    """
+    A modal state.
+
+    Parameters
+    ----------
+    codes : tuple of str
+        The active code of each modal group, such as G1, G17, G21, G90.
+    feedrate : float
+        Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
+    duration : float
+        Duration of a block with G93 [s]; NaN where none is set.
+    spindle_speed : float
+        Programmed spindle speed [rev/min].
+    tool : int
+        Number of the active tool; 0 where none is chosen.
+    contour_tolerance, orientation_tolerance : float
+        Tolerances [m].
+
+    """
+
+    codes: tuple[str, ...]
+    feedrate: float
+    duration: float
+    spindle_speed: float
+    tool: int
+    contour_tolerance: float
+    orientation_tolerance: float
+
+
+class MdiLine(ProgramStream):
+    """
+    One line on its way to blocks; block 0 is the pose at which the machine stands.
+
+    Parameters
+    ----------
+    reader : GcodeReader
+        Reader of this line alone.
+    notices : Notices
+        Where the reader puts its notices.
+
+    """
+
+    def __init__(self, reader: GcodeReader, notices: Notices):
+        self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
+        self._reader = self.reader = reader
+        self._notices = notices
+
+
+class MdiReader:
+    """
+    Reads lines by hand, one after the other.
+
+    Parameters
+    ----------
+    geometry : RotaryGeometry
+        Axis names and kinematics of the machine.
+    settings : Settings
+        Values that the lines do not give, and choices of the user.
+
+    """
+
+    def __init__(self, geometry: RotaryGeometry, settings: Settings):
+        self._geometry, self._settings = geometry, settings
+        self._last = self._reader('', Notices(), JobSetup())
+
+    def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
+        """
+        Begin to read a line; the modal state changes with ``keep``.
+
+        Parameters
+        ----------
+        text : str
+            The line.
+        stands : ndarray, shape (n_axes,)
+            Axis positions of the machine [m, rad].
+        setup : JobSetup
+            Offsets and tools of the machine.
+
+        Raises
+        ------
+        ProgramError
+            If the text is not one line.
+
+        """
+        if len(text.splitlines()) != 1:
+            raise ProgramError('give one line at a time; a program is run with run_program', MDI)
+        notices = Notices()
+        reader = self._reader(text, notices, setup)
+        reader.follow(self._last)
+        reader.stand_at(stands)
+        return MdiLine(reader, notices)
+
+    def keep(self, line: MdiLine) -> None:
+        """Take over the modal state of a line; M2 and M30 restore that of the start."""
+        self._last = line.reader
+        if line.reader.finished:
+            self._last = self._reader('', Notices(), JobSetup())
+
+    def _reader(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
+        source = Source.of_text(text, MDI)
+        return GcodeReader(self._geometry, self._settings, setup, source, notices)
+
+    def modes(self, setup: JobSetup) -> ActiveModes:
+        """Return the modal state with which the next line starts, with these offsets and tools."""
+        state = self._last.mover
+        per_minute = state.blocks_per_minute
+        per = MINUTE if state.feed_mode == 'G95' else 1.0
+        return ActiveModes(
+            self._last.active_codes(setup.offset),
+            nan if state.feedrate is None else state.feedrate * per,
+            nan if per_minute is None else MINUTE / per_minute,
+            state.spindle_speed,
+            setup.tool,
+            state.contour,
+            state.orientation,
+        )

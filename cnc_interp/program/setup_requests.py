@@ -1,0 +1,190 @@
+"""What an operator asks to be changed in the setup of the machine, checked and as changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import isfinite
+
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
+from cnc_interp.program.job import (
+    LONGEST_REMARK,
+    MOST_TOOL,
+    WORK_OFFSETS,
+    JobSetup,
+    Position,
+    SetupChange,
+    Tool,
+    fits_as_remark,
+)
+
+#: Larger values are taken for a wrong unit [m, rad].
+LARGEST = 1e5 * MM
+_NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
+
+
+def values_by_axis(
+    letters: Sequence[str], values: Sequence[float], axes: Sequence[str]
+) -> dict[str, float]:
+    """
+    Return the value of each axis named [m, rad].
+
+    Raises
+    ------
+    InterpError
+        If the machine has no such axis, or a value is missing or not possible.
+
+    """
+    if len(letters) != len(values) or len(set(letters)) != len(letters):
+        raise InterpError('name each axis once, with one value for each')
+    for letter, value in zip(letters, values, strict=True):
+        if letter not in axes:
+            raise InterpError(f'no axis {letter} takes an offset here; there are {" ".join(axes)}')
+        if not isfinite(value) or abs(value) > LARGEST:
+            raise InterpError(f'{letter}: an offset beyond 100,000 mm; correct it or its unit')
+    return dict(zip(letters, values, strict=True))
+
+
+def offset_changes(
+    setup: JobSetup, name: str, values: Position, clear: bool, activate: bool
+) -> list[SetupChange]:
+    """
+    Return the changes of a work offset or of G92.
+
+    Parameters
+    ----------
+    setup : JobSetup
+        The setup as it is.
+    name : str
+        G54 to G59.3, or G92; empty for the active work offset.
+    values : position
+        The values that change [m, rad].
+    clear : bool
+        Whether all values before are removed.
+    activate : bool
+        Whether the work offset becomes the active one.
+
+    Raises
+    ------
+    InterpError
+        If there is no such offset, or nothing is asked for.
+
+    """
+    name = name or setup.offset
+    if not values and not clear and not activate:
+        raise InterpError(f'{name}: nothing to change; give an axis and its value, such as X 10')
+    if name == 'G92':
+        if activate:
+            raise InterpError('G92 is added to the active work offset; it cannot be one')
+        amounts = {**({} if clear else setup.g92), **values}
+        return [SetupChange('g92', amounts), SetupChange('g92_on', bool(amounts))]
+    if name not in WORK_OFFSETS:
+        raise InterpError(f'{name}: no such offset; there are {_NAMES}, and G92')
+    changes = []
+    if values or clear:
+        before = {} if clear else setup.work_offsets.get(name, {})
+        changes.append(SetupChange('work_offsets', {**before, **values} or None, name))
+    if activate:
+        changes.append(SetupChange('active', name))
+    return changes
+
+
+def tool_changes(
+    setup: JobSetup, number: int, given: Mapping[str, float | str], remove: bool, load: bool
+) -> list[SetupChange]:
+    """
+    Return the changes of a tool.
+
+    Parameters
+    ----------
+    setup : JobSetup
+        The setup as it is.
+    number : int
+        Number of the tool; with ``load`` 0 for none.
+    given : mapping
+        The fields of ``Tool`` that change.
+    remove : bool
+        Whether the tool is taken out of the table.
+    load : bool
+        Whether this tool is in the spindle from now on.
+
+    Raises
+    ------
+    InterpError
+        If a value is not possible, or nothing is asked for.
+
+    """
+    if not 1 <= number <= MOST_TOOL and not (load and number == 0 and not given and not remove):
+        raise InterpError(f'tool {number}: tools have numbers from 1 to {MOST_TOOL}')
+    changes = []
+    if remove and (given or load):
+        raise InterpError(f'tool {number}: remove it, or change it; not both')
+    if remove:
+        if number not in setup.tools:
+            raise InterpError(f'tool {number} is not in the table')
+        changes.append(SetupChange('tools', None, number))
+    elif given:
+        changes.append(SetupChange('tools', _tool(setup, number, given), number))
+    if load:
+        changes.append(SetupChange('tool', number))
+    if not changes:
+        raise InterpError(f'tool {number}: nothing to change; give a length, radius or remark')
+    return changes
+
+
+def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Tool:
+    """Return a tool with the fields that were given."""
+    unknown = set(given) - {'length', 'radius', 'remark'}
+    if unknown:
+        raise InterpError(f'tool {number}: no {unknown.pop()}; there are length, radius, remark')
+    tool = replace(setup.tools.get(number, Tool()), **given)  # type: ignore[arg-type]
+    for name in ('length', 'radius'):
+        value = getattr(tool, name)
+        if not isfinite(value) or abs(value) > LARGEST:
+            raise InterpError(f'tool {number}: a {name} beyond 100,000 mm; correct it or its unit')
+    if tool.radius < 0.0:
+        raise InterpError(f'tool {number}: the radius must not be below 0')
+    if not fits_as_remark(tool.remark):
+        raise InterpError(f'tool {number}: a remark is one line of {LONGEST_REMARK} characters')
+    return tool
+
+
+def touch_off_changes(
+    setup: JobSetup, name: str, values: Position, machine: Position
+) -> list[SetupChange]:
+    """
+    Return the change of a work offset after which coordinates read given values here.
+
+        machine = value + work offset + G92 + length of the tool in the spindle (Z)
+
+    Parameters
+    ----------
+    setup : JobSetup
+        The setup as it is.
+    name : str
+        G54 to G59.3; empty for the active one.
+    values : position
+        What the coordinates shall read [m, rad].
+    machine : position
+        Where the axes stand [m, rad].
+
+    Raises
+    ------
+    InterpError
+        If there is no such offset, or no axis is named.
+
+    """
+    if name == 'G92':
+        raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
+    zero = {
+        letter: machine[letter] - value - work_shift(setup, letter)
+        for letter, value in values.items()
+    }
+    return offset_changes(setup, name, zero, clear=False, activate=False)
+
+
+def work_shift(setup: JobSetup, letter: str) -> float:
+    """Return what is added to a work offset [m, rad]: G92, and the length of the tool on Z."""
+    g92 = setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
+    return g92 + (setup.loaded_length if letter == 'Z' else 0.0)

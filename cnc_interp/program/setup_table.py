@@ -1,0 +1,115 @@
+"""SetupTable: the setup of the machine, kept in its file, and the log of its changes."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TextIO
+
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import LONGEST_YAML, write_whole
+from cnc_interp.program.job import JobSetup, SetupChange
+
+
+class SetupTable:
+    """
+    Offsets and tools of the machine.
+
+    A change is in the log first, then in the file, then here. The log is the file beside with
+    ``.log`` at the end of its name: one line for each change with time, who, what, and the values
+    before and after. While it is open, no other table can keep the same file.
+
+    Parameters
+    ----------
+    file : Path, optional
+        The setup file. It need not be there yet. Without it nothing outlives this object.
+
+    Raises
+    ------
+    InterpError
+        If the file cannot be read, or another table keeps it.
+
+    """
+
+    def __init__(self, file: Path | None):
+        self.file = file
+        #: The last change: who made it, and what it was.
+        self.changed_by = self.change = ''
+        self._log: TextIO | None = None
+        self.setup = JobSetup()
+        if file is None:
+            return
+        try:
+            log = file.resolve()
+            self._log = log.with_name(f'{log.name}.log').open('a', encoding='utf-8')
+            fcntl.flock(self._log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InterpError(f'{file}: another program_node keeps its offsets there') from None
+        except OSError as problem:
+            raise InterpError(f'{file}: no log beside it: {problem.strerror}') from None
+        if file.exists():
+            self.setup = JobSetup.load(file)
+
+    def apply(self, changes: Sequence[SetupChange], who: str) -> str:
+        """
+        Change the table, all of it or nothing.
+
+        Parameters
+        ----------
+        changes : sequence of SetupChange
+            What changes, in order.
+        who : str
+            Who asked for it.
+
+        Returns
+        -------
+        str
+            What was changed, with the values before and after; empty if nothing was.
+
+        Raises
+        ------
+        InterpError
+            If it cannot be written.
+
+        """
+        after = self.setup
+        for change in changes:
+            after = after.changed(change)
+        text = after.text()
+        after = JobSetup.of_text(text)  # what a restart will read, to the last digit
+        names = {(change.field, change.key): change for change in changes}.values()
+        told = '; '.join(
+            f'{change.name}: {self.setup.told(change)} -> {after.told(change)}'
+            for change in names
+            if self.setup.told(change) != after.told(change)
+        )
+        if after == self.setup:
+            return ''
+        if len(text.encode()) > LONGEST_YAML:
+            raise InterpError(f'the tool table is full ({LONGEST_YAML >> 10} kB); remove tools')
+        who = ' '.join(who.split()) or 'unknown'
+        try:
+            self._write_log(f'{who}\t{told}')
+            if self.file is not None:
+                write_whole(self.file, text)
+        except OSError as problem:
+            self._write_log(f'{who}\tnot changed: {problem.strerror}')
+            raise InterpError(f'{self.file}: cannot be written: {problem.strerror}') from None
+        self.setup, self.changed_by, self.change = after, who, told
+        return told
+
+    def _write_log(self, words: str) -> None:
+        """Add one line to the log and bring it to the disk."""
+        if self._log is None:
+            return
+        self._log.write(f'{datetime.now().astimezone().isoformat()}\t{words}\n')
+        self._log.flush()
+        os.fsync(self._log.fileno())
+
+    def close(self) -> None:
+        """Let others keep the file."""
+        if self._log is not None:
+            self._log.close()

@@ -1,0 +1,108 @@
+"""The line at which a run starts, found while the whole program is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+
+
+@dataclass(frozen=True)
+class StartBlock:
+    """
+    Where in the program a run starts.
+
+    Parameters
+    ----------
+    line : int
+        The line that was asked for.
+    row : int
+        Row of ``Blocks`` with the first motion from there on.
+    passes, which : int
+        How often the program executes the line, and the execution that was asked for, from 1.
+    words : tuple of str
+        State of the program there, as words that would set it.
+
+    """
+
+    line: int
+    row: int
+    passes: int
+    which: int
+    words: tuple[str, ...]
+
+
+class StartLine:
+    """
+    Counts how often the line is reached, and notes the row with the first motion of each pass.
+
+    The reader reads the program from its top, so that all state is as if it had been run.
+
+    Parameters
+    ----------
+    line : int
+        The line in the main program, from 1; 0 where the run starts at the top.
+    which : int
+        The execution of the line that is wanted, from 1; 0 where there must be only one.
+    source : str
+        File name for error messages.
+    row : int, optional
+        Row of the start, where it is known before the blocks are: of a recorded run.
+
+    """
+
+    def __init__(self, line: int, which: int, source: str, row: int | None = None):
+        self.line, self._which, self.source = line, max(which, 1), source
+        self._named = which > 0
+        self.passes = 0
+        self._words: tuple[str, ...] = ()
+        self._row = row
+        self._rows = 0  # that were seen
+
+    def reach(self, words: Callable[[], tuple[str, ...]]) -> None:
+        """Count an execution of the line that is about to begin; ``words`` tells the state."""
+        self.passes += 1
+        if self.passes == self._which:
+            self._words = words()
+
+    def see(self, passes: FloatArray) -> None:
+        """Take the count at further rows of the program."""
+        if self._row is None and len(passes) and passes[-1] >= self._which:
+            self._row = self._rows + int(np.searchsorted(passes, self._which))
+        self._rows += len(passes)
+
+    @property
+    def row(self) -> int | None:
+        """Row with the first motion of the start; None before it is read. At least 1."""
+        return None if self._row is None else max(self._row, 1)
+
+    def found(self) -> StartBlock:
+        """
+        Return the start after the whole program was read.
+
+        Raises
+        ------
+        ProgramError
+            If the line is not executed, executed several times and none was named, or if no
+            motion follows.
+
+        """
+        count, which = self.passes, self._which
+        if not count:
+            raise self._fault('the program does not execute this line; start at another one')
+        if which > count:
+            raise self._fault(f'executed {count} times only; choose --pass 1 to {count}')
+        if count > 1 and not self._named:
+            raise self._fault(
+                f'executed {count} times; say which one it shall be: --pass 1 to {count}'
+            )
+        if self.row is None or self.row >= self._rows:
+            raise self._fault('no motion follows this line; start before it')
+        return StartBlock(self.line, self.row, count, which, self._words)
+
+    def _fault(self, message: str) -> ProgramError:
+        return ProgramError(message, self.source, self.line)

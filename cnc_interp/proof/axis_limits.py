@@ -1,0 +1,73 @@
+"""
+The limits of the axes where they are, for the proof.
+
+A limit that depends on the position is linear between the positions of the machine file. This
+module reads them from there again and shares no code with the planner.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.kinematics.machine import Machine
+
+
+def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
+    """
+    Return one kind of limit of every axis at many positions.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    order : int
+        1 for velocity, 2 for acceleration, 3 for jerk.
+    q : ndarray, shape (K, n_axes)
+        Positions [m or rad].
+
+    Returns
+    -------
+    ndarray, shape (K, n_axes)
+        Limits [m or rad, per s^order].
+
+    """
+    limits = np.tile(machine.limits[order - 1], (len(q), 1))
+    for j, of in machine.places.items():
+        limits[:, j] = np.interp(q[:, j], of[-1], of[order - 1])
+    return limits
+
+
+def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatArray:
+    """
+    Return the largest limit between the samples of each difference.
+
+    The k-th difference over T^k is a mean of the k-th derivative between its k + 1 samples.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    order : int
+        1 for velocity, 2 for acceleration, 3 for jerk.
+    q : ndarray, shape (K, n_axes)
+        Samples [m or rad].
+
+    Returns
+    -------
+    ndarray, shape (K - order, n_axes)
+        Limits [m or rad, per s^order].
+
+    """
+    limits = np.tile(machine.limits[order - 1], (len(q) - order, 1))
+    for j, of in machine.places.items():
+        around = sliding_window_view(q[:, j], order + 1)
+        low, high = around.min(axis=1), around.max(axis=1)
+        place, limit = of[-1], of[order - 1]
+        largest = np.maximum(np.interp(low, place, limit), np.interp(high, place, limit))
+        for there, value in zip(place, limit, strict=True):
+            inside = (low < there) & (there < high)
+            largest[inside] = np.maximum(largest[inside], value)
+        limits[:, j] = largest
+    return limits

@@ -1,0 +1,89 @@
+"""Offsets and tools that a plan was made with, as the parameters of LinuxCNC."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import UnreadableError, parse_yaml
+from cnc_interp.core.units import MM
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+
+OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
+#: First parameters of the positions, and the unit of LinuxCNC's files [mm].
+G28, G30, G92_ON, ACTIVE, G54, EACH, INCH = 5160, 5180, 5210, 5220, 5220, 20, 25.4
+
+
+@dataclass(frozen=True)
+class Setup:
+    """
+    What LinuxCNC starts with.
+
+    Parameters
+    ----------
+    parameters : mapping of int to float
+        Numbered parameters [inch, deg].
+    tool_lengths : mapping of int to float
+        Length of tools by their numbers [m].
+    tool : int
+        The tool in the spindle; 0: none.
+
+    """
+
+    parameters: Mapping[int, float] = field(default_factory=dict)
+    tool_lengths: Mapping[int, float] = field(default_factory=dict)
+    tool: int = 0
+
+
+def setup_of(text: Any, machine: Machine) -> Setup:
+    """
+    Read the setup that stands in the summary of a plan.
+
+    Parameters
+    ----------
+    text : object
+        Text of a setup file, in mm and deg; empty for none.
+    machine : Machine
+        Its workpiece zero is the zero of LinuxCNC.
+
+    Raises
+    ------
+    InterpError
+        If it cannot be read.
+
+    """
+    if not text:
+        return Setup()
+    zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0] / MM
+    at_zero, nowhere = dict(zip('XYZ', zero.tolist(), strict=True)), dict.fromkeys('XYZ', 0.0)
+    try:
+        content = parse_yaml(str(text)) or {}
+        places = {G54 + EACH * i: content.get('work_offsets', {}).get(name)
+                  for i, name in enumerate(OFFSETS)}  # fmt: skip
+        places |= {
+            first: content.get('reference_points', {}).get(name)
+            for first, name in ((G28, 'G28'), (G30, 'G30'))
+        }
+        parameters = {
+            first + 1 + i: place[letter] / INCH if letter in 'XYZ' else place[letter]
+            for first, given in places.items()
+            if given
+            for place in [{k: v - at_zero.get(k, 0.0) for k, v in given.items()}]
+            for i, letter in enumerate('XYZABC')
+            if letter in place
+        }
+        amounts = nowhere | content.get('g92', {})
+        for i, letter in enumerate('XYZABC'):
+            if amounts.get(letter):
+                parameters[G92_ON + 1 + i] = amounts[letter] / (INCH if letter in 'XYZ' else 1.0)
+        parameters[G92_ON] = float(content.get('g92_on', bool(content.get('g92'))))
+        parameters[ACTIVE] = 1.0 + OFFSETS.index(content.get('active') or OFFSETS[0])
+        lengths = {int(n): tool['length'] * MM for n, tool in content.get('tools', {}).items()}
+        return Setup(parameters, lengths, int(content.get('tool', 0)))
+    except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
+        raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None

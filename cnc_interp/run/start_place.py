@@ -1,0 +1,255 @@
+"""
+The place on the path at which a run starts that does not start at the top.
+
+The whole program is read and smoothed, because a corner depends on the blocks around it. So the
+path from the place on is the path of the full run. Only what lies before it is not executed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import POSES, Blocks
+from cnc_interp.program.start_line import StartBlock, StartLine
+from cnc_interp.run.course import from_place
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.smoothing.segments import PathSegments
+
+#: Positions tried in a cell, and how often the nearest interval is divided again.
+TRIED, DIVIDED = 16, 8
+
+
+@dataclass(frozen=True)
+class StartPlace:
+    """
+    Where on the path a run starts.
+
+    Parameters
+    ----------
+    block : StartBlock
+        The start in the program.
+    line : int
+        Line of the first motion.
+    s : float
+        Path length from the top of the program [m].
+    position : ndarray, shape (n_axes,)
+        Axis positions [m, rad].
+
+    """
+
+    block: StartBlock
+    line: int
+    s: float
+    position: FloatArray
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """What the operator must know, a sentence each."""
+        block = self.block
+        passes = f' (pass {block.which} of {block.passes})' if block.passes > 1 else ''
+        told = [f'starts at line {block.line}{passes}; the tool must be there by itself, and so '
+                f'must spindle and coolant: {" ".join(block.words)}']  # fmt: skip
+        if self.line != block.line:
+            told.append(
+                f'line {block.line} moves nothing; the next motion is that of line {self.line}'
+            )
+        return tuple(told)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the place as ``summary.json`` has it."""
+        block = self.block
+        return {
+            'line': block.line,
+            'pass': block.which,
+            'passes': block.passes,
+            'row': block.row,
+            'first_line': self.line,
+            'words': list(block.words),
+            'path_position': self.s,
+            'position': self.position.tolist(),
+            'notes': list(self.texts),
+        }
+
+
+class StartFinder:
+    """
+    Takes blocks and path of the whole program, and passes on what is executed.
+
+    The row before the start stays as the start pose. It is row 0 of what is passed on.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's transformation.
+    flank_height : float
+        Height that measures rotations [m].
+    start : StartLine
+        The start, known as soon as it was read.
+
+    """
+
+    def __init__(self, transform: Transform, flank_height: float, start: StartLine):
+        self._transform, self._height, self._start = transform, flank_height, start
+        self._rows = 0  # of the program, read so far
+        self._before: Blocks | None = None  # the last row read
+        self._vertex: Blocks | None = None  # the row before the start, and its first row
+        self._kept: AxisPath | None = None
+        self._s: float | None = None
+        self._position = np.zeros(0)
+
+    def blocks(self, blocks: Blocks) -> Blocks:
+        """
+        Take further rows and return those of the run, its start pose first.
+
+        Raises
+        ------
+        ProgramError
+            If the start lies inside a native spline.
+
+        """
+        first, row = self._rows, self._start.row
+        self._rows += len(blocks)
+        before, self._before = self._before, blocks[-1:]
+        if self._vertex is not None:
+            return blocks
+        if row is None or row >= self._rows:
+            return blocks[:0]
+        if before is not None:
+            blocks, first = Blocks.concatenate([before, blocks]), first - 1
+        self._vertex = blocks[row - 1 - first : row + 1 - first]
+        begins = int(self._vertex.line_number[1])
+        if self._vertex.on_spline[1] and begins < self._start.line:
+            raise ProgramError(
+                f'inside the spline that begins in line {begins}; start there',
+                self._start.source, self._start.line,
+            )  # fmt: skip
+        return Blocks.concatenate([start_pose(self._vertex[:1]), blocks[row - first :]])
+
+    def segments(self, segments: PathSegments) -> PathSegments:
+        """Return those segments that reach into the run, with its row numbers."""
+        row = self._start.row
+        if row is None:
+            return segments[:0]
+        mine = segments[np.flatnonzero(segments.block[:, 1] >= row)]
+        return replace(mine, block=self._own(mine.block))
+
+    def path(self, path: AxisPath | None, last: bool = False) -> AxisPath | None:
+        """
+        Take a further part of the path and return what of it is executed.
+
+        Parameters
+        ----------
+        path : AxisPath or None
+            The next part, if there is one.
+        last : bool
+            Whether the path ends with it.
+
+        """
+        if self._s is not None:
+            return None if path is None else self._renumbered(path)
+        parts = [part for part in (self._kept, path) if part is not None]
+        if not parts:
+            return None
+        known, row = AxisPath.join(parts), self._start.row
+        block = known.cell_block
+        if row is None or block[-1] < row:
+            self._kept = cut(known, int(np.searchsorted(block, block[-1])), len(block))
+            return None
+        self._kept = known
+        self._s = self._place(known, row, last)
+        if self._s is None:
+            return None
+        self._kept = None
+        rest = from_place(known, self._s)
+        self._position = np.array(rest.cell_left[0, 0])
+        return self._renumbered(rest)
+
+    def found(self) -> StartPlace:
+        """
+        Return the place after the whole program was read and smoothed.
+
+        Raises
+        ------
+        ProgramError
+            If there is none, or if it is ambiguous.
+
+        """
+        return self.place(self._start.found())
+
+    def place(self, block: StartBlock) -> StartPlace:
+        """Return the place of a start in the program."""
+        if self._s is None or self._vertex is None:
+            raise ProgramError(
+                'no motion follows this line; start before it', self._start.source, block.line
+            )
+        return StartPlace(block, int(self._vertex.line_number[1]), self._s, self._position)
+
+    def _place(self, path: AxisPath, row: int, last: bool) -> float | None:
+        """
+        Return the path length at the end of the row before; None if more path is needed.
+
+        A corner changes its row at its middle, which is nearest to the vertex. A curve through
+        many blocks does so anywhere. Then the point nearest to the vertex is looked for.
+        """
+        block = path.cell_block
+        border = int(np.searchsorted(block, row))
+        if border == 0 or self._vertex is None:
+            return float(path.s[border])
+        vertex = self._vertex
+        room = float(vertex.contour_tolerance.min()), float(vertex.orientation_tolerance.min())
+        if (self._off(path, path.s[border : border + 1])[0] <= room).all():
+            return float(path.s[border])
+        end = int(np.searchsorted(block, block[border], side='right'))
+        if end == len(block) and not last:
+            return None
+        begin = int(np.searchsorted(block, block[border - 1]))
+        s, step = path.s[begin : end + 1], np.linspace(0.0, 1.0, TRIED + 1)
+        for _ in range(DIVIDED):
+            tried = np.unique(s[:-1, None] + np.diff(s)[:, None] * step)
+            off = np.hypot(*self._off(path, tried).T)
+            near = int(np.argmin(off))
+            s = tried[max(near - 1, 0) : near + 2]
+        return float(tried[near])
+
+    def _off(self, path: AxisPath, s: FloatArray) -> FloatArray:
+        """Return the distances of the tip and, at flank height, of the tool axis, (k, 2) [m]."""
+        assert self._vertex is not None
+        tip, axis = self._transform.forward(evaluate(path, s)[0])
+        vertex = self._vertex
+        turned = np.linalg.norm(axis - vertex.axis[0], axis=1) * self._height
+        return np.column_stack([np.linalg.norm(tip - vertex.tip[0], axis=1), turned])
+
+    def setpoints(self, samples: Setpoints) -> Setpoints:
+        """Return setpoints of the run with its own row numbers."""
+        return replace(samples, block=self._own(samples.block))
+
+    def _renumbered(self, path: AxisPath) -> AxisPath:
+        return replace(path, cell_block=self._own(path.cell_block))
+
+    def _own(self, rows: IntArray) -> IntArray:
+        """Return rows of the program as rows of the run."""
+        assert self._start.row is not None
+        return np.maximum(rows - (self._start.row - 1), 1)
+
+
+def start_pose(row: Blocks) -> Blocks:
+    """Return the end of a row as the start pose of what follows."""
+    none = np.full(1, np.nan)
+    return replace(
+        row,
+        feedrate=np.full(1, np.inf),
+        duration=none,
+        exact_stop=np.zeros(1, dtype=np.bool_),
+        program_stop=np.zeros(1, dtype=np.int64),
+        top=np.full((1, 3), np.nan),
+        knot_interval=none.copy(),
+        interpolation=np.full(1, POSES),
+        rotary_from=np.full((1, 2), np.nan),
+    )

@@ -1,0 +1,224 @@
+"""
+Two given 5-axis B-spline portions joined by a parametrization spline [B2013, section 2.6, Fig. 4].
+
+A portion is a pair of cubic B-splines with one knot vector: the tip on the bottom curve, a second
+point of the tool axis on the top curve. Two portions may meet with G2 continuity on both curves,
+and the tool axis still jumps in its rate, because u_top = u_bottom says nothing about the join.
+Here both curves stay as they are. The axis slides along the top curve: u_top = f(u_bottom).
+
+The paper finds three values of f at each end by Newton's method on the third difference of the
+tool axis. The limit of small steps has a closed form (``connection.matching_slopes``): f', f'' and
+f''' for which o_s, o_ss and o_sss continue along the top curve. If both curves are G2 at the
+join, o, o_s and o_ss continue completely. If they are not, the jump that is left is the smallest
+one that any f can reach. ``joining.py`` removes such a rest, but changes the curves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.bezier import start_derivatives
+from cnc_interp.core.errors import InterpError
+from cnc_interp.smoothing.corners.connection import matching_slopes
+from cnc_interp.smoothing.native.cubic_curves import PROBES, clamped
+from cnc_interp.smoothing.native.joining import Jets, by_parameter
+from cnc_interp.smoothing.native.portion import Portion
+from cnc_interp.smoothing.orientation import norm
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly, BSpline
+
+#: Ends of two portions that are closer than this meet [m], [-].
+SAME_POINT, SAME_AXIS = 1e-9, 1e-9
+#: Most pieces of one knot interval of the written top curve.
+MOST_PIECES = 256
+
+
+@dataclass(frozen=True)
+class Linked:
+    """
+    A portion with a parametrization spline.
+
+    Parameters
+    ----------
+    portion : Portion
+        The given curves.
+    parametrization : BPoly
+        u_top = f(u_bottom) on [0, last knot], in the unit of the knots.
+    written : Portion
+        The same path with u_top = u_bottom, for controls that have one parameter: the bottom curve
+        is the given one, the top curve follows top(f(u)) with more knots.
+    source : ndarray of int, shape (m,)
+        Row of ``portion`` in whose knot interval each row of ``written`` lies.
+    deviation : float
+        Largest distance of ``written`` from top(f(u)), at flank height [m].
+
+    """
+
+    portion: Portion
+    parametrization: BPoly
+    written: Portion
+    source: IntArray
+    deviation: float
+
+    def poses(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Return the poses at bottom parameters [B2013, Eq. 5].
+
+        Parameters
+        ----------
+        u : ndarray, shape (k,)
+            Bottom parameters in [0, last knot].
+
+        Returns
+        -------
+        tip, axis : ndarray, shape (k, 3)
+            Tool tips [m] and unit tool axes [-].
+
+        """
+        curve = self.portion.curve
+        tip = curve(u)[:, :3]
+        tool = curve(self.parametrization(u))[:, 3:] - tip
+        return tip, tool / norm(tool)[:, None]
+
+
+def join(
+    first: Portion, second: Portion, height: float, tolerance: float = 1e-8, septic: bool = False
+) -> Linked:
+    """
+    Join two 5-axis B-spline portions by a parametrization spline [B2013, section 2.6].
+
+    Parameters
+    ----------
+    first, second : Portion
+        The second portion begins where the first one ends: same tip, same tool axis. Its inner
+        knots are simple.
+    height : float
+        Flank height, at which deviations of the tool axis count [m].
+    tolerance : float
+        Largest distance of the written top curve from top(f(u)) [m].
+    septic : bool
+        Whether f''' is chosen, too: the least jump of o_sss (Eq. 11).
+
+    Returns
+    -------
+    Linked
+        The second portion with its parametrization.
+
+    Raises
+    ------
+    InterpError
+        If the portions do not meet, or no increasing f joins them.
+
+    """
+    ends, begins = first.jets(at_end=True), second.jets(at_end=False)
+    if norm(ends.tip[0] - begins.tip[0])[0] > SAME_POINT:
+        raise InterpError('the second portion does not begin at the tip where the first one ends')
+    if norm(ends.axis[0] - begins.axis[0])[0] > SAME_AXIS:
+        raise InterpError('both portions must have the same tool axis where they meet')
+    return linked(second, ends, None, height, tolerance, septic)
+
+
+def linked(
+    portion: Portion,
+    before: Jets | None,
+    after: Jets | None,
+    height: float,
+    tolerance: float = 1e-8,
+    septic: bool = False,
+) -> Linked:
+    """
+    Join a portion with the paths before and after it by a parametrization spline.
+
+    Parameters
+    ----------
+    portion : Portion
+        The curves.
+    before, after : Jets or None
+        Jets of the path before and after the portion; None where it ends freely.
+    height, tolerance, septic
+        See ``join``.
+
+    Returns
+    -------
+    Linked
+        The portion with its parametrization.
+
+    Raises
+    ------
+    InterpError
+        If no increasing f has these derivatives.
+
+    """
+    from scipy.interpolate import BPoly
+
+    length = float(portion.knots[-1])
+    free = np.array([1.0, 0.0, 0.0])
+    first = free if before is None else _slopes(portion, before, at_end=False)
+    last = free if after is None else _slopes(portion, after.backwards(), at_end=True)
+    last = last * np.array([1.0, -1.0, 1.0])
+    orders = 3 if septic else 2
+    f = BPoly.from_derivatives([0.0, length], [[0.0, *first[:orders]], [length, *last[:orders]]])
+    if np.diff(f.c[:, 0]).min() <= 0.0:
+        raise InterpError(
+            'no increasing parametrization joins these portions: the tool axis turns too '
+            'differently on both sides; move the control points of the top curve'
+        )
+    return _written(portion, f, height, tolerance)
+
+
+def _slopes(portion: Portion, jets: Jets, at_end: bool) -> FloatArray:
+    """Return f', f'' and f''' at one end, seen inward, in the unit of the knots."""
+    bottom, top, span = portion.end_span(at_end)
+    p = start_derivatives(bottom)
+    rho = norm(top[:, 0] - bottom[:, 0])[:, None]
+    o = by_parameter(jets, p)
+    found = matching_slopes(p, start_derivatives(top), jets.axis[0], o, rho)
+    return np.asarray(np.array([float(x[0]) for x in found]) / span ** np.arange(3.0))
+
+
+def _written(portion: Portion, f: BPoly, height: float, tolerance: float) -> Linked:
+    """Interpolate top(f(u)) by cubic splines on finer knots until the tolerance holds."""
+    curve, breaks = portion.curve, np.unique(portion.knots)
+    ends = breaks[[0, -1]]
+    rate = curve(ends, 1)
+    rate[:, 3:] = curve(f(ends), 1)[:, 3:] * f(ends, 1)[:, None]
+    pieces = 2
+    while pieces <= MOST_PIECES:
+        share = np.arange(pieces) / pieces
+        sites = np.append((breaks[:-1, None] + share * np.diff(breaks)[:, None]).ravel(), ends[1])
+        spline = clamped(sites, _both(curve, f, sites), rate)
+        step = np.diff(sites)
+        probes = (sites[:-1, None] + step[:, None] * (np.arange(PROBES) + 0.5) / PROBES).ravel()
+        deviation = _distance(spline(probes), _both(curve, f, probes), height)
+        if deviation <= tolerance:
+            interval = np.concatenate([[0.0], step, [0.0, 0.0]])
+            made = Portion(spline.c[:, :3].copy(), spline.c[:, 3:].copy(), interval)
+            own = np.flatnonzero(portion.knot_interval > 0.0)
+            last = len(portion.bottom) - 1
+            source = np.concatenate([[0], np.repeat(own, pieces), [last - 1, last]])
+            return Linked(portion, f, made, source, deviation)
+        pieces *= 2
+    raise InterpError(
+        f'no cubic spline follows this parametrization within {tolerance * 1e6:g} um; '
+        'allow a larger deviation (--fit-tolerance)'
+    )
+
+
+def _both(curve: BSpline, f: BPoly, u: FloatArray) -> FloatArray:
+    """Return tip at u and second point at f(u), shape (k, 6) [m]."""
+    u_top = f(u).clip(0.0, curve.t[-1])
+    return np.hstack([curve(u)[:, :3], curve(u_top)[:, 3:]])
+
+
+def _distance(found: FloatArray, wanted: FloatArray, height: float) -> float:
+    """Return the largest distance of tips and of points at flank height [m]."""
+    ends = []
+    for both in (found, wanted):
+        tool = both[:, 3:] - both[:, :3]
+        ends.append(both[:, :3] + height * tool / norm(tool)[:, None])
+    return float(max(norm(found[:, :3] - wanted[:, :3]).max(), norm(ends[0] - ends[1]).max()))

@@ -1,0 +1,129 @@
+"""Offsets and tools on the operator page: edited, touched off, and used by the next program."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+pytest.importorskip(
+    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
+)
+pytest.importorskip('websockets', reason='needs requirements/panel.txt')
+
+from browser import found
+from cnc_interp_msgs.msg import MachineState, SetupTable
+from cnc_interp_msgs.srv import MoveAxes
+from page_under_test import PanelUnderTest
+
+from cnc_interp.nodes import qos
+from cnc_interp.program import JobSetup
+
+pytestmark = pytest.mark.skipif(
+    found() is None, reason='needs a browser: apt-get install chromium'
+)
+
+
+@pytest.fixture(scope='module')
+def panel(tmp_path_factory):
+    file = tmp_path_factory.mktemp('setup') / 'setup.yaml'
+    running = PanelUnderTest({'program_node': {'setup': f"'{file}'"}})
+    running.told = []
+    running.node.create_subscription(SetupTable, 'setup_table', running.told.append, qos.LOADED)
+    running.mover = running.node.create_client(MoveAxes, 'move_axes')
+    running.spin_until(lambda: running.told and running.mover.service_is_ready())
+    yield running
+    running.close()
+
+
+@pytest.fixture(autouse=True)
+def tidied(panel):
+    yield
+    panel.tidy()
+
+
+def setup_of(panel):
+    return JobSetup.of_text(panel.told[-1].text)
+
+
+def see(panel, tab, mark, done):
+    """Press a key of the dialog, and see what it does to the table."""
+    tab.click(mark)
+    panel.spin_until(lambda: done(setup_of(panel)))
+    tab.wait(lambda: panel.told[-1].change in (tab.text('setup change') or ''))
+
+
+def move(panel, **axes):
+    request = MoveAxes.Request(axes=list(axes), values=list(axes.values()))
+    answer = panel.mover.call_async(request)
+    panel.spin_until(answer.done)
+    wanted = np.array(answer.result().positions)
+    panel.spin_until(
+        lambda: (
+            panel.peers.at_rest
+            and np.abs(wanted - panel.peers.state.commanded_positions).max() < 1e-9
+        )
+    )
+
+
+def test_edit_touch_off_and_run(panel, tmp_path):
+    tab = panel.open_in_charge()
+    tab.click('offsets')
+    tab.fill('new tool number', '3')
+    tab.fill('new tool length', '75.5')
+    tab.fill('new tool remark', 'ball')
+    see(panel, tab, 'set new tool', lambda s: 3 in s.tools)
+    assert setup_of(panel).tools[3].remark == 'ball'
+    assert setup_of(panel).tools[3].length == pytest.approx(0.0755)
+    see(panel, tab, 'load tool 3', lambda s: s.tool == 3)
+    see(panel, tab, 'use G55', lambda s: s.active == 'G55')
+    tab.wait(lambda: tab.text('setup') == 'G55, tool 3')
+    tab.fill('G54 X', 'ten')
+    tab.click('set G54')
+    tab.wait(lambda: tab.run('document.body.textContent.includes("write a number")'))
+    move(panel, X=0.1, Y=-0.05, Z=0.3)
+    tab.fill('here X', '2')
+    tab.fill('here Y', '0')
+    tab.fill('here Z', '10')
+    see(panel, tab, 'touch off', lambda s: 'G55' in s.work_offsets)
+    wanted = {'X': 0.098, 'Y': -0.05, 'Z': 0.3 - 0.0755 - 0.01}
+    assert setup_of(panel).work_offsets == {'G55': pytest.approx(wanted)}
+    assert panel.told[-1].changed_by.startswith('page of ')
+    tab.wait(lambda: (tab.text('work X'), tab.text('work Z')) == ('2.000', '10.000'))
+    tab.wait(lambda: tab.text('axis X') == '100.000')
+    tab.click('close setup')
+    program = tmp_path / 'lands.ngc'
+    program.write_text('G21 G90\nG43 H3\nG0 X0 Y0 Z30\nG1 X12 Y0 Z10 F3000\n')
+    panel.load(tab, program)
+    panel.press_key(tab, 'cycle start', lambda: bool(panel.loaded))
+    panel.spin_until(lambda: panel.peers.state.completed)
+    np.testing.assert_allclose(
+        panel.next_state().commanded_positions[:3], [0.11, -0.05, 0.3], atol=1e-9
+    )
+    tab.wait(lambda: tab.text('progress') == '100.0%')
+
+
+def test_a_page_that_looks_only_changes_nothing(panel):
+    tab = panel.open(token='wrong')
+    before = setup_of(panel)
+    tab.click('offsets')
+    tab.fill('G54 X', '5')
+    tab.click('set G54')
+    tab.wait(lambda: tab.run('document.body.textContent.includes("view only: press")'))
+    assert setup_of(panel) == before
+
+
+def test_what_a_program_uses_is_refused_with_one_line(panel, tmp_path):
+    tab = panel.open_in_charge()
+    program = tmp_path / 'waits.ngc'
+    program.write_text('G21 G90\nG54 G0 X0 Y0 Z0\nG1 X20 F3000\nM0\nG1 X30\nM30\n')
+    panel.load(tab, program)
+    panel.begin(tab)
+    panel.spin_until(lambda: panel.peers.state.may_resume and panel.peers.at_rest)
+    tab.click('offsets')
+    tab.fill('G54 X', '5')
+    tab.click('set G54')
+    told = 'G54 is in use by waits.ngc, which runs'
+    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{told}")'))
+    assert 'G54' not in setup_of(panel).work_offsets
+    tab.click('close setup')
+    panel.reset(tab)
+    panel.until(MachineState.IDLE)

@@ -1,0 +1,75 @@
+"""Homing over the real nodes: before it no program starts, after it all do."""
+
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.srv import Home, MoveAxes
+from operated import Bench, Result
+
+from cnc_interp.kinematics.machine import find_machine_file
+from cnc_interp.nodes.parameters import NODES
+
+HOMING = """
+homing:
+  switches: {X: -20.0, Z: 15.0}
+  order: [[Z], [X]]
+  required: true
+"""
+
+
+@pytest.fixture(scope='module')
+def bench(tmp_path_factory):
+    file = tmp_path_factory.mktemp('machine') / 'homed.yaml'
+    file.write_text(find_machine_file('xyzac').read_text() + HOMING)
+    given = {'machine': f"'{file}'"}
+    takes = [n for n, declared in NODES.items() if any(p.name == 'machine' for p in declared)]
+    running = Bench({node: dict(given) for node in takes})
+    running.home = running.node.create_client(Home, 'home')
+    running.mover = running.node.create_client(MoveAxes, 'move_axes')
+    running.spin_until(running.home.service_is_ready)
+    running.spin_until(running.mover.service_is_ready)
+    yield running
+    running.close()
+
+
+def ask(bench, client, request):
+    answer = client.call_async(request)
+    bench.spin_until(answer.done)
+    return answer.result()
+
+
+def test_no_program_starts_before_homing_and_a_hold_ends_it(bench):
+    state = bench.next_state()
+    assert list(state.must_home) == ['X', 'Z']
+    assert list(state.homed) == [False, True, False, True, True]
+    for goal in ({'text': 'G0 X0\nG1 X10 F500'}, {'text': 'G91', 'mdi': True}):
+        result = bench.run(**goal)
+        assert result.code == Result.REFUSED and 'X Z must be homed' in result.message
+    assert bench.next_state().state == MachineState.IDLE
+    assert not ask(bench, bench.home, Home.Request(axes=['C'])).success
+    assert ask(bench, bench.home, Home.Request(axes=['X'])).success
+    bench.until_state(MachineState.JOGGING)
+    refused = ask(bench, bench.mover, MoveAxes.Request(axes=['Y'], values=[0.0]))
+    assert not refused.success and 'being homed' in refused.message
+    assert bench.press('feed_hold').success
+    bench.until_state(MachineState.IDLE)
+    assert list(bench.next_state().must_home) == ['X', 'Z']
+
+
+def test_after_homing_from_the_command_line_programs_start(bench):
+    command = [sys.executable, '-m', 'cnc_interp', 'home', '--namespace', bench.namespace]
+    command += ['--domain', str(bench.domain)]
+    done = subprocess.run([*command, 'Y'], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and 'no reference switch' in done.stderr
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, 'homed\n'), done.stderr
+    state = bench.next_state()
+    assert all(state.homed) and not state.must_home and state.state == MachineState.IDLE
+    assert -0.020 < state.positions[0] < -0.018 and 0.013 < state.positions[2] < 0.015
+    result = bench.run(text='G91 G1 X2 F500', mdi=True)
+    assert result.code == Result.SUCCEEDED, result.message

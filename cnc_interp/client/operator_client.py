@@ -27,6 +27,7 @@ from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.question import AGAIN, Question
 from cnc_interp.client.shared_value import SharedValue
+from cnc_interp.client.stop_signals import stops_later
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE, STATE
@@ -322,7 +323,8 @@ class OperatorClient:
         while self._commands:
             self._commands.popleft()()
         self._pending = [ended for ended in self._pending if not ended()]
-        self._executor.spin_once(timeout_sec=timeout)
+        with stops_later():
+            self._executor.spin_once(timeout_sec=timeout)
 
     def start(self) -> None:
         """Start a thread that serves the node."""

@@ -18,7 +18,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 
 #: Longest wait for the nodes [s].
-PATIENCE = 30.0
+PATIENCE = 10.0
 
 
 class SetupConsole:

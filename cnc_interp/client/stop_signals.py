@@ -1,10 +1,14 @@
-"""Ctrl-C, SIGTERM and a closed terminal as a request to stop, seen by the loop that runs."""
+"""Ctrl-C, SIGTERM and a closed terminal: seen by a loop as a request, or handled later."""
 
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+#: What asks a command to end.
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
@@ -12,11 +16,30 @@ def stop_signals() -> Iterator[list[int]]:
     """Yield a list that is empty until a signal asks to stop."""
     stop: list[int] = []
     previous = {
-        number: signal.signal(number, lambda found, _frame: stop.append(found))
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        number: signal.signal(number, lambda found, _frame: stop.append(found)) for number in STOPS
     }
     try:
         yield stop
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def stops_later() -> Iterator[None]:
+    """
+    Hold signals back until the end of what is done, then hand them to their handlers.
+
+    ``rclpy`` loses an exception that a handler raises inside it, or ends with another one. Signals
+    are handled in the main thread only, so there is nothing to hold back in others.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    try:
+        with stop_signals() as came:
+            yield
+    finally:
+        for number in came:
+            signal.raise_signal(number)

@@ -1,0 +1,52 @@
+"""Signals that ask a command to end: seen, or held back until what must not be broken off is done."""
+
+import signal
+import threading
+
+import pytest
+
+from cnc_interp.client.stop_signals import STOPS, stop_signals, stops_later
+
+
+@pytest.mark.parametrize('number', STOPS)
+def test_a_signal_is_seen_by_the_loop(number):
+    with stop_signals() as stop:
+        assert not stop
+        signal.raise_signal(number)
+        assert stop == [number]
+
+
+def test_an_interrupt_comes_after_what_must_not_be_broken_off():
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        with stops_later():
+            signal.raise_signal(signal.SIGINT)
+            done.append('to the end')
+        done.append('not reached')
+    assert done == ['to the end']
+
+
+def test_it_also_comes_after_a_failure():
+    with pytest.raises(KeyboardInterrupt), stops_later():
+        signal.raise_signal(signal.SIGINT)
+        raise ValueError
+
+
+def test_the_handlers_are_those_of_before():
+    before = {number: signal.getsignal(number) for number in STOPS}
+    with stops_later():
+        assert signal.getsignal(signal.SIGINT) is not before[signal.SIGINT]
+    assert {number: signal.getsignal(number) for number in STOPS} == before
+
+
+def test_other_threads_hold_nothing_back():
+    reached = []
+
+    def serve():
+        with stops_later():
+            reached.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    thread.join()
+    assert reached == [signal.getsignal(signal.SIGINT)]

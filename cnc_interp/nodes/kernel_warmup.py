@@ -98,7 +98,7 @@ def warm_lookahead(machine: str) -> PathSegments:
     """Load the kernels of the look-ahead and its trials; return the tiny path."""
     transform = Transform.of(Machine.load(machine))
     segments_of(dense_program(transform), transform, Settings())
-    motion_time(_endless(transform), Settings(), tiny_program(transform))
+    motion_time(_endless(transform), Settings(), tiny_program(transform), False)
     return segments_of(tiny_program(transform), transform, Settings())
 
 

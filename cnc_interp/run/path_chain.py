@@ -146,7 +146,7 @@ def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
     return PathSmoother(settings, traits)
 
 
-def motion_time(transform: Transform, settings: Settings, blocks: Blocks) -> float:
+def motion_time(transform: Transform, settings: Settings, blocks: Blocks, curves: bool) -> float:
     """
     Plan a few blocks by themselves, each corner rounded unless it has an exact stop.
 
@@ -158,6 +158,8 @@ def motion_time(transform: Transform, settings: Settings, blocks: Blocks) -> flo
         The choices of the run.
     blocks : Blocks
         The start pose and the blocks.
+    curves : bool
+        Whether runs of short blocks become curves.
 
     Returns
     -------
@@ -165,7 +167,7 @@ def motion_time(transform: Transform, settings: Settings, blocks: Blocks) -> flo
         Time from rest to rest [s]; infinite if the machine cannot execute the blocks.
 
     """
-    smoother = PathSmoother(replace(settings, compress=False), traits_of(transform))
+    smoother = PathSmoother(replace(settings, compress=curves), traits_of(transform))
     builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
     limits = limits_at(transform.machine, settings.interpolation_period)
     try:

@@ -75,10 +75,10 @@ class LookAhead:
         if self._ratio is None and self._style.literal:
             self._ratio = PAPER_RATIO
         self._none = no_segments(self._style)
-        self._compressor = Compressor(settings, machine, row, joined)
         self._rows: Rows | None = None
         # Corners that are made to be compared stay corners.
         tried = replace(machine, motion_time=None) if settings.compares_corners else machine
+        self._compressor = Compressor(settings, tried, row, joined)
         self._trials = StopTrials(tried, settings.flank_height, [] if stops is None else stops)
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 

@@ -38,8 +38,9 @@ class MachineTraits:
     max_jerk : ndarray, shape (5 + k,), optional
         Jerk limits of X Y Z, of the rotary axes and of the extra axes.
     motion_time : callable, optional
-        Time of the motion along a few blocks, corner by corner, from rest to rest [s]; infinite
-        where the machine cannot execute them. Without it no stop is tried at corners.
+        Time of the motion along a few blocks from rest to rest [s], as curves or corner by corner
+        (second argument); infinite where the machine cannot execute them. Without it nothing is
+        tried.
 
     """
 
@@ -50,7 +51,7 @@ class MachineTraits:
     sharpest_swing: float = 176.0 * DEG
     geometry: AxisGeometry | None = None
     max_jerk: FloatArray | None = None
-    motion_time: Callable[[Blocks], float] | None = None
+    motion_time: Callable[[Blocks, bool], float] | None = None
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""

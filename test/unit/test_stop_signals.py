@@ -1,4 +1,4 @@
-"""Signals that ask a command to end: seen, or held back until what must not be broken off is done."""
+"""Signals that ask a command to end: seen, or held back until nothing must be left half done."""
 
 import signal
 import threading

@@ -1,4 +1,4 @@
-"""Corners at which an exact stop is faster: found from few lines, however the blocks arrive."""
+"""Corners where a stop is faster, runs where lines are: found however the blocks arrive."""
 
 from dataclasses import replace
 
@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from programs import blocks_of
 
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
-from cnc_interp.run.path_chain import PathChain, path_of, segments_of, smoother_of
+from cnc_interp.run.path_chain import PathChain, motion_time, path_of, segments_of, smoother_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 XYZAC = Machine.load('xyzac')
 TRANSFORM = Transform.of(XYZAC)
@@ -46,17 +46,56 @@ def plain():
     return blocks_of(np.array(tips) * MM, tools((10, 20), (11, 21), (12, 22), (13, 25)))
 
 
-def time_of(blocks):
-    """Cycle time without curves [s]."""
-    path = path_of(blocks, TRANSFORM, Settings(compress=False))
+def micrometre():
+    """A line of 0.2 um between two fast ones: its corners are smaller still."""
+    tips = [[0, 0, 0], [5, 0, 0], [5.0002, 0, 0.0001], [6, 5, 0]]
+    return blocks_of(np.array(tips) * MM, tools(*[(10, 20)] * 4), feed=30000 * MM_PER_MIN)
+
+
+def tiny_run():
+    """Five blocks that are shorter together than the tolerance."""
+    tips = [[0, 0, 0], [6, 0, 0], [10, 14, 0], [35, 14, 3], [40, 30, 4], [40, 30.4, 4]]
+    axes = tools(
+        (27.768, 20), (27.768, 20), (27.767, 20), (27.767, 20), (27.768, 20), (27.768, 20)
+    )
+    return blocks_of(np.array(tips) * UM, axes, feed=30000 * MM_PER_MIN, tolerance=60 * UM)
+
+
+def run_beside_the_pole():
+    """Three short blocks 1.5 deg from the pole, where a curve may wave by the tolerance."""
+    tips = [[0, 0, 0], [2.1642, -6.3963, 0.5896], [2.6724, -7.0583, 0.8942]]
+    tips += [[2.6726, -7.0585, 0.8944], [2.6751, -7.0523, 0.8931], [1.392, -10.2892, 1.5634]]
+    axes = tools(
+        (2, -13.8), (1.61, -14.7), (1.51, -14.9), (1.49, -15), (1.95, -11.4), (1.14, -4.7)
+    )
+    return blocks_of(np.array(tips) * MM, axes, feed=3000 * MM_PER_MIN, tolerance=90 * UM)
+
+
+def time_of(blocks, curves=False):
+    """Cycle time [s]."""
+    path = path_of(blocks, TRANSFORM, Settings(compress=curves))
     return plan_path(path, XYZAC).law.end_time
 
 
-@pytest.mark.parametrize('make', [beside_the_pole, swivel, plain])
-def test_is_never_slower_than_with_a_stop_at_each_block(make):
+MADE = [beside_the_pole, swivel, micrometre, tiny_run, run_beside_the_pole, plain]
+
+
+@pytest.mark.parametrize('curves', [False, True])
+@pytest.mark.parametrize('make', MADE)
+def test_is_never_slower_than_with_a_stop_at_each_block(make, curves):
     blocks = make()
     stops = replace(blocks, exact_stop=np.ones(len(blocks), dtype=bool))
-    assert time_of(blocks) <= time_of(stops) * (1 + 1e-4)
+    assert time_of(blocks, curves) <= time_of(stops) * (1 + 1e-4)
+
+
+@pytest.mark.parametrize('make', [tiny_run, run_beside_the_pole])
+def test_a_short_run_becomes_no_curve_where_lines_are_faster(make):
+    blocks, settings = make(), Settings(compress=True)
+    tried = smoother_of(TRANSFORM, settings).machine
+    curved = LookAhead(settings, replace(tried, motion_time=None))
+    assert (PathSegments.concatenate([curved.push(blocks), curved.finish()]).kind == SPLINE).any()
+    assert not (segments_of(blocks, TRANSFORM, settings).kind == SPLINE).any()
+    assert time_of(blocks, True) < 0.99 * motion_time(TRANSFORM, settings, blocks, True)
 
 
 def test_a_stop_is_taken_only_where_it_is_faster():
@@ -66,8 +105,9 @@ def test_a_stop_is_taken_only_where_it_is_faster():
 
 
 @pytest.mark.parametrize('batch', [1, 2])
-def test_stops_do_not_depend_on_how_the_blocks_arrive(batch):
-    blocks, settings = beside_the_pole(), Settings(compress=False)
+@pytest.mark.parametrize('make', [beside_the_pole, tiny_run, run_beside_the_pole])
+def test_trials_do_not_depend_on_how_the_blocks_arrive(make, batch):
+    blocks, settings = make(), Settings()
     smoother = LookAhead(settings, smoother_of(TRANSFORM, settings).machine)
     parts = [smoother.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
     found = PathSegments.concatenate([part for part in [*parts, smoother.finish()] if len(part)])
@@ -80,7 +120,7 @@ def refuse_to_plan(_blocks):
     raise AssertionError('nothing is to be tried')
 
 
-@pytest.mark.parametrize('make', [beside_the_pole, swivel, plain])
+@pytest.mark.parametrize('make', [beside_the_pole, swivel, micrometre, plain])
 def test_corners_that_are_known_are_not_tried_again(make):
     blocks, settings = make(), Settings(compress=False)
     chain = PathChain(TRANSFORM, settings)

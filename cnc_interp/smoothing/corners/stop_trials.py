@@ -4,10 +4,11 @@ Corners at which an exact stop is faster than the rounded path.
 Rounding nearly always saves time. It may not where the axes move in another way on the corner
 than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
 axis half a turn round; beside a block on which the tip hardly moves while the tool turns; and
-where the path almost reverses. No simple size of the corner tells how long the axes take there.
-So the motion over the next lines is planned both ways, and the faster one is taken. The corners
-after it may need a stop, too. So both ways are planned twice: these are rounded, or all are stops.
-Other corners are not tried.
+where the path almost reverses. Beside a line of a micrometre a rounded corner is so small that
+passing it at low speed may take longer than resting. No simple size of the corner tells how long
+the axes take there. So the motion over the next lines is planned both ways, and the faster one is
+taken. The corners after it may need a stop, too. So both ways are planned twice: these are
+rounded, or all are stops. Other corners are not tried.
 
 A trial begins and ends at rest: at the last stop, or three lines before the corner, and at the
 next stop, or six lines after it. Which lines it knows does not depend on how the blocks arrive,
@@ -21,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, IntArray
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
@@ -33,9 +34,11 @@ BEFORE, AFTER = 3, 6
 #: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
 FAST = 2.0 / MM
 #: A corner is tried where the path turns more than this [rad].
-SHARP = 165.0 * DEG
+SHARP = 160.0 * DEG
+#: A corner is tried beside a line shorter than this [m].
+MICRO = 3.0 * UM
 #: A stop must save this part of the time of its trial [-].
-WORTH = 1e-3
+WORTH = 5e-5
 
 
 def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
@@ -59,21 +62,45 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
         False for the first and the last vertex, and beside curves.
 
     """
-    blocks, found = rows.blocks, np.zeros(len(rows), dtype=np.bool_)
-    turn = np.maximum(legs.turn[:-1], legs.turn[1:])
-    rate = norm(legs.rate)
-    rate = np.maximum(rate[:-1], rate[1:])
+    found = np.zeros(len(rows), dtype=np.bool_)
     found[1:-1] = dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
-    if machine.pole is None:
-        found[1:-1] |= rate > FAST
-    else:
-        angle = angles_between(blocks.axis[1:-1], np.asarray(machine.pole))
-        reach = turn + 2.0 * blocks.orientation_tolerance[1:-1] / height
-        near = (turn > 0.0) & (np.minimum(angle, np.pi - angle) < reach)
-        found[1:-1] |= near | (rate > FAST * np.sin(angle))  # the outer axis turns faster there
+    found[1:-1] |= np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
+    found[1:-1] |= turns_fast(rows.blocks, legs, height, machine)
     plain = _plain(rows)
     found[1:-1] &= plain[1:-1] & plain[2:]
     return found
+
+
+def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
+    """
+    Tell at which inner vertices the outer rotary axis may turn fast on one side.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        n end poses.
+    legs : Legs
+        Geometry between these poses.
+    height : float
+        Flank height [m].
+    machine : MachineTraits
+        Its pole.
+
+    Returns
+    -------
+    ndarray of bool, shape (n - 2,)
+        True near the pole, and where it turns faster than ``FAST``.
+
+    """
+    turn = np.maximum(legs.turn[:-1], legs.turn[1:])
+    rate = norm(legs.rate)
+    rate = np.maximum(rate[:-1], rate[1:])
+    if machine.pole is None:
+        return np.asarray(rate > FAST)
+    angle = angles_between(blocks.axis[1:-1], np.asarray(machine.pole))
+    reach = turn + 2.0 * blocks.orientation_tolerance[1:-1] / height
+    near = (turn > 0.0) & (np.minimum(angle, np.pi - angle) < reach)
+    return np.asarray(near | (rate > FAST * np.sin(angle)))  # the outer axis turns faster there
 
 
 class StopTrials:
@@ -183,7 +210,7 @@ class StopTrials:
                 exact = blocks.exact_stop.copy()
                 exact[at], exact[at + 1 :] = stops, exact[at + 1 :] | later
                 assert self._machine.motion_time is not None
-                time = self._machine.motion_time(replace(blocks, exact_stop=exact))
+                time = self._machine.motion_time(replace(blocks, exact_stop=exact), False)
                 least[stops] = min(least[stops], time)
         return least[1] < (1.0 - WORTH) * least[0]
 

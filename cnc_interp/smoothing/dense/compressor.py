@@ -27,6 +27,7 @@ from cnc_interp.smoothing.dense.end_lines import (
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.dense.run_rows import curve_row, line_row
+from cnc_interp.smoothing.dense.run_trials import MOST_BLOCKS, is_tried, lines_are_faster
 from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
 from cnc_interp.smoothing.machine_traits import MachineTraits
 
@@ -153,7 +154,13 @@ class Compressor:
             if not ready:
                 return
             if last - start >= FEWEST_BLOCKS:
-                self._begin(start, last, ended)
+                faster = self._is_faster(start, last, ended)
+                if faster is None:
+                    return
+                if faster:
+                    self._begin(start, last, ended)
+                else:
+                    skeleton.corner[start + 1 : last] = True
                 continue
             for k in range(a + 1, last + 1):
                 self._line(k)
@@ -178,6 +185,17 @@ class Compressor:
         last = stop - 1
         long = skeleton.u[last] >= skeleton.u[start] + AHEAD * longest_spacing(skeleton, start + 1)
         return last, False, bool(long) and last - start >= FEWEST_BLOCKS
+
+    def _is_faster(self, start: int, last: int, ended: bool) -> bool | None:
+        """Tell whether a run is to become a curve; None if more blocks are necessary."""
+        if self._machine.motion_time is None or last - start > MOST_BLOCKS:
+            return True
+        skeleton = self._skeleton
+        if not ended or (last + 1 == len(skeleton) and not skeleton.stop[last]):
+            return None
+        if not is_tried(skeleton, start, last, self._height, self._machine):
+            return True
+        return not lines_are_faster(skeleton, start, last, self._machine)
 
     def _line(
         self,

@@ -277,6 +277,7 @@ class SkeletonBuilder:
             orientation_tolerance=raw.orientation_tolerance[kept],
             line_number=raw.line_number[kept], extra=raw.extra[kept],
             interpolation=raw.interpolation[kept], rotary_from=raw.rotary_from[kept],
+            corner=raw.corner[kept],
         )  # fmt: skip
         du = np.sqrt(0.5 * (length**2 + top_length**2))
         u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]

@@ -1,5 +1,6 @@
 """Nothing stays in shared memory or in temporary folders, however a run ends."""
 
+import contextlib
 import os
 import re
 import signal
@@ -83,7 +84,16 @@ def segments(names):
 
 
 def left(names):
-    return {name for name in names if (Path('/dev/shm') / name).exists()}
+    """What of the names is still there, and the command lines of those who have it open."""
+    there = {name: [] for name in names if (Path('/dev/shm') / name).exists()}
+    for maps in Path('/proc').glob('[0-9]*/maps'):
+        with contextlib.suppress(OSError):
+            text = maps.read_text(errors='replace')
+            command = maps.with_name('cmdline').read_text().replace('\0', ' ')
+            for name in there:
+                if f'/{name}\n' in text:
+                    there[name].append(f'{maps.parent.name}: {command}')
+    return there
 
 
 @pytest.mark.parametrize(
@@ -102,7 +112,7 @@ def test_nothing_stays_of_a_run_that_ends_in_order(how, folder):
     if how:
         run.send_signal(how)
     run.wait(PATIENCE)
-    assert left(names) == set()
+    assert not left(names)
     assert list((folder / 'tmp').iterdir()) == []
 
 
@@ -118,5 +128,5 @@ def test_the_next_run_removes_what_a_killed_one_has_left(folder):
         time.sleep(0.05)
     assert left(names) and list((folder / 'tmp').iterdir())
     started(folder).wait(PATIENCE)
-    assert left(names) == set()
+    assert not left(names)
     assert list((folder / 'tmp').iterdir()) == []

@@ -204,7 +204,9 @@ class Companion(Protocol):
         """Take the result of the run. The nodes end after this returns."""
 
 
-def run_session(request: RunRequest, companion: Companion | None = None) -> list[RunResult]:
+def run_session(
+    request: RunRequest, companion: Companion | None = None, started: float | None = None
+) -> list[RunResult]:
     """
     Start the nodes, run one or more programs through them, and end the nodes.
 
@@ -214,6 +216,8 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
         Programs to run, and how.
     companion : Companion, optional
         Process beside the nodes.
+    started : float, optional
+        When the command began, in monotonic time; None for now [s].
 
     Returns
     -------
@@ -227,7 +231,7 @@ def run_session(request: RunRequest, companion: Companion | None = None) -> list
         file is wrong, or if a node cannot start.
 
     """
-    started = time.monotonic()
+    started = time.monotonic() if started is None else started
     for program in request.programs:
         try:
             program.open('rb').close()

@@ -16,6 +16,7 @@ from cnc_interp.command_options import (
     page_options,
     program_options,
 )
+from cnc_interp.core.process_start import process_start
 
 
 def add_run_command(commands: Any) -> None:
@@ -75,7 +76,7 @@ def run_command(options: argparse.Namespace) -> int:
         from cnc_interp.client.page.command import PanelBeside, PanelRequest
 
         beside = PanelBeside(PanelRequest.from_options(options))
-    results = run_session(RunRequest.from_options(options), beside)
+    results = run_session(RunRequest.from_options(options), beside, process_start())
     if options.json:
         found = [result.to_json() for result in results]
         print(json.dumps(found if options.then else found[0], indent=2))

@@ -120,9 +120,10 @@ def refuse_to_plan(_blocks):
     raise AssertionError('nothing is to be tried')
 
 
+@pytest.mark.parametrize('compress', [False, True])
 @pytest.mark.parametrize('make', [beside_the_pole, swivel, micrometre, plain])
-def test_corners_that_are_known_are_not_tried_again(make):
-    blocks, settings = make(), Settings(compress=False)
+def test_corners_that_are_known_are_not_tried_again(make, compress):
+    blocks, settings = make(), Settings(compress=compress)
     chain = PathChain(TRANSFORM, settings)
     tried = PathSegments.concatenate([chain.push(blocks).segments, chain.finish().segments])
     corner = np.full(len(blocks), ROUND_CORNER)

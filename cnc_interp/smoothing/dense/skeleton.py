@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -268,17 +268,12 @@ class SkeletonBuilder:
         moving = (length >= STANDSTILL) & ~raw.by_rotary[kept]
         timed = np.isfinite(raw.duration[kept])
         turning = norm(rotations_between(raw.axis[before], raw.axis[kept])) > 0.0
-        blocks = Blocks(
-            tip=raw.tip[kept], axis=raw.axis[kept], rotary=raw.rotary[kept],
-            feedrate=np.where(moving & timed, feed, raw.feedrate[kept]),
-            duration=np.where(moving, np.nan, raw.duration[kept]),
-            rapid=raw.rapid[kept], exact_stop=raw.exact_stop[kept],
-            contour_tolerance=raw.contour_tolerance[kept],
-            orientation_tolerance=raw.orientation_tolerance[kept],
-            line_number=raw.line_number[kept], extra=raw.extra[kept],
-            interpolation=raw.interpolation[kept], rotary_from=raw.rotary_from[kept],
-            corner=raw.corner[kept],
-        )  # fmt: skip
+        rows = raw[kept]
+        blocks = replace(
+            rows,
+            feedrate=np.where(moving & timed, feed, rows.feedrate),
+            duration=np.where(moving, np.nan, rows.duration),
+        )
         du = np.sqrt(0.5 * (length**2 + top_length**2))
         u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]
         nothing = np.zeros(len(kept))

@@ -20,7 +20,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.start_line import StartBlock, StartLine
-from cnc_interp.run.chunk import part_of
+from cnc_interp.run.chunk import rows_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
@@ -91,7 +91,9 @@ class RecordedRun:
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
         """
-        Yield what was executed, without the approach; time counts from the program's start.
+        Yield what was executed of the program; time counts from its start.
+
+        The approach is left out, and the way by hand away from a hold and back.
 
         Raises
         ------
@@ -99,7 +101,41 @@ class RecordedRun:
             If a setpoint is missing, a message is not sound, or the period changes.
 
         """
-        following, count, period = None, 0, self.period
+        count = 0
+        for part in self._executed(machine):
+            rows = np.flatnonzero(part.block > 0)
+            if len(rows):
+                time = np.arange(count, count + len(rows)) * self.period
+                yield replace(rows_of(part, rows), time=time)
+                count += len(rows)
+
+    def beside(self, machine: Machine) -> list[FloatArray]:
+        """
+        Return the executed positions beside the program: the approach, by hand and back.
+
+        Returns
+        -------
+        list of ndarray, shape (K, n_axes)
+            Each from rest to rest [m, rad].
+
+        """
+        stretches: list[list[FloatArray]] = []
+        before, inside = np.zeros((0, len(machine.axis_names))), True
+        for part in self._executed(machine):
+            changes = np.flatnonzero(np.diff(part.block > 0)) + 1
+            for rows in np.split(np.arange(len(part)), changes):
+                position, was_inside = part.position[rows], inside
+                inside = bool(part.block[rows[0]] > 0)
+                if not inside:
+                    if was_inside:
+                        stretches.append([before])
+                    stretches[-1].append(position)
+                before = position[-1:]
+        return [np.concatenate(stretch) for stretch in stretches]
+
+    def _executed(self, machine: Machine) -> Iterator[Setpoints]:
+        """Yield everything that was executed, in order."""
+        following, period = None, self.period
         for k in np.argsort([chunk.first_sample for chunk in self.chunks], kind='stable'):
             chunk = self.chunks[k]
             if following is not None and chunk.first_sample > following:
@@ -112,12 +148,8 @@ class RecordedRun:
                     f'those before {period:g} s; record the run again'
                 )
             check_setpoints(chunk, len(machine.axis_names))
-            part = setpoints_from(chunk)
-            if not count:
-                part = part_of(part, int(np.searchsorted(part.block, 1)), len(part))
-            if len(part):
-                yield replace(part, time=np.arange(count, count + len(part)) * period)
-                count += len(part)
+            if len(chunk.sequences):
+                yield setpoints_from(chunk)
 
     def paths(self, machine: Machine) -> Iterator[AxisPath]:
         """Yield the recorded path in machine axes, part by part."""

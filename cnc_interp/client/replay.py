@@ -154,7 +154,7 @@ def _compare_run(
         if plan > 0:
             if plan - 1 not in rests:
                 raise InterpError(f'{bag.path}: does not tell where plan {plan - 1} was left')
-            planner.resume(rests[plan - 1], followed)
+            planner.resume(rests[plan - 1], samples.position[0], followed)
         again = _all_samples(planner, len(samples))
         yield Comparison(
             replace(run_id, plan=plan), len(samples), _same(samples, again),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.command_options import FAILED, FINE, command
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
 
@@ -55,18 +56,20 @@ def add_report_command(commands: Any) -> None:
 def check_command(options: Namespace) -> int:
     """Prove a plan or a recorded run."""
     from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.proof.beside import with_beside
     from cnc_interp.proof.given import given_of
     from cnc_interp.proof.plan_files import read_plan
     from cnc_interp.proof.program_again import compare_with_text
     from cnc_interp.proof.verdict import with_program
     from cnc_interp.proof.verify import verify
 
-    with plan_files(options.directory, options.machine) as (folder, named):
+    with plan_files(options.directory, options.machine) as (folder, named, beside):
         plan = read_plan(folder)
         name = named or str(plan.summary.get('machine', ''))
         machine = Machine.load(name)
         given = given_of(plan, machine, name, options.directory)
         proof = replace(verify(plan, machine), given=given)
+        proof = with_beside(proof, machine, plan.period, beside)
         if options.program is not None:
             proof = with_program(proof, compare_with_text(plan, machine, options.program))
     print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
@@ -81,7 +84,7 @@ def report_command(options: Namespace) -> int:
     page = options.html or options.directory / 'report.html'
     if is_bag(options.directory) and options.compare:
         raise InterpError('--compare sets two folders of plan files side by side, not bags')
-    with plan_files(options.directory, options.machine) as (folder, machine):
+    with plan_files(options.directory, options.machine) as (folder, machine, _):
         write_report(folder, page, Machine.load(machine) if machine else None, options.compare)
     print(f'report         {page}')
     return FINE
@@ -93,11 +96,14 @@ def is_bag(path: Path) -> bool:
 
 
 @contextmanager
-def plan_files(path: Path, machine: str | None) -> Iterator[tuple[Path, str | None]]:
+def plan_files(
+    path: Path, machine: str | None
+) -> Iterator[tuple[Path, str | None, list[FloatArray]]]:
     """
-    Yield a folder of plan files and the machine to use; None means the machine that they name.
+    Yield a folder of plan files, the machine to use, and the motion beside the program.
 
-    For a bag, the plan files of its last run are written to a temporary folder.
+    None means the machine that they name. For a bag, the plan files of its last run are written to
+    a temporary folder; its motion beside the program is that of ``RecordedRun.beside``.
 
     Raises
     ------
@@ -106,7 +112,7 @@ def plan_files(path: Path, machine: str | None) -> Iterator[tuple[Path, str | No
 
     """
     if not is_bag(path):
-        yield path, machine
+        yield path, machine, []
         return
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_run import recorded_run, write_run
@@ -119,4 +125,4 @@ def plan_files(path: Path, machine: str | None) -> Iterator[tuple[Path, str | No
         raise InterpError(f'{path}: does not name the machine; name it with --machine')
     with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
         write_run(run, Machine.load(name), Path(folder))
-        yield Path(folder), name
+        yield Path(folder), name, run.beside(Machine.load(name))

@@ -148,7 +148,7 @@ class Jog:
         slides = self._slides(bool(tool))
         if slides is None:
             raise StreamError('the axes are still moving; wait until they rest')
-        base = slides.coordinates(self._playback.buffer.newest[-1])
+        base = slides.coordinates(self._playback.before_jog[-1])
         base = self._wish.target if isinstance(self._wish, Move) else base
         wanted = base + wanted if relative or tool else wanted
         target = np.where(np.isfinite(wanted), wanted, base)
@@ -176,7 +176,7 @@ class Jog:
         """Return what a wish moves; None if the axes first must come to rest for it."""
         motion = self._motion
         if motion is None:
-            stands = self._playback.buffer.newest[-1]
+            stands = self._playback.before_jog[-1]
             return Slides.along_tool(self._machine, stands) if tool else self._axes
         return motion.slides if tool is (motion.slides is not self._axes) else None
 
@@ -210,15 +210,15 @@ class Jog:
 
         """
         playback, state, self._override = self._playback, self._playback.state, override
-        if state is not self._seen:
-            self._seen = state
-            by_hand = state.state in (State.IDLE, State.JOGGING)
-            if state.reason is Reason.FEED_HOLD or not by_hand:
+        before, self._seen = self._seen, state
+        if state is not before:
+            held = state.reason is Reason.FEED_HOLD and before.state is not State.HELD
+            if held or not (state.by_hand or state.state in (State.IDLE, State.HELD)):
                 self._wish, self._released = None, False
         if isinstance(self._wish, Beat) and now - self._beat_at > LATE:
             self._wish = None
         try:
-            if state.state is not State.JOGGING:
+            if not state.by_hand:
                 self._motion = None
                 if self._wish is not None:
                     self._begin(self._wish)
@@ -231,7 +231,7 @@ class Jog:
 
     def _begin(self, wish: Beat | Move) -> None:
         """Begin a motion from rest, if there is a way to go."""
-        stands = self._playback.buffer.newest[-1]
+        stands = self._playback.before_jog[-1]
         motion = JogMotion(wish.slides, self._period, wish.slides.coordinates(stands))
         self._steer(motion)
         if motion.over:

@@ -57,6 +57,8 @@ REST_EVENTS = {
     Wait.APPROACH: Event.WAIT,
     Wait.END: Event.FINISH,
 }
+#: A plan from rest begins nearer than this to where the machine stands [m, rad].
+ELSEWHERE = 1e-8
 #: Number of chunks that may wait, in addition to one for each setpoint of a full buffer.
 SPARE_CHUNKS = 4096
 
@@ -186,6 +188,8 @@ class Playback:
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
         self.last: Place | None = None
+        #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
+        self.away: FloatArray = np.zeros(0)
         self._empty()
         self._forget_figures()
 
@@ -219,24 +223,68 @@ class Playback:
 
         """
         self.read()
-        if self.state.state is not State.JOGGING:
+        if not self.state.by_hand:
             self.state.after(Event.JOG)
-            if self.buffer.count:
+            if self.state.state is State.IDLE and self.buffer.count:
                 raise StreamError('jog is not possible: a program is about to start')
 
+    @property
+    def before_jog(self) -> FloatArray:
+        """Return the last three setpoints before those of a motion by hand, (3, n) [m, rad]."""
+        if self.state.by_hand:
+            return self.buffer.newest
+        return np.tile(self.axes.setpoints[-1], (3, 1))
+
     def begin_jog(self, run_id: RunId, chunk: Chunk) -> None:
-        """Begin a motion by hand at once, with its first setpoints."""
+        """
+        Begin a motion by hand at once, with its first setpoints.
+
+        In a hold the run stays, and its plan is dropped. Another one leads back to the place.
+        """
         self.check_jog()
-        self._forget_run(run_id)
-        self.push_jog(chunk)
+        self._refuse_jog(chunk)
+        if self.state.state is State.HELD:
+            self.away = self.away if len(self.away) else self.axes.setpoints[-1].copy()
+            self._empty()
+        else:
+            self._forget_run(run_id)
         self.state = self.state.after(Event.JOG)
+        self._push_jog(chunk)
         self.cycle.start(self.buffer.chunks[0].serial)
 
     def push_jog(self, chunk: Chunk) -> None:
         """Take the next setpoints of a motion by hand, checked as those of a program are."""
+        self._refuse_jog(chunk)
+        self._push_jog(chunk)
+
+    def _refuse_jog(self, chunk: Chunk) -> None:
         rows = np.concatenate([chunk.samples.position, chunk.tail.position])
-        refuse_setpoints(self.axes.machine, self.axes.period, self.buffer.newest, rows)
+        refuse_setpoints(self.axes.machine, self.axes.period, self.before_jog, rows)
+
+    def _push_jog(self, chunk: Chunk) -> None:
         self.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
+
+    def is_void(self, run_id: RunId, begins: FloatArray | None) -> bool:
+        """
+        Tell whether setpoints are not needed, because the machine has left their plan.
+
+        Also a plan that would begin where the axes do not stand any more is left at once, because
+        they were moved by hand. The next one begins where they rest.
+
+        Parameters
+        ----------
+        run_id : RunId
+            The plan.
+        begins : ndarray, shape (n_axes,), or None
+            Its first setpoint, if these are the first ones of a plan from rest [m, rad].
+
+        """
+        away = self.state.state is State.AWAY
+        if begins is not None and len(self.away) and run_id.continues(self.run_id):
+            elsewhere = np.abs(begins - self.axes.setpoints[-1]).max() > ELSEWHERE
+            if away or (self.state.plan_over and elsewhere):
+                self.run_id = run_id
+        return run_id == self.run_id and (self.left or away)
 
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk into the buffer, unless its plan was left."""
@@ -282,6 +330,7 @@ class Playback:
         waits = self.state.resting and number >= self.played_of_plan
         ahead = waits or (buffer.chunks and number >= buffer.chunks[0].after)
         known = run_id.same_attempt(mine) and run_id.continues(mine) and not self.left
+        known = known and not self.state.by_hand
         if not (known and ahead and number <= buffer.next_number):
             text = f'plan {run_id.plan} cannot join plan {mine.plan} at setpoint {number} any more'
             raise StreamError(text, Refusal.TOO_LATE)
@@ -527,15 +576,18 @@ class Playback:
         rows = rows.part(0, followed)
         if not followed:
             return
-        if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
-            self.least_buffered = min(self.least_buffered, self.buffer.count + left)
         samples = rows.samples
-        ends = at_end and current.chunk.wait is Wait.END
+        if samples.block[-1] > 0:
+            self.away = np.zeros(0)  # the machine is back on the path
+        if not len(self.away):
+            if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
+                self.least_buffered = min(self.least_buffered, self.buffer.count + left)
+            self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
+        ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
         self.executed.append(Executed(current.run_id, self.played, rows, ends))
-        self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
         self.played += len(rows)
         self.approach_samples += int(np.sum(samples.block == 0))
-        self.played_of_plan += 0 if on_tail else len(rows)
+        self.played_of_plan += 0 if on_tail or self.state.by_hand else len(rows)
         error = np.abs(self.feedback.following_error).max(axis=0)
         self.largest_following_error = np.maximum(self.largest_following_error, error)
         contour_error = float(self.feedback.contour_error.max())

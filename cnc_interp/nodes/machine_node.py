@@ -9,6 +9,7 @@ import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.drive_model import DriveModel
@@ -117,7 +118,7 @@ class MachineNode(LifecycleNode):
         playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0
         playback.read()
         state = playback.state
-        if run_id == playback.run_id and playback.left:
+        if playback.is_void(run_id, first_of(chunk) if begins else None):
             raise StreamError(self._void(), Refusal.PLAN_OVER)
         if begins:
             playback.make_room(run_id)
@@ -196,6 +197,11 @@ class MachineNode(LifecycleNode):
         """Stop the clock; the drives hold the last setpoint."""
         if self._clock_of_drives is not None:
             self._clock_of_drives.stop()
+
+
+def first_of(chunk: SetpointChunk) -> FloatArray:
+    """Return the first setpoint of a chunk [m, rad]."""
+    return np.array(chunk.positions[: chunk.axis_count])
 
 
 def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:

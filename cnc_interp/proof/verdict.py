@@ -81,6 +81,8 @@ class Proof:
         What is taken as given.
     program : str
         What was compared with the text of the program, or ''.
+    beside : str
+        What was executed beside the program, or ''.
 
     """
 
@@ -96,6 +98,7 @@ class Proof:
     machine_file: str = ''
     given: tuple[Given, ...] = ()
     program: str = ''
+    beside: str = ''
 
     @property
     def ok(self) -> bool:
@@ -128,7 +131,7 @@ class Proof:
             if not finding.axis:
                 value, limit = _with_units(finding)
                 lines.append(f'{finding.what:<22}{value:>17} of {limit:<17}{_place(finding)}')
-        lines += [self.program] if self.program else []
+        lines += [line for line in (self.beside, self.program) if line]
         verdict = 'proven'
         if self.failures:
             verdict = f'NOT proven, faults: {len(self.failures)}'

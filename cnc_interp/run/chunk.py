@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import IntEnum
 
+from cnc_interp.core.arrays import IntArray
 from cnc_interp.run.interpolator import Setpoints
 
 
@@ -70,3 +71,8 @@ def part_of(samples: Setpoints, first: int, last: int) -> Setpoints:
 
     """
     return Setpoints(*(getattr(samples, field.name)[first:last] for field in fields(Setpoints)))
+
+
+def rows_of(samples: Setpoints, rows: IntArray) -> Setpoints:
+    """Return some rows of setpoints."""
+    return Setpoints(*(getattr(samples, field.name)[rows] for field in fields(Setpoints)))

@@ -59,6 +59,10 @@ class Course:
         self.items.append(end)
         return end
 
+    def lead(self, way: AxisPath, s: float) -> None:
+        """Put a way of its own, down to rest, in the place of the path before a place [m]."""
+        self.items = deque([way, LegEnd(Wait.NOTHING), *self.after(s)])
+
     def release(self, s: float) -> None:
         """Drop the path before a place [m]."""
         while len(self.items) > 1:

@@ -36,6 +36,8 @@ class MachineReport:
         The reason for its state, for people.
     must_home : tuple of str
         Axes that must be homed before a program may start.
+    away : bool
+        The axes were moved away from a hold by hand, and are not back on the path yet.
 
     """
 
@@ -49,6 +51,7 @@ class MachineReport:
     time: float
     message: str
     must_home: tuple[str, ...] = ()
+    away: bool = False
 
     @property
     def rests_on_path(self) -> bool:

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.kinematics.axis_path import AxisPath
@@ -92,6 +93,11 @@ class MotionStream:
     def planned(self) -> float:
         """Motion planned but not sampled [s]."""
         return self._plan.planned
+
+    def position_at(self, s: float) -> FloatArray | None:
+        """Return the axis positions at a place [m] on the path; None if it was dropped."""
+        rest = self._course.rest_at(s)
+        return None if rest is None else rest.position[0]
 
     @property
     def has_path(self) -> bool:
@@ -181,8 +187,23 @@ class MotionStream:
         before, self._plan = self._plan, revision
         return before
 
-    def resume(self, s: float, settings: OperatorSettings) -> None:
-        """Plan anew from rest at a place on the path [m]; setpoints are numbered from 0 again."""
+    def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
+        """
+        Plan anew from rest; setpoints are numbered from 0 again.
+
+        Parameters
+        ----------
+        s : float
+            The place on the path [m].
+        settings : OperatorSettings
+            The settings that the plan follows.
+        way : AxisPath, optional
+            The way to this place, where the machine stands beside the path; s below 0 [m].
+
+        """
+        if way is not None:
+            self._course.lead(way, s)
+            s = float(way.s[0])
         todo = self._course.after(s)
         rest = self._course.rest_at(s)
         self._plan = MotionPlan(self._context, settings, todo, rests=rest)

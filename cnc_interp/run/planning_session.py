@@ -210,19 +210,20 @@ class PlanningSession:
         if self.activity is Activity.JOINING:
             return self._plan_ahead_task(planner, report)
         if report is not None and report.left(self.run_id):
-            return self._resume(planner, report.path_position)
+            return self._resume(planner, report)
         if self._must_revise(planner, now):
             return self._revise(planner, now)
         return self._plan_ahead_task(planner, report)
 
-    def _resume(self, planner: RunPlanner, s: float) -> Task:
+    def _resume(self, planner: RunPlanner, report: MachineReport) -> Task:
         """Plan anew from where the machine rests."""
         self._change(Step.RESUME)
         sender, settings = self._port.sender, self.settings
         self.sent_before += sender.sent
         self._begin_plan(0)
         sender.begin(self.run_id)
-        return Task(lambda: planner.resume(s, settings), self._resumed)
+        s, stands = report.path_position, report.stands
+        return Task(lambda: planner.resume(s, stands, settings), self._resumed)
 
     def _begin_plan(self, joins_at: int) -> None:
         """Set the identity of the next plan, which is unique within an attempt."""
@@ -320,7 +321,8 @@ class PlanningSession:
         self.wants_segments = wants and not self._segments
         if sample or (ahead and stream.can_plan):
             mine = report is not None and report.run_id.same_attempt(self.run_id)
-            executed = report.path_position if report is not None and mine else -math.inf
+            known = report is not None and mine and not report.away
+            executed = report.path_position if report is not None and known else -math.inf
             plan = stream.current  # even if another one counts when this is done
             return Task(lambda: planner.work(plan, sample, executed), self._planned)
         if self.activity is Activity.JOINING:

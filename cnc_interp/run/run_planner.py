@@ -89,7 +89,7 @@ class RunPlanner:
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)
         self._retract, self._plunge_feed = retract, plunge_feed
-        self._begun = False
+        self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
 
     def push(self, segments: PathSegments, pauses: dict[int, Wait]) -> None:
@@ -114,7 +114,7 @@ class RunPlanner:
         path = self._builder.push(segments)
         if path is None:
             return
-        if not self._begun:
+        if self._starts is None:
             found = self._begin(path)
             if found is None:
                 return
@@ -125,26 +125,30 @@ class RunPlanner:
         """Add the approach before the path, or skip what comes before the place to go on from."""
         if self._continue_at is None:
             start = np.array(path.cell_left[0, 0])
-            way = approach(self._transform, self._flank_height, self._stands, start)
+            way = self._way(self._stands, start, inside=False)
             if way is not None:
                 self.stream.push(way)
                 self.stream.end_leg(Wait.NOTHING)
-            self._begun = True
+            self._starts = float(path.s[0]), start
             return path
         if path.s[-1] <= self._continue_at + SAME:
             return None
         there = evaluate(path, np.array([self._continue_at]))[0][0]
         if np.abs(there - self._stands).max() > ON_PATH:
-            way = approach_inside(
-                self._transform, self._flank_height, self._stands, there,
-                self._retract, self._plunge_feed,
-            )  # fmt: skip
+            way = self._way(self._stands, there, inside=True)
             assert way is not None
             self.stream.end_leg(Wait.APPROACH)  # the operator sees it before it begins
             self.stream.push(way)
             self.stream.end_leg(Wait.NOTHING)
-        self._begun = True
+        self._starts = self._continue_at, there
         return from_place(path, self._continue_at)
+
+    def _way(self, stands: FloatArray, there: FloatArray, inside: bool) -> AxisPath | None:
+        """Make the way from rest to a place, inside the program or at its top."""
+        transform, height = self._transform, self._flank_height
+        if not inside:
+            return approach(transform, height, stands, there)
+        return approach_inside(transform, height, stands, there, self._retract, self._plunge_feed)
 
     def finish(self) -> None:
         """
@@ -156,7 +160,7 @@ class RunPlanner:
             If the run was to go on from a place that lies after the end.
 
         """
-        if not self._begun:
+        if self._starts is None:
             raise PlanningError('the program ends before the place to go on from; reset')
         self.stream.end_leg(Wait.END)
 
@@ -191,9 +195,35 @@ class RunPlanner:
             plan.plan()
         return []
 
-    def resume(self, s: float, settings: OperatorSettings) -> list[Chunk]:
-        """Plan anew from rest at a place on the path [m]; return no chunks yet."""
-        self.stream.resume(s, settings)
+    def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> list[Chunk]:
+        """
+        Plan anew from rest; return no chunks yet.
+
+        Parameters
+        ----------
+        s : float
+            Path length executed [m]; before the start of the program on the approach.
+        stands : ndarray, shape (n_axes,)
+            Where the machine stands. If it was moved away by hand, it is led back first [m, rad].
+        settings : OperatorSettings
+            The settings that the plan follows.
+
+        Raises
+        ------
+        InterpError
+            If there is no way back.
+
+        """
+        there = self.stream.position_at(s)
+        if there is not None and np.abs(there - stands).max() <= ON_PATH:
+            self.stream.resume(s, settings)
+            return []
+        inside = True
+        if self._starts is not None and s <= self._starts[0]:  # it was on the approach
+            (s, there), inside = self._starts, self._continue_at is not None
+        if there is None:
+            raise PlanningError('the place to go back to is not known any more; reset')
+        self.stream.resume(s, settings, self._way(stands, there, inside))
         return []
 
     def revise(self, number: int, settings: OperatorSettings) -> Revision | None:

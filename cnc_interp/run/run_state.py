@@ -28,6 +28,7 @@ class State(Enum):
     STOPPING = 'stopping'  # emergency stop or refused stream: slows down on the path
     FAULT = 'fault'  # at rest until reset
     JOGGING = 'jogging'  # moves by hand, without a program
+    AWAY = 'away'  # moves by hand away from a hold
 
 
 class Event(Enum):
@@ -68,6 +69,7 @@ class Reason(IntEnum):
     DRIVE_FAULT = 9
     STREAM_REFUSED = 10
     APPROACH = 11
+    AWAY = 12
 
 
 class WaitsFor(IntEnum):
@@ -99,6 +101,10 @@ TEXTS = {
     Reason.STREAM_REFUSED: '{}',
     Reason.APPROACH: (
         'the way to the path is ready: retract along the tool, position, plunge; cycle_start moves'
+    ),
+    Reason.AWAY: (
+        'the axes were moved away by hand; cycle_start leads back (retract along the tool, '
+        'position, plunge) and goes on'
     ),
 }
 
@@ -148,6 +154,11 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.JOGGING, Event.STARVE): State.JOGGING,
     (State.JOGGING, Event.FINISH): State.IDLE,
     (State.JOGGING, Event.REST): State.IDLE,
+    (State.HELD, Event.JOG): State.AWAY,
+    (State.AWAY, Event.HOLD): State.AWAY,
+    (State.AWAY, Event.STARVE): State.AWAY,
+    (State.AWAY, Event.FINISH): State.HELD,
+    (State.AWAY, Event.REST): State.HELD,
     **{(state, Event.START): State.RUNNING for state in _ON_PATH_AT_REST},
     **{(state, Event.BEGIN): State.IDLE for state in _ON_PATH_AT_REST},
     **{(state, Event.RESET): State.IDLE for state in _ON_PATH_AT_REST},
@@ -202,9 +213,14 @@ class RunState:
         return self.state in AT_REST
 
     @property
+    def by_hand(self) -> bool:
+        """Tell whether the axes move by hand."""
+        return self.state in (State.JOGGING, State.AWAY)
+
+    @property
     def leaves_plan(self) -> bool:
         """Tell whether the machine takes the next stop tail, though setpoints are buffered."""
-        held = self.state is State.JOGGING and self.reason is Reason.FEED_HOLD
+        held = self.by_hand and self.reason is Reason.FEED_HOLD
         return held or self.state in (State.HOLDING, State.STOPPING)
 
     @property
@@ -237,7 +253,7 @@ class RunState:
         """Return the reason in words for the operator; empty when there is none."""
         if self.state is State.FILLING:
             return 'setpoints are being planned; motion goes on by itself'
-        if self.state in (State.IDLE, State.JOGGING):
+        if self.state is State.IDLE or self.by_hand:
             return ''
         return TEXTS[self.reason].format(self.detail)
 
@@ -261,10 +277,14 @@ class RunState:
 
         """
         following = TRANSITIONS.get((self.state, event))
-        if following is None:
+        if following is None or (event is Event.JOG and self.start_wanted):
             raise StreamError(self._refused(event))
-        if event in (Event.ACTIVATE, Event.DEACTIVATE, Event.BEGIN, Event.RESET, Event.JOG):
+        if event is Event.JOG:
+            return RunState(following, Reason.AWAY if following is State.AWAY else Reason.NONE)
+        if event in (Event.ACTIVATE, Event.DEACTIVATE, Event.BEGIN, Event.RESET):
             return RunState(following)
+        if self.state is State.AWAY and following is State.HELD:
+            return self._rests_away()
         if self.state is State.JOGGING and following is State.IDLE:
             return RunState(following, self.reason)
         if self.state is State.JOGGING and event is Event.REFUSE:
@@ -288,6 +308,12 @@ class RunState:
             completed=self.completed or event is Event.FINISH,
         )  # fmt: skip
 
+    def _rests_away(self) -> RunState:
+        """Return the hold after a motion by hand: the path goes on from elsewhere."""
+        reason = Reason.FEED_HOLD if self.reason is Reason.FEED_HOLD else Reason.AWAY
+        rests = replace(self, state=State.HELD, reason=reason, plan_over=True)
+        return rests._refused_at_rest() if self.refusal else rests
+
     def _refused_at_rest(self) -> RunState:
         """Return the fault of a machine whose run gets no further setpoints."""
         return replace(
@@ -299,5 +325,9 @@ class RunState:
         """Return why an event is not possible now."""
         if self.state is State.INACTIVE:
             return f'{event.value} is not possible: the drives are off; activate machine_node'
+        if event is Event.RESUME and self.by_hand:
+            return 'the axes are moved by hand; cycle_start when they rest'
+        if event is Event.JOG and self.start_wanted:
+            return 'cycle_start was given; feed_hold takes it back'
         text = _REFUSALS.get(event, f'{event.value} is not possible while {self.state.value}')
         return f'{text} ({self.text})' if self.text else text

@@ -82,6 +82,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         sequence=last.block if last else 0,
         line_number=last.line if last else 0,
         path_position=last.s if last else 0.0,
+        resume_positions=playback.away.tolist(),
         positions=feedback.position[-1].tolist(),
         commanded_positions=feedback.setpoint[-1].tolist(),
         tip=feedback.tip[-1],

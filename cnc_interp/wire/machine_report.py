@@ -23,6 +23,7 @@ NUMBERS = {
     State.STOPPING: MachineState.STOPPING,
     State.FAULT: MachineState.FAULT,
     State.JOGGING: MachineState.JOGGING,
+    State.AWAY: MachineState.JOGGING,
 }
 
 
@@ -33,6 +34,8 @@ def state_of(message: MachineState) -> State:
     if message.state == MachineState.RUNNING and message.resting:
         fills = message.waits_for == MachineState.WAITS_FOR_SETPOINTS
         return State.FILLING if fills else State.PAUSED
+    if message.state == MachineState.JOGGING:
+        return State.AWAY if len(message.resume_positions) else State.JOGGING
     found = (state for state, number in NUMBERS.items() if number == message.state)
     return next(found, State.RUNNING)
 
@@ -51,4 +54,5 @@ def machine_report(message: MachineState) -> MachineReport:
         time=stamp.sec + 1e-9 * stamp.nanosec,
         message=message.message,
         must_home=tuple(message.must_home),
+        away=len(message.resume_positions) > 0,
     )

@@ -1,5 +1,7 @@
 """Motion by hand: limits by differences, travel, late beats, holds, and what refuses it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tiers import examples
@@ -372,3 +374,80 @@ def with_refusal(act):
         act()
     except StreamError as problem:
         assert '\n' not in str(problem)
+
+
+# Away from a hold -------------------------------------------------------------------------------
+
+
+def held_bench():
+    """A machine in a feed hold of run `p`, its next plan in the buffer."""
+    bench = Bench()
+    again(bench, 0)
+    bench.run(0.1)
+    bench.play.hold()
+    bench.rest()
+    again(bench, 1)
+    bench.run(0.1)
+    assert bench.state is State.HELD
+    return bench
+
+
+def again(bench, plan):
+    """Give the machine the next plan, from where it stands."""
+    motion = JogMotion(Slides.of_axes(XYZAC), T, bench.q[-1])
+    motion.go(np.full(5, 0.01), 1.0)
+    bench.play.make_room(RunId('p', plan=plan))
+    bench.play.begin_plan(RunId('p', plan=plan))
+    while not motion.over:
+        chunk = motion.piece(10)
+        block, lines = np.ones_like(chunk.samples.block), [1] * len(chunk.samples)
+        samples = replace(chunk.samples, block=block, s=0.5 + chunk.samples.s)
+        bench.play.push(replace(chunk, samples=samples), lines, [1] * len(chunk.tail))
+
+
+def test_away_from_a_hold_the_run_stays_and_goes_on_with_another_plan():
+    bench = held_bench()
+    play, place = bench.play, bench.q[-1]
+    last, played = play.last, play.played
+    bench.run(0.5, X=0.2, C=-0.1)
+    assert bench.state is State.AWAY and play.run_id == RunId('p', plan=1)
+    assert play.is_void(play.run_id, None)
+    with pytest.raises(StreamError, match='moved by hand'):
+        play.start()
+    bench.rest()
+    assert bench.state is State.HELD and play.state.reason is Reason.AWAY
+    assert np.array_equal(play.away, place) and not np.array_equal(bench.q[-1], place)
+    assert play.last == last and play.played > played and not play.state.completed
+    assert not play.played_of_plan and play.is_void(play.run_id, None)
+    assert play.is_void(RunId('p', plan=2), place), 'the axes do not stand there any more'
+    assert play.run_id == RunId('p', plan=2)
+    assert not play.is_void(RunId('p', plan=3), bench.q[-1])
+    again(bench, 3)
+    play.start()
+    bench.rest()
+    assert play.state.completed and not len(play.away)
+    assert not any(executed.ends for executed in list(play.executed)[:-1])
+
+
+def test_what_begins_while_the_axes_are_away_is_left_at_once():
+    bench = held_bench()
+    bench.run(0.3, X=0.2)
+    other, mine = RunId('q'), RunId('p', attempt=1)
+    assert not bench.play.is_void(other, bench.q[-1])
+    assert bench.play.is_void(mine, bench.q[-1]) and bench.play.run_id == mine
+    with pytest.raises(StreamError, match='cannot join'):
+        bench.play.before_join(RunId('p', attempt=1, plan=1), 10)
+    bench.rest()
+    assert bench.play.state.plan_over
+
+
+@pytest.mark.parametrize('press', ['hold', 'stop'])
+def test_a_hold_and_an_emergency_stop_end_it_and_reset_forgets_the_place(press):
+    bench = held_bench()
+    bench.run(0.5, X=0.5)
+    getattr(bench.play, press)()
+    bench.rest()
+    assert bench.state is (State.HELD if press == 'hold' else State.FAULT)
+    assert len(bench.play.away)
+    bench.play.reset()
+    assert bench.state is State.IDLE and not len(bench.play.away)

@@ -80,8 +80,8 @@ class Planner:
         chunk = SimpleNamespace(samples=range(10), wait=Wait.NOTHING)
         return Revision(number, plan_of(settings), [chunk])
 
-    def resume(self, s, settings):
-        self.resumed, self.stream.current.settings = s, settings
+    def resume(self, s, stands, settings):
+        self.resumed, self.led_from, self.stream.current.settings = s, stands, settings
         return []
 
 

@@ -57,7 +57,11 @@ def test_the_table_in_the_docs_is_that_of_the_code():
 def test_every_state_is_read_from_the_messages_again(state):
     run = RunState(state)
     message = MachineState(
-        state=NUMBERS[state], resting=run.resting, waits_for=run.waits_for, plan_over=run.plan_over
+        state=NUMBERS[state],
+        resting=run.resting,
+        waits_for=run.waits_for,
+        plan_over=run.plan_over,
+        resume_positions=[0.0] * 5 if state is State.AWAY else [],
     )
     assert state_of(message) is state
 
@@ -99,10 +103,10 @@ def test_the_table_by_its_meaning():
             Event.DEACTIVATE, Event.RESET, Event.BEGIN, Event.REPLAN,
         }  # fmt: skip
     # Motion begins by START and by JOG only, and never without the table: from rest on the path
-    # or idle.
+    # or idle, by hand from a hold or idle.
     begins = {(s, e) for (s, e), to in TRANSITIONS.items() if s in AT_REST and to in MOVING}
     assert {e for _, e in begins} == {Event.START, Event.JOG}
-    assert [s for s, e in begins if e is Event.JOG] == [State.IDLE]
+    assert {s for s, e in begins if e is Event.JOG} == {State.IDLE, State.HELD}
 
 
 def test_motion_by_hand_leaves_an_idle_machine_and_no_alarm():
@@ -114,8 +118,25 @@ def test_motion_by_hand_leaves_an_idle_machine_and_no_alarm():
     assert held.leaves_plan and not held.after(Event.REST).text and not held.text
     assert held.after(Event.REST).reason is Reason.FEED_HOLD
     assert held.after(Event.REST).after(Event.JOG) == jogging
-    with pytest.raises(StreamError, match='program stop'):
-        RunState(State.RUNNING).after(Event.WAIT, Reason.PROGRAM_STOP).after(Event.JOG)
+    with pytest.raises(StreamError, match='feed override'):
+        RunState(State.RUNNING).after(Event.PAUSE, Reason.OVERRIDE).after(Event.JOG)
+
+
+def test_motion_by_hand_away_from_a_hold_ends_held_without_a_plan():
+    held = held_by(Event.WAIT, Reason.PROGRAM_STOP)
+    away = held.after(Event.JOG)
+    assert away.state is State.AWAY and not (away.resting or away.leaves_plan or away.plan_over)
+    rests = away.after(Event.FINISH)
+    assert rests == RunState(State.HELD, Reason.AWAY, plan_over=True) and not rests.completed
+    assert rests == away.after(Event.STARVE, Reason.STARVED).after(Event.REST)
+    stopped = away.after(Event.HOLD, Reason.FEED_HOLD)
+    assert stopped.leaves_plan and stopped.after(Event.REST).reason is Reason.FEED_HOLD
+    assert away.after(Event.REFUSE, detail='bad').after(Event.REST).state is State.FAULT
+    assert away.after(Event.STOP).after(Event.REST).state is State.FAULT
+    with pytest.raises(StreamError, match='when they rest'):
+        away.after(Event.RESUME)
+    with pytest.raises(StreamError, match='feed_hold takes it back'):
+        rests.after(Event.RESUME).after(Event.JOG)
 
 
 def held_by(event, reason):

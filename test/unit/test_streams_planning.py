@@ -10,6 +10,7 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import read_text
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.settings.choices import Settings
@@ -53,3 +54,48 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
     jerk = np.abs(np.diff(held, 3, axis=0)).max(axis=0) / 1e-9
     assert (jerk <= 1.001 * MACHINE.max_jerk).all()
+
+
+def sampled(planner):
+    """All that the current plan gives: positions, path lengths, blocks; proven by limits."""
+    chunks = []
+    while planner.stream.can_plan or planner.stream.can_sample:
+        chunks += planner.work(planner.stream.current, True, -np.inf)
+    q, s, block = (
+        np.concatenate([getattr(chunk.samples, name) for chunk in chunks])
+        for name in ('position', 's', 'block')
+    )
+    held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
+    for order, limit in enumerate(MACHINE.limits, start=1):
+        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / 1e-3**order / limit
+        assert use.max() <= 1.001
+    return q, s, block
+
+
+@pytest.mark.parametrize('place', [-0.01, 0.0, 5e-3, 0.03])
+def test_moved_away_by_hand_it_goes_back_and_on_and_again_from_the_way(place):
+    whole = segments()
+    path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)
+    planner = RunPlanner(
+        TRANSFORM, 0.03, 1e-3, 0.01, np.array([0.1, 0.0, 0.0, 0.0, 0.0]), retract=0.01,
+        plunge_feed=0.05,
+    )  # fmt: skip
+    planner.push(whole, {})
+    planner.finish()
+    sampled(planner)
+    back = max(place, 0.0)
+    for stands in ([0.0, 0.1, 0.05, 0.2, -3.0], [-0.3, 0.0, 0.1, 0.0, 0.5]):
+        planner.resume(place, np.array(stands), OperatorSettings())
+        q, s, block = sampled(planner)
+        assert np.abs(q[0] - stands).max() < 1e-12 and (s[block == 0] <= 1e-12).all()
+        program = np.flatnonzero(block > 0)
+        assert (np.diff(block > 0) >= 0).all() and np.diff(program).max() == 1
+        assert abs(s[program[0]] - back) < 1e-6 and abs(s[-1] - path.s[-1]) < 1e-12
+        assert np.abs(q[program] - evaluate(path, s[program])[0]).max() < 1e-9
+        if place > 0.0:  # it plunges along the tool, not faster than asked
+            tip, axis = TRANSFORM.forward(q[program[0] - 150 : program[0]])
+            assert np.linalg.norm(np.cross(tip - tip[-1], axis[-1]), axis=1).max() < 1e-9
+            assert (np.linalg.norm(np.diff(tip, axis=0), axis=1) / 1e-3).max() <= 0.05 * 1.001
+    there = evaluate(path, np.array([back]))[0][0]
+    planner.resume(place, there, OperatorSettings())
+    assert (sampled(planner)[2] > 0).all()

@@ -241,13 +241,18 @@ class OperatorClient:
         self._pending.append(ended)
         return sent
 
-    def start_program(self, goal: RunProgram.Goal) -> Future[Answer]:
+    def start_program(
+        self,
+        goal: RunProgram.Goal,
+        on_result: Callable[[RunProgram.Result], None] = lambda _: None,
+    ) -> Future[Answer]:
         """Send a program from any thread. Answered when it is accepted; its end is an alarm."""
         wanted: Future[Answer] = Future()
 
         def see_result(result: RunProgram.Result) -> None:
             good = result.code == RunProgram.Result.SUCCEEDED
             self.alarms.add('notice' if good else 'error', 'program', result.message)
+            on_result(result)
 
         def send() -> None:
             if not self.takes_programs:

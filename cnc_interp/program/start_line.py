@@ -95,11 +95,9 @@ class StartLine:
         if not count:
             raise self._fault('the program does not execute this line; start at another one')
         if which > count:
-            raise self._fault(f'executed {count} times only; choose --pass 1 to {count}')
+            raise self._fault(f'executed {count} times only; choose pass 1 to {count} (--pass)')
         if count > 1 and not self._named:
-            raise self._fault(
-                f'executed {count} times; say which one it shall be: --pass 1 to {count}'
-            )
+            raise self._fault(f'executed {count} times; choose pass 1 to {count} (--pass)')
         if self.row is None or self.row >= self._rows:
             raise self._fault('no motion follows this line; start before it')
         return StartBlock(self.line, self.row, count, which, self._words)

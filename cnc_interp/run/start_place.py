@@ -54,8 +54,11 @@ class StartPlace:
         """What the operator must know, a sentence each."""
         block = self.block
         passes = f' (pass {block.which} of {block.passes})' if block.passes > 1 else ''
-        told = [f'starts at line {block.line}{passes}; the tool must be there by itself, and so '
-                f'must spindle and coolant: {" ".join(block.words)}']  # fmt: skip
+        told = [
+            f'start at line {block.line}{passes}',
+            'load the tool, start spindle and coolant by hand; '
+            f'state there: {" ".join(block.words)}',
+        ]
         if self.line != block.line:
             told.append(
                 f'line {block.line} moves nothing; the next motion is that of line {self.line}'

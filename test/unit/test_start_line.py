@@ -93,8 +93,8 @@ def test_a_line_without_motion_starts_at_the_next_motion():
 @pytest.mark.parametrize(
     ('line', 'which', 'said'),
     [
-        (8, 0, '<text>:8: executed 3 times; say which one it shall be: --pass 1 to 3'),
-        (8, 4, '<text>:8: executed 3 times only; choose --pass 1 to 3'),
+        (8, 0, '<text>:8: executed 3 times; choose pass 1 to 3 (--pass)'),
+        (8, 4, '<text>:8: executed 3 times only; choose pass 1 to 3 (--pass)'),
         (14, 0, '<text>:14: no motion follows this line'),
         (15, 0, '<text>:15: the program does not execute this line'),
     ],

@@ -45,10 +45,12 @@ class Charts:
         now = time.monotonic()
         moments = [m for m in list(desk.history) if m.time >= now - SPAN]
         asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
-        usual = float(np.median(asked)) if asked else 0.0
+        plan = desk.job.plan if desk.job is not None else None
+        planned = plan.usual_feed if plan is not None else 0.0
+        usual = float(np.median(asked)) if asked else planned
         cutting = [m.feed for m in moments if m.programmed <= HEADROOM * usual]
-        fast = cutting or [m.feed for m in moments]
-        ceiling = HEADROOM * max([usual, *fast])
+        fast = cutting if usual > 0.0 else [m.feed for m in moments]
+        ceiling = HEADROOM * max([usual, *fast], default=0.0)
         columns = (
             [min(m.feed, ceiling) for m in moments],
             [min(m.programmed, ceiling) for m in moments],
@@ -68,10 +70,10 @@ def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> 
         'animation': False,
         'title': {'text': title, 'left': 8, 'top': 4, 'textStyle': {**small, 'fontSize': 11}},
         'legend': {
-            'right': 6, 'top': 2, 'icon': 'roundRect', 'itemWidth': 7, 'itemHeight': 7,
+            'left': 6, 'top': 18, 'icon': 'roundRect', 'itemWidth': 7, 'itemHeight': 7,
             'textStyle': small, 'itemGap': 7,
         },
-        'grid': {'left': 40, 'right': 10, 'top': 26, 'bottom': 20},
+        'grid': {'left': 40, 'right': 10, 'top': 44, 'bottom': 20},
         'xAxis': {**axis, 'type': 'value', 'min': -SPAN, 'max': 0},
         'yAxis': {**axis, 'type': 'value', 'min': 0, 'splitNumber': 3},
         'series': [

@@ -15,14 +15,16 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram
 
 from cnc_interp.client.mdi import LineHistory
-from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
+from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
 from cnc_interp.client.page.preview import Planner, Preview
+from cnc_interp.client.page.start_choice import StartChoice, Way, WayAhead
 from cnc_interp.client.page.tube import tube
 from cnc_interp.client.setup_client import SetupClient
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from
@@ -105,10 +107,11 @@ class Job:
         named = re.match(rf'{re.escape(self.name)}:(\d+):', reason)
         self.fault_line = int(named[1]) if named else 0
 
-    def goal(self) -> RunProgram.Goal:
+    def goal(self, start: StartChoice) -> RunProgram.Goal:
         """Return the goal that runs it, with its text and the choices that are not defaults."""
         text = self.path.read_text(encoding='utf-8')
-        return goal_of(Path(self.name), self.settings, changed(self.settings), text)
+        settings = replace(self.settings, from_line=start.line, line_pass=start.which)
+        return goal_of(Path(self.name), settings, changed(settings), text)
 
 
 class Desk:
@@ -130,8 +133,10 @@ class Desk:
         self.description: Description | None = None
         self.job: Job | None = None
         self.settings = Settings()
+        self.start = StartChoice()
+        self._ways: WayAhead | None = None
         self.lines = LineHistory()
-        self.single_block = self.optional_stop = False
+        self.switched = dict.fromkeys(SWITCHES, False)
         self.tube, self.tube_number = b'', 0
         self._drawn = np.zeros(0)  # path lengths at the points of the tube [m]
         self._jobs = 0
@@ -148,7 +153,7 @@ class Desk:
 
     def _see_state(self, state: MachineState) -> None:
         """Store the state and a point of the charts. The thread of ROS calls this."""
-        self.single_block = state.single_block
+        self.switched['single_block'] = state.single_block
         now = time.monotonic()
         use = np.array(
             [state.recent_velocity_use, state.recent_acceleration_use, state.recent_jerk_use]
@@ -194,6 +199,7 @@ class Desk:
         if self.machine is None and self.nodes.machine:
             self.machine = Machine.load(self.nodes.machine)
             self.description = describe_machine(self.machine)
+            self._ways = WayAhead(Transform.of(self.machine))
             self._planner = Planner(self.nodes.machine)
         self._plan_with_new_setup()
         program = self.nodes.program
@@ -203,7 +209,8 @@ class Desk:
         if program.mdi:  # the loaded program stays
             self._running = None
             return
-        settings = settings_from(program.settings, Settings())
+        # Its plan is that of the whole program, wherever it starts.
+        settings = replace(settings_from(program.settings, Settings()), from_line=0, line_pass=0)
         if self.job is not None and self.job.is_run(program, settings):
             self._running = self.job
             return
@@ -232,7 +239,7 @@ class Desk:
         if self._planner is None or not in_program(state):
             return Answer(False, 'no program is running: load this one and press cycle start')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
-        return await asyncio.wrap_future(self.nodes.start_program(job.goal()))
+        return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
 
     def empty_queue(self) -> Answer:
         """Remove the waiting programs from the queue."""
@@ -278,6 +285,7 @@ class Desk:
     def _lay(self, planner: Planner, name: str, text: str, settings: Settings, setup: str) -> Job:
         path = planner.keep(name, text)
         job = Job(path.name, text.splitlines(), path, settings, setup=setup)
+        self.start = StartChoice()
         return self._set_job(planner, job)
 
     def _set_job(self, planner: Planner, job: Job) -> Job:
@@ -352,8 +360,51 @@ class Desk:
             return Answer(False, 'no program is loaded: press load')
         if self.job.failed:
             return Answer(False, self.job.status)
-        started = self.nodes.start_program(self.job.goal())
+        started = self.nodes.start_program(self.job.goal(self.start), self._see_end)
         return await asyncio.wrap_future(started)
+
+    def choose_start(self, line: int, which: int) -> Answer:
+        """Choose the line at which the next run starts, and its execution; 0 for the top."""
+        job = self.job
+        if job is None:
+            return Answer(False, 'no program is loaded: press load')
+        if in_program(self.nodes.state):
+            return Answer(False, 'a program is running: choose the line when it has ended')
+        if line > len(job.lines):
+            return Answer(False, f'{job.name} has {len(job.lines)} lines')
+        self.start = StartChoice(line, which)
+        return Answer(True, 'chosen')
+
+    def _see_end(self, result: RunProgram.Result) -> None:
+        """Forget the line of the start after the run, or store why there was no start."""
+        program = self.nodes.program
+        begun = program is not None and program.program_id == result.program_id
+        if begun or not self.start.line:
+            self.start = StartChoice()
+        else:
+            self.start = replace(self.start, refused=str(result.message))
+
+    def way_ahead(self) -> Way | None:
+        """Return the way to the path that the machine waits to take, or takes."""
+        state = self.nodes.state
+        if state is None or self._ways is None:
+            return None
+        return self._ways.at(state, self.nodes.program)
+
+    def start_line(self) -> int:
+        """Return the line at which the next run starts, or this run did; 0 for the top."""
+        run = self._shown_run()
+        return int(run.start_line) if run and in_program(self.nodes.state) else self.start.line
+
+    def start_position(self) -> float:
+        """Return the path length at which the run on the desk has started [m]."""
+        run = self._shown_run()
+        return float(run.start_at) if run else 0.0
+
+    def _shown_run(self) -> LoadedProgram | None:
+        """Return what program_node has told of the run on the desk, where ``shows_run``."""
+        state = self.nodes.state
+        return self.nodes.program if state is not None and self.shows_run(state) else None
 
     async def give_line(self, text: str) -> Answer:
         """Have a line by hand executed; answered at its end."""
@@ -366,18 +417,11 @@ class Desk:
             self.nodes.alarms.add('warning', 'panel', answer.message)
         return answer
 
-    async def set_single_block(self, on: bool) -> Answer:
-        """Stop at the end of each block, or no longer."""
-        answer = await asyncio.wrap_future(self.nodes.set_switch('single_block', on))
+    async def set_switch(self, name: str, on: bool) -> Answer:
+        """Turn one of ``SWITCHES`` on or off."""
+        answer = await asyncio.wrap_future(self.nodes.set_switch(name, on))
         if answer.ok:
-            self.single_block = on
-        return answer
-
-    async def set_optional_stop(self, on: bool) -> Answer:
-        """Stop at M1, or no longer."""
-        answer = await asyncio.wrap_future(self.nodes.set_switch('optional_stop', on))
-        if answer.ok:
-            self.optional_stop = on
+            self.switched[name] = on
         return answer
 
     def close(self) -> None:

@@ -7,6 +7,10 @@ neither space nor Enter presses a key that moves the machine.
 
 from __future__ import annotations
 
+from typing import Any
+
+from nicegui import ui
+
 #: What the browser calls a key; what is printed on it; the key of the page.
 KEYBOARD = (
     ('F1', 'F1', 'EMERGENCY STOP'),
@@ -28,3 +32,22 @@ MEANINGS = {
     'jog': 'show or hide the keys that move an axis',
     'keyboard': 'show or hide this list',
 }
+
+
+def keyboard_list() -> Any:
+    """Make the dialog that lists the keys of the keyboard."""
+    with ui.dialog() as dialog, ui.card().classes('settings'):
+        ui.label('keyboard').classes('title')
+        with ui.element('div').classes('map'):
+            for _, printed, mark in KEYBOARD:
+                ui.html(f'<kbd>{printed}</kbd>', sanitize=False)
+                ui.label(MEANINGS.get(mark, mark))
+            ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
+            ui.label('X, Y, Z while the key is held and the jog keys are shown')
+            ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
+            ui.label('in the MDI field: execute the line; show the lines before')
+        ui.label(
+            'Space and Enter never press a key that moves the machine. '
+            'Enter executes the line in the MDI field.'
+        ).classes('small')
+    return dialog

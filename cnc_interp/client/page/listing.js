@@ -7,6 +7,8 @@ window.listing = {
   number: 0,
   now: 0,
   wrong: 0,
+  start: 0,
+  picked: 0,
   follows: true,
 
   parts() {
@@ -22,14 +24,22 @@ window.listing = {
     this.follows = true;
     const [box] = this.parts();
     if (!box) return;
+    this.picked = 0;
     box.onscroll = () => this.draw();
+    box.onclick = (event) => this.pick(event.target.closest('li'));
     for (const kind of ['wheel', 'pointerdown', 'keydown']) box.addEventListener(kind, () => this.let_go());
     box.scrollTop = 0;
     this.go();
   },
-  mark(now, wrong) {
-    [this.now, this.wrong] = [now, wrong];
+  mark(now, wrong, start) {
+    [this.now, this.wrong, this.start] = [now, wrong, start];
     this.go();
+  },
+  pick(row) {
+    if (!row) return;
+    this.picked = Number(row.firstElementChild.textContent);
+    emitEvent('pick_line', { line: this.picked });
+    this.draw();
   },
   let_go() {
     this.follows = false;
@@ -65,8 +75,7 @@ window.listing = {
     const label = document.createElement('i');
     label.textContent = number;
     row.append(label, text);
-    if (number === this.now) row.className = 'now';
-    if (number === this.wrong) row.className = 'wrong';
+    for (const kind of ['picked', 'start', 'now', 'wrong']) if (number === this[kind]) row.className = kind;
     return row;
   },
 };

@@ -29,7 +29,9 @@ def readings(desk: Desk) -> dict[str, str]:
     if job is not None and not desk.shows_run(state):
         words |= words_before_start(job.plan, desk.nodes.override)
     else:
-        words |= progress_words(state, desk.plan_of(state), desk.nodes.override)
+        words |= progress_words(
+            state, desk.plan_of(state), desk.nodes.override, desk.start_position()
+        )
     words['state'] = 'no answer' if silent else state_of(state).value
     words['why'] = f'{silent} does not answer' if silent else state.message
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'
@@ -77,15 +79,22 @@ def feed_words(desk: Desk, state: MachineState) -> dict[str, str]:
     }
 
 
-def progress_words(state: MachineState, plan: Preview | None, override: float) -> dict[str, str]:
-    """Return line, progress and times; the time left assumes the override to stay."""
+def progress_words(
+    state: MachineState, plan: Preview | None, override: float, start: float = 0.0
+) -> dict[str, str]:
+    """
+    Return line, progress and times; the time left assumes the override to stay.
+
+    Before the run is on the program, at a path length below 0, it is at the start of the run.
+    """
     words = {'line': str(state.line_number) if state.line_number else NOTHING}
     words['progress'] = words['left'] = words['to go'] = NOTHING
     if plan is not None:
-        place = plan.at(max(0.0, state.path_position))
+        s = state.path_position
+        place = plan.at(start if s <= 0.0 else s)
         words['progress'] = f'{progress(state, plan):.1%}'
         words['left'] = time_at(plan.cycle_time - place.time, override)
-        words['to go'] = f'{max(0.0, place.block_end - state.path_position) / MM:.3f}'
+        words['to go'] = f'{(-s if s < 0.0 else max(0.0, place.block_end - s)) / MM:.3f}'
     words['elapsed'] = clock(state.samples * state.interpolation_period)
     return words
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from nicegui import ui
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.client.page.preview import Preview
-from cnc_interp.client.page.tube import FACES
+from cnc_interp.client.page.start_choice import Way
+from cnc_interp.client.page.tube import FACES, thinned
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.description.links import (
     BASE,
@@ -35,6 +37,8 @@ TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006
 #: Part of the path that is executed already.
 DONE = '#5d6d79'
 RAY, RAY_COLOUR = 0.14, '#ffd166'
+#: The way to a place inside the program; its radius relative to what is looked at.
+WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
 #: What the view of the part leaves out.
 MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
@@ -58,6 +62,8 @@ class MachineView:
         self._shown = self._done = -1
         self._direction = np.array(VIEWS['iso'])
         self._triad: Any = None
+        self._legs: tuple[tuple[str, FloatArray], ...] = ()
+        self._drawn_way: Any = None
         self._hidden: list[Any] = []
         self._joints: dict[str, tuple[Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
@@ -140,6 +146,56 @@ class MachineView:
         words = self._scene.id, self._path.id, DONE, 3 * FACES * point
         ui.run_javascript(f'scene.show_done({", ".join(map(json.dumps, words))})')
 
+    def show_way(self, way: Way | None) -> None:
+        """Show the way to a place inside the program, and look at all of it; None removes it."""
+        legs = way.legs if way is not None else ()
+        if legs is self._legs or self._path is None:
+            return
+        self._legs = legs
+        if self._drawn_way is not None:
+            self._drawn_way.delete()
+            self._drawn_way = None
+        if legs:
+            with self._scene, self._workpiece:
+                self._drawn_way = self._scene.group()
+                with self._drawn_way:
+                    bars = [bar for name, tips in legs for bar in self._draw_leg(name, tips)]
+            words = self._scene.id, [bar.id for bar in bars]
+            ui.run_javascript(f'scene.show_through({", ".join(map(json.dumps, words))})')
+        self.look_at_part(self._of_part)
+
+    def _draw_leg(self, name: str, tips: FloatArray) -> list[Any]:
+        """Draw one part of the way, its name at the middle; return its bars."""
+        radius = WAY_RADIUS * 2.0 * self._size()[1]
+        kept = tips[thinned(tips / (0.5 * radius))]
+        bars = []
+        for start, end in pairwise(kept):
+            length = float(np.linalg.norm(end - start))
+            along = (end - start) / length
+            bars.append(self._bar(radius, length, (start + end) / 2, along, WAY))
+        s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1)))
+        label = self._scene.text(
+            name, f'color: {WAY}; font-weight: 700; text-shadow: 0 0 3px #000'
+        )
+        label.move(*(float(np.interp(s[-1] / 2, s, column)) for column in tips.T))
+        return bars
+
+    def _bar(
+        self, radius: float, length: float, centre: FloatArray, along: FloatArray, colour: str
+    ) -> Any:
+        """Add a cylinder; those of the browser's library stand along y."""
+        turn, _ = Rotation.align_vectors(along[None], [[0.0, 1.0, 0.0]])
+        found = self._scene.cylinder(radius, radius, length, 12)
+        found.move(*map(float, centre)).rotate_R(turn.as_matrix().tolist()).material(colour)
+        return found
+
+    def _size(self) -> tuple[FloatArray, float]:
+        """Return centre and radius of what is looked at: the path, and the way to it [m]."""
+        low, high = self._extent
+        for _, tips in self._legs:
+            low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+        return (low + high) / 2, max(0.03, float(np.linalg.norm(high - low)) * 0.62)
+
     def _show_triad(self) -> None:
         """Show the axes of the workpiece at its zero, as large as the path asks for."""
         if self._triad is not None:
@@ -151,11 +207,7 @@ class MachineView:
             self._triad = self._scene.group()
             with self._triad:
                 for along, (name, colour) in zip(np.eye(3), TRIAD.items(), strict=True):
-                    # The cylinders of the browser's library stand along y.
-                    turn, _ = Rotation.align_vectors(along[None], [[0.0, 1.0, 0.0]])
-                    arm = self._scene.cylinder(radius, radius, length, 12)
-                    arm.move(*(along * length / 2)).rotate_R(turn.as_matrix().tolist())
-                    arm.material(colour)
+                    self._bar(radius, length, along * length / 2, along, colour)
                     label = self._scene.text(name, f'color: {colour}; font-weight: 700')
                     label.move(*(along * 1.15 * length))
 
@@ -172,8 +224,7 @@ class MachineView:
         if not of_part:
             self._look(np.array([0.0, 0.0, 0.12]), 1.15)
         elif self._path is not None:
-            low, high = self._extent
-            self._look((low + high) / 2, max(0.03, float(np.linalg.norm(high - low)) * 0.62))
+            self._look(*self._size())
 
     def _look(self, centre: FloatArray, radius: float) -> None:
         """Place the camera so that a sphere fills the view."""

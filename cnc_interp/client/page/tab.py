@@ -7,20 +7,23 @@ from typing import Any
 
 from nicegui import events, ui
 
-from cnc_interp.client.operator_client import Answer
+from cnc_interp.client.operator_client import SWITCHES, Answer
 from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.charts import Charts
 from cnc_interp.client.page.contact import LATE, Contact, pressing
-from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.client.page.jog_pad import JogPad
-from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
+from cnc_interp.client.page.keyboard import keyboard_list
 from cnc_interp.client.page.listing import Listing
 from cnc_interp.client.page.mdi_line import MdiField
 from cnc_interp.client.page.messages import Messages
+from cnc_interp.client.page.override import OverrideSlider
 from cnc_interp.client.page.readings import NOTHING, progress, readings
 from cnc_interp.client.page.scene import VIEWS, MachineView
 from cnc_interp.client.page.settings_dialog import SettingsDialog
 from cnc_interp.client.page.setup_dialog import SetupDialog
+from cnc_interp.client.page.start_field import StartField
+from cnc_interp.client.page.switch import Switch
 from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.settings.choices import Settings
@@ -29,19 +32,11 @@ from cnc_interp.settings.choices import Settings
 INTERRUPTED = 'the connection was interrupted'
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
 PACE, CHART_EVERY = 0.1, 4
-#: Largest override, and the step of its keys [%].
-MOST_OVERRIDE, OVERRIDE_STEP = 150, 5
 
 
 def marked(element: Any, name: str) -> Any:
     """Name an element of the page, for scripts and tests."""
     return element.props(f'data-mark="{name}"')
-
-
-class HeldSlider(ui.slider):
-    """A slider that stays where its user puts it, and does not wait for the server's answer."""
-
-    LOOPBACK = False
 
 
 class Page:
@@ -83,9 +78,9 @@ class Page:
                 self._charts = Charts(desk.machine.axis_names if desk.machine else ())
         self._settings = SettingsDialog(self._use)
         self._setup = SetupDialog(desk.setup, self._command_in_sight)
-        self._keyboard = self._build_keyboard()
+        self._keyboard = keyboard_list()
         ui.timer(PACE, self._show)
-        ui.context.client.on_connect(self._show_override_again)
+        ui.context.client.on_connect(self._override.show_again)
         ui.context.client.on_connect(self._listing.show_again)
 
     # Building -----------------------------------------------------------------------------------
@@ -108,8 +103,9 @@ class Page:
 
     def _build_readouts(self) -> None:
         axes = self._desk.machine.axes if self._desk.machine else ()
-        ui.html('<h2>machine axes, and coordinates in the workpiece</h2>', sanitize=False)
-        self._label('setup', 'small')
+        with ui.element('div').classes('two'):
+            ui.html('<h2>machine axes</h2>', sanitize=False)
+            self._label('setup', 'work')
         for axis in axes:
             with ui.element('div').classes('place'):
                 ui.label(axis.name).classes('name')
@@ -174,6 +170,7 @@ class Page:
                 f'<i style="background: linear-gradient(90deg, {colours})"></i>', sanitize=False
             )
             self._label('scale', '')
+        self._label('start', 'told')
 
     def _build_program(self) -> None:
         desk = self._desk
@@ -194,8 +191,7 @@ class Page:
                 button.props('dense no-caps unelevated color=blue-grey-8')
                 marked(button, button.text)
             self._follower.tooltip('choose a program that starts when the running one has ended')
-        for name in ('status', 'bound'):
-            self._label(name, f'{name} small')
+        self._label('status', 'status small')
         with ui.element('div').classes('title') as self._next:
             self._label('waiting', 'grow small')
             empty = self._answer(self._desk.empty_queue)
@@ -204,6 +200,7 @@ class Page:
         with ui.element('div').classes('bar'):
             self._bar = ui.element('div')
         self._listing = Listing()
+        self._start = StartField(desk.choose_start, self._command)
         self._mdi = MdiField(desk.lines, desk.give_line, self._command_in_sight)
         self._messages = Messages(self._desk.nodes.alarms)
 
@@ -217,55 +214,23 @@ class Page:
             ),
         ]
         self._keys[0].classes('moves')
-        with ui.element('div').classes('switches'):
-            self._single = ui.switch('single block', on_change=self._set_single_block)
-            marked(self._single.props('dense'), 'single block')
-            self._optional = ui.switch('optional stop', on_change=self._set_optional_stop)
-            marked(self._optional.props('dense'), 'optional stop')
+        self._switches = [self._switch(name) for name in SWITCHES]
         self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
         self._stop.classes('wide')
-        with ui.element('div').classes('slide'):
-            ui.label('override')
-            self._slider = HeldSlider(
-                min=0, max=MOST_OVERRIDE, step=OVERRIDE_STEP, value=100,
-                on_change=self._set_override,
-            ).props('dense')  # fmt: skip
-            marked(self._slider, 'override slider')
-            self._slid = ui.label('100%').classes('value')
-        with ui.element('div').classes('steps'):
-            self._steps = [
-                self._override_key('slower', '−', lambda: self._slider.value - OVERRIDE_STEP),
-                self._override_key('faster', '+', lambda: self._slider.value + OVERRIDE_STEP),
-                self._override_key('100%', '100%', lambda: 100),
-            ]
+        self._override = OverrideSlider(
+            lambda: desk.nodes.override,
+            desk.nodes.set_override,
+            lambda: self._allowed() and self._in_sight(),
+        )
 
-    def _override_key(self, name: str, text: str, wanted: Callable[[], float]) -> Any:
-        """Make a key that moves the slider."""
+    def _switch(self, name: str) -> Switch:
+        """Make the key of one of ``SWITCHES``."""
+        desk = self._desk
 
-        def press() -> None:
-            self._slider.set_value(min(max(wanted(), 0), MOST_OVERRIDE))
-            self._slider.update()
+        async def turn(on: bool) -> None:
+            await self._command(lambda: desk.set_switch(name, on))
 
-        key = ui.button(text, on_click=press, color='blue-grey-8')
-        return marked(key.props('dense unelevated no-caps'), name)
-
-    def _build_keyboard(self) -> Any:
-        """Make the list of the keyboard's keys."""
-        with ui.dialog() as dialog, ui.card().classes('settings'):
-            ui.label('keyboard').classes('title')
-            with ui.element('div').classes('map'):
-                for _, printed, mark in KEYBOARD:
-                    ui.html(f'<kbd>{printed}</kbd>', sanitize=False)
-                    ui.label(MEANINGS.get(mark, mark))
-                ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
-                ui.label('X, Y, Z while the key is held and the jog keys are shown')
-                ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
-                ui.label('in the MDI field: execute the line; show the lines before')
-            ui.label(
-                'Space and Enter never press a key that moves the machine. '
-                'Enter executes the line in the MDI field.'
-            ).classes('small')
-        return dialog
+        return Switch(name.replace('_', ' '), lambda: desk.switched[name], turn)
 
     @staticmethod
     def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
@@ -345,31 +310,6 @@ class Page:
         """Take the settings of the dialog over."""
         await self._command(self._answer(lambda: self._desk.choose(settings)))
 
-    async def _set_single_block(self, event: events.ValueChangeEventArguments) -> None:
-        if event.value != self._desk.single_block:
-            await self._command(lambda: self._desk.set_single_block(event.value))
-            self._single.set_value(self._desk.single_block)  # where it was refused
-
-    async def _set_optional_stop(self, event: events.ValueChangeEventArguments) -> None:
-        if event.value != self._desk.optional_stop:
-            await self._command(lambda: self._desk.set_optional_stop(event.value))
-            self._optional.set_value(self._desk.optional_stop)  # where it was refused
-
-    def _set_override(self, event: events.ValueChangeEventArguments) -> None:
-        """
-        Set the override where the user has moved the slider.
-
-        The slider already shows what was asked for here. Only changes by others move it.
-        """
-        if event.value == round(100 * self._shown.get('override set', -1.0)):
-            return  # moved by this program, to show what others have set
-        if self._allowed() and self._in_sight():
-            self._shown['override set'] = event.value / 100
-            self._slid.set_text(f'{event.value:.0f}%')
-            self._desk.nodes.set_override(event.value / 100)
-        else:
-            self._show_override_again()
-
     def _take_over(self) -> None:
         if self._trusted:
             self._access.take_over(self._tab)
@@ -408,7 +348,7 @@ class Page:
             failed = ' failed' if self._shown['failed'] else ''
             self._labels['status'].classes(replace=f'status small{failed}')
         words['status'] = job.status if job else 'press load to choose a program'
-        words['bound'] = job.plan.bound if job and job.plan else ''
+        words['start'] = self._start_text()
         words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
         for name, text in words.items():
             if self._changed(name, text):
@@ -433,6 +373,17 @@ class Page:
         if self._count % CHART_EVERY == 0:
             self._charts.show(desk)
 
+    def _start_text(self) -> str:
+        """Return what the operator must know about the start; empty for the top of a program."""
+        way, desk = self._desk.way_ahead(), self._desk
+        if self._view is not None:
+            self._view.show_way(way)
+        if self._changed('job', desk.job.number if desk.job else 0):
+            self._start.clear()
+        if in_program(desk.nodes.state):
+            return way.text if way is not None else ''
+        return desk.start.text
+
     def _show_rights(self) -> None:
         """Show which page has control, and what others have set."""
         rights = 'in charge' if self._in_charge else 'view only'
@@ -440,29 +391,21 @@ class Page:
             self._labels['rights'].set_text(rights)
             self._take.set_visibility(not self._in_charge)
             buttons = (self._loader, self._follower, self._checker, self._setter)
-            switches = (self._single, self._optional, self._slider, *self._steps)
-            for element in (*self._keys, *switches, self._upload, *buttons, self._mdi.field):
+            fields = (self._upload, *self._start.keys, self._mdi.field)
+            switches = (*(one.key for one in self._switches), *self._override.elements)
+            for element in (*self._keys, *switches, *buttons, *fields):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._trusted)
-        if self._changed('single block', self._desk.single_block):
-            self._single.set_value(self._desk.single_block)
-        if self._changed('optional stop', self._desk.optional_stop):
-            self._optional.set_value(self._desk.optional_stop)
-        if self._changed('override set', self._desk.nodes.override):
-            self._slider.set_value(round(100 * self._desk.nodes.override))
-            self._slid.set_text(f'{self._desk.nodes.override:.0%}')
-
-    def _show_override_again(self) -> None:
-        """Show what counts: what the user did while the connection was interrupted is lost."""
-        self._shown.pop('override set', None)
-        self._slider.update()
+        for switch in self._switches:
+            switch.show()
+        self._override.show()
 
     def _show_lists(self) -> None:
         """Show program text, progress and alarms."""
         desk, state = self._desk, self._desk.nodes.state
         plan = desk.shown_plan(state) if state is not None else None
         line = state.line_number if state is not None and plan is not None else 0
-        self._listing.show(desk.job, line)
+        self._listing.show(desk.job, line, desk.start_line())
         share = progress(state, plan) if state is not None else 0.0
         if self._changed('bar', round(share, 3)):
             self._bar.style(f'transform: scaleX({share:.3f})')

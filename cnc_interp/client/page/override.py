@@ -1,0 +1,92 @@
+"""A feed override on a page: a slider, and keys that move it by a step or to 100 %."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import events, ui
+
+#: Largest override, and the step of its keys [%].
+MOST, STEP = 150, 5
+
+
+class HeldSlider(ui.slider):
+    """A slider that stays where its user puts it, and does not wait for the server's answer."""
+
+    LOOPBACK = False
+
+
+class OverrideSlider:
+    """
+    The override in one page.
+
+    Parameters
+    ----------
+    value : callable
+        Returns the override that counts [-].
+    wish : callable
+        Sets the override [-].
+    may_set : callable
+        Tells whether this page may set it now; says so where it may not.
+
+    """
+
+    def __init__(
+        self,
+        value: Callable[[], float],
+        wish: Callable[[float], None],
+        may_set: Callable[[], bool],
+    ):
+        self._value, self._wish, self._may_set = value, wish, may_set
+        self._shown: float | None = None
+        with ui.element('div').classes('slide'):
+            ui.label('override')
+            self._slider = HeldSlider(min=0, max=MOST, step=STEP, value=100, on_change=self._set)
+            self._slider.props('dense data-mark="override slider"')
+            self._text = ui.label('100%').classes('value')
+        with ui.element('div').classes('steps'):
+            keys = [
+                self._key('slower', '−', lambda: self._slider.value - STEP),
+                self._key('faster', '+', lambda: self._slider.value + STEP),
+                self._key('100%', '100%', lambda: 100),
+            ]
+        self.elements = (self._slider, *keys)
+
+    def _key(self, name: str, text: str, wanted: Callable[[], float]) -> Any:
+        """Make a key that moves the slider."""
+
+        def press() -> None:
+            self._slider.set_value(min(max(wanted(), 0), MOST))
+            self._slider.update()
+
+        key = ui.button(text, on_click=press, color='blue-grey-8')
+        return key.props(f'dense unelevated no-caps data-mark="{name}"')
+
+    def _set(self, event: events.ValueChangeEventArguments) -> None:
+        """
+        Set the override where the user has moved the slider.
+
+        The slider already shows what was asked for here. Only changes by others move it.
+        """
+        if self._shown is not None and event.value == round(100 * self._shown):
+            return  # moved by this program, to show what others have set
+        if self._may_set():
+            self._shown = event.value / 100
+            self._text.set_text(f'{event.value:.0f}%')
+            self._wish(event.value / 100)
+        else:
+            self.show_again()
+
+    def show(self) -> None:
+        """Show what others have set."""
+        value = self._value()
+        if self._shown != value:
+            self._shown = value
+            self._slider.set_value(round(100 * value))
+            self._text.set_text(f'{value:.0%}')
+
+    def show_again(self) -> None:
+        """Show what counts: what the user did while the connection was interrupted is lost."""
+        self._shown = None
+        self._slider.update()

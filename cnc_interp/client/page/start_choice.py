@@ -1,0 +1,130 @@
+"""A start inside the loaded program: the line that is chosen, and the way that leads there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from cnc_interp_msgs.msg import LoadedProgram
+
+from cnc_interp.client.operator_client import MachineState
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.approach import way_inside
+from cnc_interp.settings.choices import Settings
+from cnc_interp.wire.settings_messages import settings_from
+
+#: Points drawn on a leg on which rotary axes turn: the tip then moves on a curve.
+POINTS = 25
+#: Parts of the way, and the corner of ``way_inside`` at which each ends.
+LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
+MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
+
+
+@dataclass(frozen=True)
+class StartChoice:
+    """
+    Where the next run starts.
+
+    Parameters
+    ----------
+    line : int
+        Line of the program; 0 for its top.
+    which : int
+        Execution of that line, from 1; 0 for the only one.
+    refused : str
+        Why there was no start there; empty before it was tried.
+
+    """
+
+    line: int = 0
+    which: int = 0
+    refused: str = ''
+
+    @property
+    def text(self) -> str:
+        """What the operator must know before the first cycle start; empty for the top."""
+        if not self.line or self.refused:
+            return self.refused
+        which = f', pass {self.which}' if self.which else ''
+        return (
+            f'the next run starts at line {self.line}{which}; '
+            'cycle start shows the way there, nothing moves yet'
+        )
+
+
+@dataclass(frozen=True)
+class Way:
+    """
+    The way on which the tool comes to a place inside the program.
+
+    Parameters
+    ----------
+    legs : tuple of (str, ndarray)
+        Name of each part, and the tool tip on it in W, shape (k, 3) [m].
+    text : str
+        What the operator must know before it moves; empty once it moves.
+
+    """
+
+    legs: tuple[tuple[str, FloatArray], ...]
+    text: str
+
+
+class WayAhead:
+    """
+    Finds the way that the machine waits to take, or takes.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's transformation.
+
+    """
+
+    def __init__(self, transform: Transform):
+        self._transform = transform
+        self._known: tuple[str, list[float], list[float]] | None = None
+        self._way: Way | None = None
+
+    def at(self, state: MachineState, program: LoadedProgram | None) -> Way | None:
+        """Return the way; None where the machine neither waits for it nor is on it."""
+        if program is None or program.program_id != state.program_id:
+            return None
+        if state.reason != MachineState.REASON_APPROACH:
+            is_on_it = self._known is not None and self._known[0] == state.program_id
+            if not is_on_it or self._way is None or state.sequence:
+                return None
+            if self._way.text:  # it has begun
+                self._way = replace(self._way, text='')
+            return self._way
+        ends = [*state.resume_positions] or [*program.start_positions]
+        if not ends:
+            return None
+        known = state.program_id, [*state.commanded_positions], ends
+        if self._known != known:
+            self._known = known
+            retract = settings_from(program.settings, Settings()).retract
+            stands = np.array(state.commanded_positions)
+            corners = way_inside(self._transform, stands, np.array(ends), retract)
+            self._way = Way(self._legs(corners), told(program))
+        return self._way
+
+    def _legs(self, corners: FloatArray) -> tuple[tuple[str, FloatArray], ...]:
+        """Return the tips on the way, leg by leg; what has no length is left out."""
+        legs, first = [], 0
+        for name, last in LEGS:
+            part = corners[first : last + 1]
+            knots = np.arange(len(part))
+            at = np.linspace(0, len(part) - 1, (len(part) - 1) * (POINTS - 1) + 1)
+            q = np.column_stack([np.interp(at, knots, column) for column in part.T])
+            tips = self._transform.forward(q)[0]
+            if np.abs(np.diff(tips, axis=0)).max() > 0.0:
+                legs.append((name, tips))
+            first = last
+        return tuple(legs)
+
+
+def told(program: LoadedProgram) -> str:
+    """Return what the operator must know before the tool moves to the path."""
+    return '\n'.join((*program.start_notes, MOVES))

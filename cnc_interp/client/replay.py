@@ -11,7 +11,7 @@ from itertools import takewhile
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
-from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, MachineState, SetpointChunk
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
@@ -128,7 +128,7 @@ def _compare_run(
     blocks = stream_of(bag, 'blocks', run_id)
     period = plans[min(plans)][0].period
     overrides = _overrides(bag, run_id)
-    followed = OperatorSettings(overrides[0])
+    followed = overrides[0]
     # After a loss the run continued from where the machine stood when planning began again.
     goes_on = blocks[0].continue_at > 0.0
     planner = RunPlanner(
@@ -185,18 +185,23 @@ def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
     return Setpoints.concatenate(parts)
 
 
-def _overrides(bag: Bag, run_id: RunId) -> list[float]:
-    """Return the override at the start of a run, and all that followed during it."""
-    found, running = [1.0], False
+def _overrides(bag: Bag, run_id: RunId) -> list[OperatorSettings]:
+    """Return the overrides at the start of a run, and all that followed during it."""
+    found, running = [OperatorSettings()], False
     for topic, _, data in bag.raw('machine_state', 'setpoints'):
         message = deserialize_message(data, TOPICS[topic][0])
         if topic == 'setpoints':
             running = running or run_id_of(message).same_attempt(run_id)
         elif running and run_id_of(message).same_attempt(run_id):
-            found.append(float(message.feed_override))
+            found.append(_settings(message))
         elif not running:
-            found = [float(message.feed_override)]
+            found = [_settings(message)]
     return found
+
+
+def _settings(state: MachineState) -> OperatorSettings:
+    """Return the overrides of a report."""
+    return OperatorSettings(state.feed_override, rapid=state.rapid_override)
 
 
 def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:

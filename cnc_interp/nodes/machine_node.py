@@ -19,12 +19,12 @@ from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from cnc_interp.nodes.feed_override import FeedOverride
 from cnc_interp.nodes.jog_commands import JogCommands
 from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
+from cnc_interp.nodes.overrides import Overrides
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.run.chunk import Chunk
 from cnc_interp.run.run_planner import JOIN_RESERVE
@@ -81,10 +81,10 @@ class MachineNode(LifecycleNode):
             status_period=0.01, gate=self._pass,
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
-        self._override = FeedOverride(self, self._diagnostics)
+        self._overrides = Overrides(self, self._diagnostics)
         self._jog = JogCommands(self, self._playback, self._diagnostics)
         self._reports = MachineReports(
-            self, self._playback, values, self._override, self._jog.homing
+            self, self._playback, values, self._overrides, self._jog.homing
         )
         self._controls = Controls(self, self._playback, self._give_up)
         self.create_timer(0.005, self._work)
@@ -174,13 +174,14 @@ class MachineNode(LifecycleNode):
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
         homed = tuple(self._jog.homing.homed)
-        told = state, run_id, self._override.value, playback.single_block, homed
+        override = self._overrides.feed.value
+        told = state, run_id, override, self._overrides.rapid.value, playback.single_block, homed
         if told != self._published:
             self._published = told
             level = LEVELS.get(state.state, OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._reports.publish_state()
-        self._jog.work(self._override.value)  # what was reached before is published
+        self._jog.work(override)  # what was reached before is published
 
     def _report_clock(self) -> None:
         """Report how late the drives are stepped in this run, and how the clock is scheduled."""

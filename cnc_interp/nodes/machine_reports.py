@@ -10,7 +10,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
-from cnc_interp.nodes.feed_override import FeedOverride
+from cnc_interp.nodes.overrides import Overrides
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
@@ -32,8 +32,8 @@ class MachineReports:
         The machine's buffer.
     values : dict
         Parameters of the node.
-    override : FeedOverride
-        The feed override that counts.
+    overrides : Overrides
+        The overrides that count.
     homing : Homing
         The axes whose position is known.
 
@@ -44,11 +44,11 @@ class MachineReports:
         node: Any,
         playback: Playback,
         values: dict[str, Any],
-        override: FeedOverride,
+        overrides: Overrides,
         homing: Homing,
     ):
         self._node, self._playback = node, playback
-        self._override, self._homing = override, homing
+        self._overrides, self._homing = overrides, homing
         self._period: float = values['interpolation_period']
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
@@ -70,7 +70,8 @@ class MachineReports:
         self._playback.read()
         message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()
-        message.feed_override = self._override.value
+        message.feed_override = self._overrides.feed.value
+        message.rapid_override = self._overrides.rapid.value
         message.homed, message.must_home = self._homing.homed, self._homing.must_home
         self._states.publish(message)
 

@@ -1,4 +1,4 @@
-"""What the operator has set for the planner: feed override, single block, optional stop."""
+"""What the operator has set for the planner: overrides, single block, optional stop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cnc_interp.run.motion_plan import OperatorSettings
 
 class OperatorInputs:
     """
-    Inputs of the operator and their current values; override and single block from the machine.
+    Inputs of the operator and their current values; overrides and single block from the machine.
 
     Parameters
     ----------
@@ -28,9 +28,10 @@ class OperatorInputs:
 
     def see(self, state: MachineState) -> bool:
         """Store the settings that the machine reports; return whether they have changed."""
-        before, self.settings = (
-            self.settings, OperatorSettings(state.feed_override, state.single_block)
-        )  # fmt: skip
+        before = self.settings
+        self.settings = OperatorSettings(
+            state.feed_override, state.single_block, state.rapid_override
+        )
         return self.settings != before
 
     def _set_optional_stop(self, request: Any, response: Any) -> Any:

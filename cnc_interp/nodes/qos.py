@@ -12,7 +12,7 @@ Quality of service of every topic, in one table.
 | ``modal_state`` | reliable | transient local | last 1 | for those who join later |
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
 | ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
-| ``feed_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
+| ``feed_override``, ``rapid_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
 | ``jog`` | best effort | volatile | last 1 | a beat that is lost must not come late |
 | trajectories | reliable | volatile | last 1 | each replaces the one before |
 | ``markers`` | reliable | volatile | last 16 | what RViz asks for; all are sent again to a new listener |

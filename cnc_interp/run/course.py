@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -164,16 +165,20 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
     return cut_between(path, s, float(path.s[-1]), np.array([s]))
 
 
-def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> AxisPath:
+def slowed(
+    path: AxisPath,
+    scaled: Callable[[AxisPath], FloatArray],
+    way_down: PlannedPiece | None,
+) -> AxisPath:
     """
-    Scale the programmed feed of a part. During a stop the feed is at least the speed of the stop.
+    Scale the feed of a part. During a stop the feed is at least the speed of the stop.
 
     Parameters
     ----------
     path : AxisPath
         Part of the path.
-    override : float
-        Factor on the feed of all but rapids [-].
+    scaled : callable
+        Returns the scaled feed of each cell of a path [m/s].
     way_down : PlannedPiece or None
         A stop from where planning begins; the feed may lie a little above it.
 
@@ -184,12 +189,12 @@ def slowed(path: AxisPath, override: float, way_down: PlannedPiece | None) -> Ax
 
     """
     if way_down is None or path.s[0] >= way_down.path.s[-1]:
-        return replace(path, cell_feed=path.cell_feed * override)
+        return replace(path, cell_feed=scaled(path))
     law = way_down.law
     begin, end = float(law.s[0]), float(way_down.path.s[-1])
     fine = refine(path, np.linspace(begin, end, ENVELOPE))
     fastest = fastest_in_cells(law.time, way_down, fine.s)
-    feed = np.maximum(fine.cell_feed * override, ABOVE * fastest)
+    feed = np.maximum(scaled(fine), ABOVE * fastest)
     return replace(fine, cell_feed=feed)
 
 

@@ -40,11 +40,14 @@ class OperatorSettings:
         Factor on the programmed feed, 0 to 1.5 [-]; 0 stops on the path and waits.
     single_block : bool
         Rest at the end of each source line until cycle_start.
+    rapid : float
+        Factor on the speed of rapids, up to 1 [-].
 
     """
 
     override: float = 1.0
     single_block: bool = False
+    rapid: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,19 @@ class MotionPlan:
             self._open_leg().finish(item.wait)
             return
         self._block_before = int(item.cell_block[-1])
-        self._open_leg().push(slowed(item, self.settings.override, self._way_down))
+        self._open_leg().push(slowed(item, self._scaled, self._way_down))
+
+    def _scaled(self, path: AxisPath) -> FloatArray:
+        """Return the feed of each cell of a part under the overrides, shape (N - 1,) [m/s]."""
+        settings = self.settings
+        feed: FloatArray = path.cell_feed * settings.override
+        rapids = np.isinf(path.cell_feed)
+        if settings.rapid < 1.0 and rapids.any():
+            # |q_s| v <= V: the fastest axis runs at a share of its largest velocity.
+            ends = path.cell_left[1, rapids], path.cell_right[1, rapids]
+            use = np.abs(ends).max(axis=0) / self._context.limits.max_velocity
+            feed[rapids] = settings.rapid / use.max(axis=1)
+        return feed
 
     def _open_leg(self) -> Leg:
         """Return the leg that is being planned."""

@@ -15,7 +15,9 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import MoveAxes
 from operated import LIMITS, PROGRAM, TRANSFORM, Bench, T, path_of
 
+from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorder import Recorder
+from cnc_interp.client.replay import compute_again
 from cnc_interp.kinematics.axis_path import evaluate
 
 Result = RunProgram.Result
@@ -125,6 +127,9 @@ def test_jogged_away_twice_it_comes_back_and_the_bag_is_proven(bench, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads(done.stdout)['samples'] == len(s)
+    assert 'beside program' in json.loads(done.stdout)['beside']
+    with Bag(tmp_path / 'bag') as bag:
+        assert all(plan.same == plan.recorded for plan in compute_again(bag))
 
 
 def test_held_on_the_way_back_it_goes_back_from_there(bench):

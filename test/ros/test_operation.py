@@ -11,9 +11,10 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
-from operated import PROGRAM, Bench, blocks_of, path_of, waves
+from operated import LIMITS, PROGRAM, Bench, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
+from cnc_interp.nodes import qos
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_id_messages import run_id_of
@@ -64,6 +65,22 @@ def test_override_up_and_down_and_zero(bench):
     bench.spin_until(lambda: any('9 refused' in text for _, text in bench.diagnostics))
     bench.override.publish(Float64(data=1.0))
     bench.finish(handle)
+
+
+def test_rapids_follow_their_override_and_cutting_does_not(bench):
+    rapid = bench.node.create_publisher(Float64, 'rapid_override', qos.OVERRIDE)
+    bench.spin_until(lambda: rapid.get_subscription_count() > 0)
+    for value in (7.0, 0.25):
+        rapid.publish(Float64(data=value))
+    bench.spin_until(lambda: bench.state.rapid_override == 0.25)
+    assert any('7 refused' in text for _, text in bench.diagnostics)
+    handle = bench.begin('G21 G90 G94\nTRAORI\nG0 X50 Y0 Z0 A10 C0\nG1 X60 F3000\nG0 X-50\nM30\n')
+    bench.finish(handle)
+    q, s = bench.recorded()
+    use = (np.abs(np.diff(q, axis=0)) / 0.001 / LIMITS[0]).max(axis=1)
+    assert 0.249 < use.max() <= 0.25 * 1.001
+    cutting = np.diff(s)[(s[1:] > 0.0) & (s[1:] < 0.01)] / 0.001
+    assert cutting.max() == pytest.approx(50e-3, rel=1e-3)
 
 
 def test_a_restarted_feedrate_node_knows_the_override(bench):

@@ -99,3 +99,26 @@ def test_moved_away_by_hand_it_goes_back_and_on_and_again_from_the_way(place):
     there = evaluate(path, np.array([back]))[0][0]
     planner.resume(place, there, OperatorSettings())
     assert (sampled(planner)[2] > 0).all()
+
+
+def test_the_rapid_override_scales_rapids_and_the_approach_alone():
+    text = PROGRAM + 'G0 X0 Y50 Z20\nG1 X10 F3000\n'
+    blocks = read_text(text, 'rapids.ngc', TRANSFORM, Settings()).blocks
+    whole = segments_of(blocks, TRANSFORM, Settings())
+    speeds, laws = [], []
+    for rapid in (1.0, 0.25):
+        settings = OperatorSettings(rapid=rapid)
+        stands = np.array([0.1, -0.3, 0.05, 0.0, 0.0])
+        planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, stands, settings=settings)
+        planner.push(whole, {})
+        planner.finish()
+        q, s, block = sampled(planner)
+        use = (np.abs(np.diff(q, axis=0)) / 1e-3 / MACHINE.max_velocity).max(axis=1)
+        rapids = blocks.rapid[np.minimum(block[1:], len(blocks) - 1)] & (block[1:] > 0)
+        speeds.append((use[block[1:] == 0].max(), use[rapids].max()))
+        cut = (block > 0) & (block < int(np.argmax(blocks.rapid[1:])))
+        laws.append(s[cut])
+    (fast, fast_rapid), (slow, slow_rapid) = speeds
+    assert fast > 0.5 and fast_rapid > 0.26
+    assert 0.249 < slow <= 0.25 * 1.001 and slow_rapid <= 0.25 * 1.001
+    assert laws[0] == pytest.approx(laws[1], abs=1e-7)

@@ -46,7 +46,12 @@ def modal_words(state: ModalState) -> list[str]:
             words.setdefault(attribute, code)
     words.pop('stop_once', None)
     frames, feed = state.frames, state.feedrate
+    tolerance = state.contour / state.unit
+    if words.get('stop_always') == 'G64' and state.contour != state.settings.contour_tolerance:
+        words['stop_always'] = f'G64 P{tolerance:.9g}'
     found = [*words.values(), state.setup.active, state.tcp]
+    if state.rotary_letters:
+        found.append('ORIVECT' if state.great_circle else 'ORIAXES')
     if frames.length:
         found.append(f'G43.1 Z{frames.length / state.unit:g}')
     if state.feed_mode == 'G93':

@@ -92,8 +92,8 @@ class NodesUnderTest:
             self.executor.spin_once(timeout_sec=end - time.monotonic())
 
     def last_words(self):
-        """Last diagnostics of each part of the nodes, and the state of the machine."""
-        return dict(self.diagnostics), self.peers.state
+        """Last diagnostics of each part of the nodes, acknowledgements, state of the machine."""
+        return dict(self.diagnostics), self.peers._status, self.peers.state
 
     def press(self, button):
         """Use a service of the machine; returns its answer."""

@@ -140,11 +140,13 @@ class ProgramRun:
     def _watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         """Tell when the run is over, and how."""
         machine = peers.machine
-        if machine is None or machine.run_id.program_id != self.run_id.program_id:
-            machine = None
-        else:
-            self._machine = machine
+        mine = machine is not None and machine.run_id.program_id == self.run_id.program_id
+        if machine is not None and (mine or machine.is_free):
             self.recovery.see(machine)
+        if mine:
+            self._machine = machine
+        else:
+            machine = None
         if (outcome := self._ended(machine, *peers.refusal(self.run_id))) is not None:
             return outcome
         self.missing = peers.missing(now, timeout)
@@ -200,7 +202,10 @@ class ProgramRun:
         if self.missing:
             return f'{self.missing} does not answer; start it again, then cycle_start'
         lost = self.recovery.node
-        return f'{lost} was restarted; cycle_start goes on from here' if lost else ''
+        if not lost:
+            return ''
+        stands = self._machine is not None and self._machine.rests_on_path
+        return f'{lost} was restarted' + ('; cycle_start goes on from here' if stands else '')
 
     def may_go_on(self) -> bool:
         """Tell whether the operator wants to continue after a loss and all nodes answer."""
@@ -213,8 +218,8 @@ class ProgramRun:
         All blocks are sent again, because rounding looks at what lies before: the same blocks
         give the same path.
         """
-        assert self._machine is not None
-        reached = self._machine.path_position  # not above 0 on the approach
+        reached = 0.0 if self._machine is None else self._machine.path_position
+        # It is not above 0 on the approach.
         self.continue_at = reached if reached > 0.0 else self.start_at
         self.run_id = self.run_id.next_attempt()
         self._known_by.clear()

@@ -81,6 +81,8 @@ class MachineReport:
         if self.state is State.HELD:
             # With cycle_start and enough setpoints of the old plan it would have left the hold.
             return run_id.attempt > 0 and (self.plan_over or self.start_wanted)
+        if self.state in (State.FILLING, State.PAUSED):  # a node was lost while it waited
+            return run_id.attempt > 0
         # A machine whose drives are off refuses the plan itself.
         return self.is_free or self.state is State.INACTIVE
 

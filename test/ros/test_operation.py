@@ -191,6 +191,43 @@ def test_a_killed_node_is_restarted_and_cycle_start_goes_on_from_the_stopped_poi
     bench.finish(handle)
 
 
+def lose(bench, node):
+    """Kill a node, start it again, wait until its run is known to be lost."""
+    bench.kill(node)
+    assert bench.children.revive() == [node]
+    bench.watching = True
+    bench.spin_until(lambda: any('was restarted' in text for _, text in bench.diagnostics))
+    bench.diagnostics.clear()
+
+
+@pytest.mark.parametrize('node', ['feedrate_node', 'lookahead_node'])
+def test_a_node_lost_while_the_machine_waits_needs_no_cycle_start(bench, node):
+    """Nobody has stopped the machine: it stands at override 0, before the motion and in it."""
+    bench.override.publish(Float64(data=0.0))
+    bench.spin_until(lambda: bench.state.feed_override == 0.0)
+    bench.text = PROGRAM
+    handle = bench.start(text=bench.text)
+    planner = 'feedrate_node: planning'
+    bench.spin_until(lambda: dict(bench.diagnostics).get(planner) == 'at work')
+    lose(bench, node)
+    bench.override.publish(Float64(data=1.0))
+    bench.until_at(0.02)
+    bench.override.publish(Float64(data=0.0))
+    bench.spin_until(lambda: bench.state.waits_for == MachineState.WAITS_FOR_OVERRIDE)
+    lose(bench, node)
+    bench.override.publish(Float64(data=1.0))
+    result, _ = bench.finish(handle)
+    assert not result.starvations
+
+
+def test_a_planner_lost_on_the_approach_needs_no_cycle_start(bench):
+    """What is buffered ends where the approach does, and the machine waits for the path."""
+    handle = bench.begin()
+    bench.spin_until(lambda: bench.state.state == MachineState.RUNNING and bench.state.samples)
+    lose(bench, 'feedrate_node')
+    bench.finish(handle)
+
+
 def test_one_cycle_start_is_enough_where_the_planner_still_had_something_to_execute():
     """The motion goes on with what is at hand, rests where that ends, and goes on by itself."""
     bench = Bench({'feedrate_node': {'segment_window': 24, 'plan_ahead': 2.0}})

@@ -1,5 +1,6 @@
 """One run on the sending side: its phases, its outcomes, and going on after a lost node."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -11,8 +12,10 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.program_run import PATIENCE, ProgramRun
-from cnc_interp.run.loss_recovery import SETTLED
+from cnc_interp.run.loss_recovery import FILLED, SETTLED
+from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import TABLE, Code, Phase, Step
+from cnc_interp.run.run_state import AT_REST, State
 from cnc_interp.wire.machine_report import machine_report
 
 HELD, RUNNING, STARVED = MachineState.HELD, MachineState.RUNNING, MachineState.STARVED
@@ -96,6 +99,58 @@ def test_a_machine_that_starts_at_once_executes_first_what_it_has():
 @pytest.mark.parametrize('code', [HELD, STARVED])
 def test_without_cycle_start_it_never_goes_on(code):
     assert go_on_at([(0.0, RUNNING, False), *((k * STEP, code, False) for k in range(9))]) is None
+
+
+def rests_by_itself(state, times):
+    """The first time at which a run goes on whose machine is in a state in which it rests."""
+    run, peers = streaming()
+    peers.forgot = 'segments'
+    for time in times:
+        peers.say(run, MachineState.IDLE, time)
+        peers.machine = replace(peers.machine, state=state)
+        run.step(peers, 0.0, 3.0)
+        if run.may_go_on():
+            return time
+    return None
+
+
+@pytest.mark.parametrize('state', [State.PAUSED, State.FILLING, State.IDLE])
+def test_a_machine_that_starts_by_itself_needs_no_cycle_start(state):
+    """It rests as planned: its buffer fills, or the feed override is 0."""
+    assert rests_by_itself(state, [0.4 * k * FILLED for k in range(7)]) == 1.6 * FILLED
+
+
+def test_a_machine_that_starts_meanwhile_executes_first_what_it_has():
+    run, peers = streaming()
+    peers.forgot = 'blocks'
+    for state, time in ((State.FILLING, 0.0), (State.FILLING, 0.1), (State.RUNNING, 9.0)):
+        peers.say(run, RUNNING, time)
+        peers.machine = replace(peers.machine, state=state)
+        run.step(peers, 0.0, 3.0)
+        assert not run.may_go_on()
+
+
+@pytest.mark.parametrize('state', list(State))
+def test_only_a_machine_at_rest_takes_the_rest_of_a_program(state):
+    report = replace(machine_report(MachineState()), state=state, plan_over=True)
+    for attempt in (0, 1):
+        taken = report.takes(RunId('name', attempt, 0))
+        assert not taken or state in AT_REST
+        if state in (State.PAUSED, State.FILLING):
+            assert taken == (attempt > 0)
+
+
+def test_a_run_that_the_machine_has_not_begun_goes_on_too():
+    run, peers = streaming()
+    peers.forgot = 'segments'
+    for time in (0.0, 0.4, 0.4 + FILLED):
+        assert not run.may_go_on()
+        peers.machine = machine_report(MachineState(state=MachineState.IDLE, program_id='before'))
+        peers.machine = replace(peers.machine, time=time)
+        run.step(peers, 0.0, 3.0)
+    assert run.may_go_on()
+    run.begin_again(0.0)
+    assert run.continue_at == 0.0 and run.run_id.attempt == 1
 
 
 def test_a_run_waits_for_a_machine_that_is_free_and_not_for_ever():

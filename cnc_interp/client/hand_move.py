@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,12 +31,29 @@ THERE = 1e-6
 
 @dataclass(frozen=True)
 class HandMove:
-    """Values of axes [mm, deg], whether they are distances, a distance along the tool [mm]."""
+    """
+    What is wanted of a move.
+
+    Parameters
+    ----------
+    values : mapping
+        Values of axes [mm, deg]; of a pose X Y Z [mm] and I J K [-].
+    relative : bool
+        Whether they are distances.
+    tool : float
+        A distance along the tool [mm].
+    speed : float
+        Share of the largest velocities [-].
+    pose : bool
+        Whether the values are a tool pose in the workpiece frame.
+
+    """
 
     values: Mapping[str, float]
     relative: bool
     tool: float
     speed: float
+    pose: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,7 +125,11 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
         machine = await_machine(client, namespace, domain)
         request = MoveAxes.Request(relative=wanted.relative, speed=wanted.speed)
         request.tool = wanted.tool * MM
-        for name, value in wanted.values.items():
+        if wanted.pose:
+            request.tip = [wanted.values.get(name, math.nan) * MM for name in 'XYZ']
+            turns = any(name in wanted.values for name in 'IJK')
+            request.axis = [wanted.values.get(name, 0.0) for name in 'IJK' if turns]
+        for name, value in wanted.values.items() if not wanted.pose else ():
             if name not in machine.axis_names:
                 raise InterpError(
                     f'the machine has no axis {name} ({" ".join(machine.axis_names)})'

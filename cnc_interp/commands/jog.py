@@ -15,13 +15,19 @@ def add_jog_command(commands: Any) -> None:
     jog = command(
         commands, 'jog', jog_command,
         'move axes of a running machine by hand, by a distance or to a position',
-        'cnc-interp jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0',
+        'cnc-interp jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0; '
+        'cnc-interp jog --pose X 0 Y 0 Z 50 I 0 J 0 K 1',
     )  # fmt: skip
     jog.add_argument(
         'words', nargs='*', metavar='AXIS VALUE',
         help='letter of an axis, and distance or position [mm, deg]; may be repeated',
     )  # fmt: skip
     jog.add_argument('--to', action='store_true', help='the values are positions of the axes')
+    jog.add_argument(
+        '--pose', action='store_true',
+        help='the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
+        'the tool axis; what is not named stays',
+    )  # fmt: skip
     jog.add_argument(
         '--tool', type=float, default=0.0, metavar='MM',
         help='move along the tool instead, away from the workpiece where positive',
@@ -62,11 +68,14 @@ def jog_command(options: argparse.Namespace) -> int:
     values = pairs(options.words)
     if bool(values) == bool(options.tool):
         raise InterpError('name an axis and its value, such as X 10, or --tool and a distance')
-    if options.to and options.tool:
-        raise InterpError('--tool takes a distance; leave out --to')
+    if ((options.to or options.pose) and options.tool) or (options.to and options.pose):
+        raise InterpError('--to, --pose and --tool exclude each other')
+    if options.pose and (wrong := ' '.join(sorted(set(values) - set('XYZIJK')))):
+        raise InterpError(f'{wrong}: a pose has X Y Z [mm] and the tool axis I J K')
     from cnc_interp.client.hand_move import HandMove, move_by_hand
 
-    wanted = HandMove(values, not options.to, options.tool, options.speed / 100.0)
+    relative = not (options.to or options.pose)
+    wanted = HandMove(values, relative, options.tool, options.speed / 100.0, options.pose)
     ended = move_by_hand(wanted, options.namespace, options.domain)
     if options.json:
         print(json.dumps(ended.to_json(), indent=2))

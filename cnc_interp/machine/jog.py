@@ -70,6 +70,14 @@ class Jog:
         self._steered: tuple[Beat | Move | None, float] = (None, 0.0)  # wish and override
         self._count = 0  # motions
 
+    @property
+    def target(self) -> FloatArray:
+        """Axis positions at the end of the move under way, else where a motion begins [m, rad]."""
+        place: FloatArray = self._playback.before_jog[-1]
+        if isinstance(self._wish, Move):
+            place = self._wish.slides.positions(self._wish.target[None, :])[0]
+        return place
+
     # What the operator asks for -----------------------------------------------------------------
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> None:

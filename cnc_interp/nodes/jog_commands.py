@@ -5,10 +5,13 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import numpy as np
 from cnc_interp_msgs.msg import Jog as JogMessage
 from cnc_interp_msgs.srv import Home, MoveAxes
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core.errors import BlockError, StreamError
+from cnc_interp.kinematics.pose import positions_of_pose
+from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.homing import Homing, SimulatedSwitches
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
@@ -33,6 +36,7 @@ class JogCommands:
 
     def __init__(self, node: Any, playback: Playback, diagnostics: Diagnostics):
         self._jog, self._diagnostics = Jog(playback), diagnostics
+        self._transform = Transform.of(playback.axes.machine)
         switches = SimulatedSwitches(playback.axes.machine)
         self.homing = Homing(playback, self._jog, switches.pressed, switches.towards)
         node.create_service(Home, 'home', self._home)
@@ -56,13 +60,29 @@ class JogCommands:
         """Answer ``move_axes``."""
         try:
             self._refuse_beside_homing()
-            values = _pairs(request.axes, request.values)
-            place = self._jog.move(values, request.relative, request.tool, request.speed)
+            values, relative = _pairs(request.axes, request.values), request.relative
+            if request.tip or request.axis:
+                if values or request.tool or relative:
+                    raise StreamError('move either to a pose, or axes, or along the tool')
+                values = self._values_of_pose(list(request.tip), list(request.axis))
+            place = self._jog.move(values, relative, request.tool, request.speed)
             response.success, response.message = True, 'moving'
             response.positions = place.tolist()
         except StreamError as problem:
             response.success, response.message = False, str(problem)
         return response
+
+    def _values_of_pose(self, tip: list[float], axis: list[float]) -> dict[str, float]:
+        """Return the position of each axis at a tool pose."""
+        if len(tip) not in (0, 3) or len(axis) not in (0, 3):
+            raise StreamError('a pose has three values of the tip, and three of the tool axis')
+        point = np.array(tip or [np.nan] * 3)
+        stands = self._jog.target
+        try:
+            q = positions_of_pose(self._transform, point, np.array(axis) if axis else None, stands)
+        except (BlockError, ValueError) as problem:
+            raise StreamError(str(problem)) from None
+        return dict(zip(self._transform.axis_names, q.tolist(), strict=True))
 
     def _home(self, request: Home.Request, response: Home.Response) -> Any:
         """Answer ``home``."""

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import Jog, MachineState
 from cnc_interp_msgs.srv import MoveAxes
-from operated import LIMITS, Bench, T
+from operated import LIMITS, TRANSFORM, Bench, T
 from sensor_msgs.msg import Joy
 
 from cnc_interp.nodes import qos
@@ -92,6 +92,28 @@ def test_a_move_arrives_and_a_hold_ends_one(bench):
     assert proven(bench, end)[0] < 0.45
 
 
+def test_a_pose_of_the_tool_is_reached(bench):
+    start = until_idle(bench)
+    tip = TRANSFORM.forward(start[None])[0][0]
+    wanted, axis = [0.02, np.nan, -0.01], np.array([0.1, 0.2, 1.0])
+    answer = move(bench, tip=wanted, axis=axis.tolist())
+    assert answer.success, answer.message
+    bench.spin_until(lambda: bench.state.state == MachineState.JOGGING)
+    end = proven(bench, start)
+    assert list(answer.positions) == pytest.approx(end, abs=1e-9)
+    reached, turned = (found[0] for found in TRANSFORM.forward(end[None]))
+    assert reached == pytest.approx([0.02, tip[1], -0.01], abs=1e-9)
+    assert turned == pytest.approx(axis / np.linalg.norm(axis), abs=1e-9)
+    for request, words in (
+        ({'tip': [0.0, 0.0]}, 'three values'),
+        ({'tip': [9.0, 0.0, 0.0]}, 'its travel is'),
+        ({'tip': [0.0] * 3, 'axes': ['X'], 'values': [0.0]}, 'either'),
+        ({'axis': [0.0, 0.0, -1.0]}, 'no rotary position'),
+    ):
+        answer = move(bench, **request)
+        assert not answer.success and words in answer.message
+
+
 def test_what_is_refused_is_told(bench):
     until_idle(bench)
     answer = move(bench, axes=['X'], values=[2.0])
@@ -152,6 +174,14 @@ def test_the_command_line_moves_and_refuses_in_one_line(bench):
     end = json.loads(done.stdout)['position']
     assert end['X'] == pytest.approx(start[0] - 0.01, abs=1e-9)
     assert end['A'] == pytest.approx(start[3] + np.radians(2.5), abs=1e-9)
+    done = cnc_interp(bench, '--pose', 'Z', '5', 'K', '2', '--json')
+    assert done.returncode == 0, done.stderr
+    place = np.array([list(json.loads(done.stdout)['position'].values())])
+    tip, axis = (found[0] for found in TRANSFORM.forward(place))
+    assert tip[2] == pytest.approx(5e-3, abs=1e-9)
+    assert axis == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
+    wrong = cnc_interp(bench, '--pose', 'A', '5')
+    assert wrong.returncode == 2 and 'a pose has X Y Z' in wrong.stderr
     wrong = cnc_interp(bench, 'X', '5000')
     assert wrong.returncode == 2 and wrong.stderr.count('\n') == 1
     assert 'X would go to' in wrong.stderr

@@ -3,8 +3,9 @@ The jerk stage: plans one part of the path within all limits and checks it betwe
 
 The interior point method applies the limits only at the two ends of each cell. Its law is then
 evaluated on the true curve at several instants of every cell. Where a limit is exceeded inside a
-cell, the limit of this cell is lowered by the excess, and the part is solved again. A law
-is accepted only if it keeps every limit at all these instants.
+cell, the limit of this cell is lowered by the excess, and the part is solved again. If only few
+cells are concerned, only the cells around them are solved again, between the states of the last
+law. A law is accepted only if it keeps every limit at all these instants.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.feedrate.braking import without_braking
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
@@ -41,6 +42,13 @@ WARM_START_PART = 0.7
 """Smallest part of every limit after a correction that still allows a warm start."""
 
 MOST_ITERATIONS = 80
+
+MARGIN = 120
+"""Number of cells before and after a corrected cell that are solved again with it."""
+
+FEW = 0.5
+"""Largest part of all cells that is solved again instead of all."""
+
 SMOOTHING_CELLS = 1
 """Number of cells on either side over which the first guess is smoothed."""
 
@@ -63,6 +71,17 @@ def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> Flo
     for i in range(n):
         m[i] = least[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].mean()
     return m
+
+
+def _spans_around(changed: BoolArray) -> list[tuple[int, int]]:
+    """Return first cell and end of the spans around changed cells, with their margins."""
+    found: list[tuple[int, int]] = []
+    for cell in np.flatnonzero(changed).tolist():
+        first, end = max(cell - MARGIN, 0), min(cell + MARGIN + 1, len(changed))
+        if found and first <= found[-1][1]:
+            first = found.pop()[0]
+        found.append((first, end))
+    return found
 
 
 class StretchProblem:
@@ -100,10 +119,11 @@ class StretchProblem:
             squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = _first_coefficients(self.h, grid.bounds, guess)
-        self.rows = np.empty((n_axes, 9, n))
         self.use = np.empty((2, n, 4, n_axes))
         self.slack = np.ones((6 * n_axes + 2, n))
         self.dual = np.zeros((6 * n_axes + 2, n))
+        self.changed = np.zeros(n, dtype=np.bool_)  # cells whose limits fell since the last law
+        self.width, self.v, self.a = self.h, np.zeros(n + 1), np.zeros(n + 1)  # of the last law
         share = np.diff(path.s) / np.repeat(self.h, np.diff(nodes))
         self.points = 2 + np.ceil((options.points - 2) * share).astype(np.int64)
 
@@ -132,28 +152,73 @@ class StretchProblem:
             The law with its use of the limits, None if the solver broke down.
 
         """
-        build_rows(self.left, self.right, self.table, self.scale, self.rows)
-        part = np.minimum(self.scale[:, 0].min(axis=1), self.scale[:, 3, 0])
-        ends = self.grid.bounds[:, 4:] * part[:, None]
-        node = ends[:, 0].copy()
-        node[1:] = np.minimum(node[1:], ends[:-1, 1])
-        # The velocity limit is linear inside the cell, so these are the Bezier points of b.
-        caps = np.column_stack([ends[:, 0] * ends[:, 1], node**2])
+        changed, self.changed = self.changed, np.zeros_like(self.changed)
+        spans = _spans_around(changed) if warm else []
+        if spans and sum(end - first for first, end in spans) <= FEW * len(m):
+            tried, width = m.copy(), self.width.copy()
+            if all(self._solve_cells(*span, tried, width, True) == SOLVED for span in spans):
+                m[:] = tried
+                return self.check(m, width), True
         width = self.reset_widths()
+        status = self._solve_cells(0, len(m), m, width, warm)
+        return (None if status == BROKEN else self.check(m, width)), status == SOLVED
+
+    def _solve_cells(
+        self, first: int, end: int, m: FloatArray, width: FloatArray, warm: bool
+    ) -> int:
+        """
+        Solve some cells, between the states of the last law where they do not end the stretch.
+
+        Parameters
+        ----------
+        first, end : int
+            First cell, and the one after the last.
+        m, width : ndarray, shape (n,)
+            Coefficients [m2/s2] and effective widths [m] of all cells; those of the solved cells
+            are updated.
+        warm : bool
+            Whether to start from the slacks and duals of the last solution.
+
+        Returns
+        -------
+        int
+            SOLVED, STALLED or BROKEN.
+
+        """
+        cells = slice(first, end)
+        ends = self.ends.copy()
+        if first > 0:
+            ends[:2] = self.v[first] ** 2, self.a[first]
+        if end < len(m):
+            ends[2:] = self.v[end] ** 2, self.a[end]
+        scale = self.scale[cells]
+        left, right, slack, dual = (
+            np.ascontiguousarray(x[:, cells])
+            for x in (self.left, self.right, self.slack, self.dual)
+        )
+        rows = np.empty((left.shape[2], 9, end - first))
+        build_rows(left, right, self.table, scale, rows)
+        part = np.minimum(scale[:, 0].min(axis=1), scale[:, 3, 0])
+        fast = self.grid.bounds[cells, 4:] * part[:, None]
+        node = fast[:, 0].copy()
+        node[1:] = np.minimum(node[1:], fast[:-1, 1])
+        # The velocity limit is linear inside the cell, so these are the Bezier points of b.
+        caps = np.column_stack([fast[:, 0] * fast[:, 1], node**2])
         status, _, _ = solve(
-            self.h,
-            self.rows,
+            self.h[cells],
+            rows,
             caps,
-            self.ends,
-            m,
-            width,
-            self.slack,
-            self.dual,
+            ends,
+            m[cells],
+            width[cells],
+            slack,
+            dual,
             warm,
             self.options.gap,
             MOST_ITERATIONS,
         )
-        return (None if status == BROKEN else self.check(m, width)), status == SOLVED
+        self.slack[:, cells], self.dual[:, cells] = slack, dual
+        return int(status)
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
         """
@@ -175,6 +240,7 @@ class StretchProblem:
         left = settle_widths(self.h, m, width, self.ends, v, a, duration)
         if not (left < 1e-13 and np.all(np.isfinite(duration)) and duration.min() > 0):
             return None
+        self.width, self.v, self.a = width, v, a
         return self.with_limit_use(v, a, duration)
 
     def with_limit_use(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
@@ -228,6 +294,7 @@ class StretchProblem:
         less = self.aim[:, :, None] / np.where(over, 1 + EXCESS_FACTOR * (inside - 1), 1.0)
         lowered = np.where(over, reached * less, self.scale)
         near = bool((lowered > WARM_START_PART * self.scale).all())
+        self.changed |= (lowered < self.scale).any(axis=(1, 2))
         self.scale = lowered
         return near
 
@@ -256,6 +323,7 @@ class StretchProblem:
         lowered = np.where(found.T[:, :, None], np.minimum(self.scale[:, 1:3], most), np.inf)
         lower = lowered < self.scale[:, 1:3]
         self.scale[:, 1:3] = np.where(lower, lowered, self.scale[:, 1:3])
+        self.changed |= lower.any(axis=(1, 2))
         return bool(lower.any())
 
     def slowed(self, stretch: Stretch) -> Stretch:

@@ -64,7 +64,7 @@ def unit_of(letter: str) -> float:
 
 def shown(letter: str, value: float) -> str:
     """Return a position in mm or deg, without its unit."""
-    return f'{value / MM:.3f}' if letter in 'XYZ' else f'{value / DEG:.4f}'
+    return f'{value / MM:z.3f}' if letter in 'XYZ' else f'{value / DEG:z.4f}'
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:

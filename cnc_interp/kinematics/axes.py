@@ -56,7 +56,7 @@ class Axis:
 
     def position_text(self, position: float) -> str:
         """Return a position [m or rad] as text for a display, in mm or deg without the unit."""
-        return f'{position / MM:.3f}' if self.linear else f'{position / DEG:.4f}'
+        return f'{position / MM:z.3f}' if self.linear else f'{position / DEG:z.4f}'
 
 
 def error_text(error: float, unit: str) -> str:

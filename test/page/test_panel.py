@@ -12,7 +12,7 @@ pytest.importorskip(
 )
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp_msgs.msg import Jog, MachineState
+from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from cnc_interp.cli import main
@@ -30,10 +30,12 @@ from cnc_interp.client.page.readings import (
     progress_words,
     words_before_start,
 )  # fmt: skip
+from cnc_interp.client.page.start_choice import WayAhead
 from cnc_interp.client.page.tube import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.settings.choices import Settings
 
@@ -234,6 +236,37 @@ def test_a_program_that_is_not_started_shows_its_cycle_time(planned):
     assert words['left'] == clock(2.0 * plan.cycle_time)
     assert {words[name] for name in ('line', 'progress', 'to go', 'elapsed')} == {'–'}
     assert words_before_start(None, 1.0)['left'] == words_before_start(plan, 0.0)['left'] == '–'
+
+
+def test_the_way_to_the_path_leads_from_the_machine_to_the_place():
+    transform = Transform.of(Machine.load('xyzac'))
+    stands, place = np.array([0.0, 0.0, 0.2, 0.0, 0.0]), np.array([0.05, -0.07, 0.15, 0.3, 0.5])
+    program = LoadedProgram(program_id='run', start_positions=place, start_notes=['at line 7'])
+    state = MachineState(
+        program_id='run', reason=MachineState.REASON_APPROACH, resting=True, path_position=-0.1,
+        commanded_positions=stands,
+    )  # fmt: skip
+    ahead = WayAhead(transform)
+    way = ahead.at(state, program)
+    assert [name for name, _ in way.legs] == ['1 retract', '2 position', '3 plunge']
+    assert way.text.startswith('at line 7\n') and 'reset' in way.text
+    (start, end), _ = transform.forward(np.stack([stands, place]))
+    assert way.legs[0][1][0] == pytest.approx(start) and way.legs[2][1][-1] == pytest.approx(end)
+    assert ahead.at(state, program) is way
+    # Once the machine moves, there is nothing left to decide; on the path the way is over.
+    state.reason = MachineState.REASON_NONE
+    assert (ahead.at(state, program).legs, ahead.at(state, program).text) == (way.legs, '')
+    state.sequence = 3
+    assert ahead.at(state, program) is None
+    # Away from a hold by hand, and back.
+    state.reason, state.path_position = MachineState.REASON_AWAY, 0.1
+    assert ahead.at(state, program) is None
+    state.resume_positions = place.tolist()
+    assert 'moved away by hand' in ahead.at(state, program).text
+    state.resting = False
+    assert ahead.at(state, program) is None
+    state.program_id = 'another'
+    assert ahead.at(state, program) is None
 
 
 def test_cleared_messages_stay_in_the_history():

@@ -49,8 +49,8 @@ def axis_words(state: MachineState, machine: Machine) -> dict[str, str]:
         for axis, value in zip(machine.axes, state.positions, strict=False)
     }
     for name, tip, axis in zip('xyz', state.tip, state.axis, strict=True):
-        words[f'tip {name}'] = f'{tip / MM:.3f}'
-        words[f'tool {name}'] = f'{axis:+.5f}'
+        words[f'tip {name}'] = f'{tip / MM:z.3f}'
+        words[f'tool {name}'] = f'{axis:+z.5f}'
     return words
 
 

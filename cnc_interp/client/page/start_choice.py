@@ -18,6 +18,10 @@ from cnc_interp.wire.settings_messages import settings_from
 POINTS = 25
 #: Parts of the way, and the corner of ``way_inside`` at which each ends.
 LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
+#: Why a machine waits before it takes the way.
+WAITS = (MachineState.REASON_APPROACH, MachineState.REASON_AWAY)
+AWAY = 'the axes were moved away by hand'
+BACK = 'cycle start moves the tool back and goes on: retract, position, plunge; reset gives up'
 MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 
 
@@ -91,23 +95,24 @@ class WayAhead:
         """Return the way; None where the machine neither waits for it nor is on it."""
         if program is None or program.program_id != state.program_id:
             return None
-        if state.reason != MachineState.REASON_APPROACH:
+        if state.reason not in WAITS:
             is_on_it = self._known is not None and self._known[0] == state.program_id
             if not is_on_it or self._way is None or state.sequence:
                 return None
             if self._way.text:  # it has begun
                 self._way = replace(self._way, text='')
             return self._way
-        ends = [*state.resume_positions] or [*program.start_positions]
-        if not ends:
+        before = state.path_position <= 0.0
+        ends = [*(program.start_positions if before else state.resume_positions)]
+        if not ends or not state.resting:
             return None
         known = state.program_id, [*state.commanded_positions], ends
-        if self._known != known:
+        if self._known != known or self._way is None or not self._way.text:
             self._known = known
             retract = settings_from(program.settings, Settings()).retract
             stands = np.array(state.commanded_positions)
             corners = way_inside(self._transform, stands, np.array(ends), retract)
-            self._way = Way(self._legs(corners), told(program))
+            self._way = Way(self._legs(corners), told(program, before))
         return self._way
 
     def _legs(self, corners: FloatArray) -> tuple[tuple[str, FloatArray], ...]:
@@ -125,6 +130,6 @@ class WayAhead:
         return tuple(legs)
 
 
-def told(program: LoadedProgram) -> str:
-    """Return what the operator must know before the tool moves to the path."""
-    return '\n'.join((*program.start_notes, MOVES))
+def told(program: LoadedProgram, before: bool) -> str:
+    """Return what the operator must know before the tool moves to the path, or back to it."""
+    return '\n'.join((*program.start_notes, MOVES) if before else (AWAY, BACK))

@@ -91,11 +91,11 @@ def write_screens(tab: Tab, folder: Path) -> None:
         tab.wait(lambda: tab.text('contact') == '')
         shown = seen_on(tab, folder)
         shown.quantize(256).save(HERE / 'pictures' / f'{name}.png', optimize=True)
-    label(tab, shown)
+    label(tab, shown, LABELLED)
     shown.quantize(256).save(HERE / 'pictures' / 'page_labelled.png', optimize=True)
 
 
-def label(tab: Tab, shown: Image.Image) -> None:
+def label(tab: Tab, shown: Image.Image, marks: tuple[str, ...]) -> None:
     """Draw a number beside each part of the page that the documentation names."""
     places = tab.run(
         'Object.fromEntries([...document.querySelectorAll("[data-mark]")].map(part => {'
@@ -103,7 +103,7 @@ def label(tab: Tab, shown: Image.Image) -> None:
         'return [part.dataset.mark, [box.left, box.top]]; }))'
     )
     draw, font = ImageDraw.Draw(shown), ImageFont.load_default(13)
-    for number, mark in enumerate(LABELLED, start=1):
+    for number, mark in enumerate(marks, start=1):
         x, y = (max(place, RADIUS) for place in (places[mark][0] - RADIUS, places[mark][1]))
         draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), RED, WHITE)
         draw.text((x, y), str(number), WHITE, font, anchor='mm')

@@ -25,7 +25,7 @@ Result = RunProgram.Result
 
 @pytest.fixture(scope='module')
 def bench():
-    running = Bench()
+    running = Bench({'feedrate_node': {'plunge_feed': 0.004}})  # a way back of some seconds
     running.mover = running.node.create_client(MoveAxes, 'move_axes')
     running.spin_until(running.mover.service_is_ready)
     yield running
@@ -182,7 +182,7 @@ def test_it_stops_at_every_moment(bench, when, how):
 def test_cycle_start_waits_for_the_hand_and_a_jog_for_cycle_start(bench):
     handle = bench.begin()
     held_at(bench, 0.02)
-    begin_to_move(bench, axes=['X'], values=[0.05], relative=True, speed=0.2)
+    begin_to_move(bench, axes=['X'], values=[0.05], relative=True, speed=0.01)
     answer = bench.press('cycle_start')
     assert not answer.success and 'moved by hand' in answer.message
     assert bench.press('feed_hold').success

@@ -86,7 +86,7 @@ def test_a_move_arrives_and_a_hold_ends_one(bench):
     end = proven(bench, start)
     assert end == pytest.approx(start + [0, 0.02, 0, 0.1, 0], abs=1e-9)
     assert list(answer.positions) == pytest.approx(end, abs=1e-9)
-    assert move(bench, axes=['X'], values=[0.45]).success
+    assert move(bench, axes=['X'], values=[0.45], speed=0.05).success
     bench.spin_until(lambda: bench.state.state == MachineState.JOGGING)
     assert bench.press('feed_hold').success
     assert proven(bench, end)[0] < 0.45

@@ -34,13 +34,14 @@ from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.pose import positions_of_pose
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, ProgramStream, open_program
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.source import Source
 from cnc_interp.run.path_chain import PathChain, batches
-from cnc_interp.run.start_place import StartFinder
+from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.choices import Settings
 
 EXAMPLES = {
@@ -120,8 +121,9 @@ def same_rows(ours: Blocks, theirs: Blocks, but: tuple[str, ...] = ()) -> bool:
     )
 
 
-def words_set_the_state(case: Case, line: int, row: int, words: tuple[str, ...]) -> str:
+def words_set_the_state(case: Case, line: int, place: StartPlace) -> str:
     """Read the words of the state and the rest of the text from the same position; compare."""
+    row, words = place.block.row, place.block.words
     if case.dialect == 'cl' or row == 1:
         return 'not compared (CL data, or the first motion)'
     codes = [word for word in words if not word.startswith(('F', 'T', 'M6'))]
@@ -130,12 +132,8 @@ def words_set_the_state(case: Case, line: int, row: int, words: tuple[str, ...])
     source = Source.of_text(text, 'rest' + case.file.suffix)
     reader = GcodeReader(case.transform, case.settings, case.setup, source, Notices())
     here = case.blocks[row - 1 : row]
-    rotary = here.rotary
-    if not np.isfinite(rotary).all():
-        found = case.transform.rotary_solutions(here.axis[0]) if case.machine.has_rotary else []
-        rotary = np.array(found[:1] or [[0.0, 0.0]])
-    linear = case.transform.linear(here.tip, rotary)[0]
-    reader.stand_at(np.concatenate([linear, rotary[0]])[: len(case.machine.axis_names)])
+    q = positions_of_pose(case.transform, here.tip[0], here.axis[0], place.position)
+    reader.stand_at(q)
     try:
         again = Blocks.concatenate(list(reader.blocks()))[1:]
     except InterpError:
@@ -207,7 +205,7 @@ def compare(case: Case, line: int, which: int, counts: Counter[str]) -> tuple[fl
     if not which and (np.diff(told) >= 0).all():
         first = int(np.argmax(told >= line)) + 1
         counts[f'first row {verdict(row == max(first, 1))}'] += 1
-    counts[f'words {words_set_the_state(case, line, row, place.block.words)}'] += 1
+    counts[f'words {words_set_the_state(case, line, place)}'] += 1
     after = np.flatnonzero(case.path.s > path.s[0])
     cells, s = len(after) - 1, path.s[-len(after) :]
     bits = np.array_equal(s, case.path.s[after]) and all(

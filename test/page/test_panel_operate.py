@@ -52,13 +52,14 @@ def panel(running):
 
 
 @pytest.fixture
-def part(tmp_path):
-    path = tmp_path / 'part.ngc'
+def part(request, tmp_path):
+    """A program with a name of its own, by which the page tells that it is loaded."""
+    path = tmp_path / f'{request.node.name}.ngc'
     path.write_text(PART)
     return path
 
 
-def choose(tab, line, which, told):
+def choose(panel, tab, line, which, told):
     """Press a line of the text, name its pass, and choose it for the next start."""
     row = f'[...document.querySelectorAll(".lines li")][{line - 1}]'
     tab.wait(lambda: tab.run(f'!!{row} && ({row}.click(), true)'))
@@ -66,8 +67,7 @@ def choose(tab, line, which, told):
     tab.wait(lambda: tab.run(field) == str(line))
     if which:
         tab.fill('start pass', str(which))
-    tab.click('start here')
-    tab.wait(lambda: told in tab.text('start'))
+    panel.press_key(tab, 'start here', lambda: told in tab.text('start'))
 
 
 def test_the_task_list(panel, part):
@@ -108,10 +108,10 @@ def test_the_task_list(panel, part):
 
     # Start at a line: the pass is asked for, the way is shown, and nothing moves before it is.
     stands = np.array(panel.next_state().commanded_positions)
-    choose(tab, LINE, 0, f'starts at line {LINE};')
+    choose(panel, tab, LINE, 0, f'starts at line {LINE};')
     asked = f'executed {PASSES} times; choose pass 1 to {PASSES}'
     panel.press_key(tab, 'cycle start', lambda: asked in tab.text('start'))
-    choose(tab, LINE, 2, f'starts at line {LINE}, pass 2;')
+    choose(panel, tab, LINE, 2, f'starts at line {LINE}, pass 2;')
     panel.press_key(tab, 'cycle start', lambda: 'plunge' in tab.text('start'))
     run = panel.loaded[-1]
     assert (run.start_line, run.start_pass) == (LINE, 2) and 0.0 < run.start_at < run.path_length
@@ -142,13 +142,12 @@ def test_the_task_list(panel, part):
 def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):
     tab = panel.open_in_charge()
     panel.load(tab, part)
-    choose(tab, 9, 0, 'starts at line 9;')
-    tab.click('from the top')
-    tab.wait(lambda: tab.text('start') == '')
-    choose(tab, 9, 0, 'starts at line 9;')
+    choose(panel, tab, 9, 0, 'starts at line 9;')
+    panel.press_key(tab, 'from the top', lambda: tab.text('start') == '')
+    choose(panel, tab, 9, 0, 'starts at line 9;')
     tab.fill('start line', '99')
-    tab.click('start here')
-    tab.wait(lambda: tab.run('document.body.textContent.includes("part.ngc has 10 lines")'))
+    refused = f'document.body.textContent.includes("{part.name} has 10 lines")'
+    panel.press_key(tab, 'start here', lambda: tab.run(refused))
     other = part.with_name('other.ngc')
     other.write_text(PART)
     panel.load(tab, other)
@@ -156,7 +155,7 @@ def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):
     assert tab.run('document.querySelector("[data-mark=\'start line\']").value') == ''
     assert tab.run('document.querySelector(".lines .start")') is None
     # After a run that began at a line, the next one begins at the top.
-    choose(tab, 9, 0, 'starts at line 9;')
+    choose(panel, tab, 9, 0, 'starts at line 9;')
     panel.press_key(tab, 'cycle start', lambda: 'plunge' in tab.text('start'))
     panel.reset(tab)
     tab.wait(lambda: tab.text('start') == '')

@@ -1,6 +1,7 @@
 """The four nodes as real processes, and a client that sends goals and raw messages to them."""
 
 import os
+import signal
 import time
 import uuid
 
@@ -20,6 +21,11 @@ from cnc_interp.nodes.node_processes import Children
 from cnc_interp.nodes.peers import Peers
 
 START, PATIENCE = 300.0, 120.0  # [s]; the first start compiles; bounds, not timings
+
+
+def hear_ctrl_c():
+    """As in a terminal: what is started in the background does not hear it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class NodesUnderTest:

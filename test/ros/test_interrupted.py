@@ -11,15 +11,10 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from nodes_under_test import PATIENCE
+from nodes_under_test import PATIENCE, hear_ctrl_c
 
 PROGRAM = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX100\nM2\n'
 IMPORT = b'import time:'
-
-
-def hear_ctrl_c():
-    """As in a terminal: what is started in the background does not hear it."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.mark.parametrize('words', [['run'], ['plan', '--out', 'out'], ['panel', '--port', '0']])

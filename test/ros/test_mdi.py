@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import MachineState, ModalState
 from cnc_interp_msgs.srv import MoveAxes
+from nodes_under_test import hear_ctrl_c
 from operated import LIMITS, TRANSFORM, Bench, Result, T
 
 from cnc_interp.nodes import qos
@@ -183,7 +184,9 @@ def test_other_settings_than_those_of_the_node_are_refused(bench):
 def cnc_interp(bench, *lines):
     command = [sys.executable, '-m', 'cnc_interp', 'mdi', *lines]
     command += ['--namespace', bench.namespace, '--domain', str(bench.domain)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c
+    )
 
 
 def test_the_command_line_gives_lines(bench):

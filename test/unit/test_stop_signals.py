@@ -8,6 +8,14 @@ import pytest
 from cnc_interp.client.stop_signals import STOPS, stop_signals, stops_later
 
 
+@pytest.fixture(autouse=True)
+def hear_ctrl_c():
+    """As in a terminal: what is started in the background does not hear it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize('number', STOPS)
 def test_a_signal_is_seen_by_the_loop(number):
     with stop_signals() as stop:

@@ -140,7 +140,10 @@ class Trial:
                 bench.state.completed
                 or bench.state.plan_over
                 or bench.state.state == MachineState.HELD
-                or bench.state.waits_for == MachineState.WAITS_FOR_SETPOINTS
+                or (
+                    node == 'feedrate_node'
+                    and bench.state.waits_for == MachineState.WAITS_FOR_SETPOINTS
+                )
             )
         )
         if node == 'program_node':

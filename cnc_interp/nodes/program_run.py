@@ -141,7 +141,8 @@ class ProgramRun:
         """Tell when the run is over, and how."""
         machine = peers.machine
         mine = machine is not None and machine.run_id.program_id == self.run_id.program_id
-        if machine is not None and (mine or machine.is_free):
+        not_begun = self._machine is None and machine is not None and machine.is_free
+        if machine is not None and (mine or not_begun):
             self.recovery.see(machine)
         if mine:
             self._machine = machine

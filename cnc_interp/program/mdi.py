@@ -3,7 +3,7 @@ Lines by hand (MDI): single lines of G-code that share one modal state.
 
 A line starts where the machine stands, because it may have been moved by hand since the line
 before. Everything else (units, plane, feed, offsets, variables) is taken over from there. A line
-that is refused leaves nothing behind: its reader is simply not kept.
+that is refused changes nothing, because its reader is not kept.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from cnc_interp_msgs.msg import MachineState
 from page_under_test import REFUSED, PanelUnderTest
 
 from cnc_interp.client.page.contact import LATE
+from cnc_interp.client.page.jog_pad import STALE
 
 pytestmark = pytest.mark.skipif(
     found() is None, reason='needs a browser: apt-get install chromium'
@@ -476,10 +477,8 @@ def test_axes_are_moved_by_hand_from_the_page(panel):
     tab.send('Input.dispatchKeyEvent', type='keyUp', key='ArrowLeft', windowsVirtualKeyCode=37)
     # A beat that was on its way for long does not count.
     tab.wait(lambda: tab.run('contact.beat > 0'))
-    here = None
-    while here is None or not (rests() == here).all():  # the last beats may be on their way
-        here = rests()
-        time.sleep(1.0)
+    time.sleep(STALE)  # from now on no beat from before counts
+    here = rests()
     tab.run("emitEvent('jog', {name: 'X', sign: 1, heard: contact.beat - 2.5})")
     time.sleep(1.0)
     assert (rests() == here).all()

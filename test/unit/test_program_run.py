@@ -153,6 +153,17 @@ def test_a_run_that_the_machine_has_not_begun_goes_on_too():
     assert run.continue_at == 0.0 and run.run_id.attempt == 1
 
 
+def test_a_run_that_the_machine_has_left_by_reset_never_goes_on_by_itself():
+    run, peers = streaming()
+    peers.say(run, RUNNING, 0.0)
+    run.step(peers, 0.0, 3.0)
+    peers.forgot = 'segments'
+    for time in (0.1, 1.0, 2.0, 9.0):
+        peers.machine = replace(machine_report(MachineState(state=MachineState.IDLE)), time=time)
+        run.step(peers, 0.0, 3.0)
+        assert run.phase is Phase.LOST and not run.may_go_on()
+
+
 def test_a_run_waits_for_a_machine_that_is_free_and_not_for_ever():
     run, peers = waiting()
     peers.machine = machine_report(MachineState(state=RUNNING, program_id='other'))

@@ -18,7 +18,7 @@ from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.axes import Axis
+from cnc_interp.kinematics.axes import Axis, place_text
 from cnc_interp.kinematics.machine import Machine
 
 #: Longest wait for the nodes [s].
@@ -67,11 +67,7 @@ class Ended:
 
     def text(self) -> str:
         """Return the place in words and shop units."""
-        place = '  '.join(
-            f'{axis.name} {axis.position_text(q)} {axis.shown_unit}'
-            for axis, q in zip(self.axes, self.position, strict=True)
-        )
-        return f'{self.message}: {place}'
+        return f'{self.message}: {place_text(self.axes, self.position)}'
 
     def to_json(self) -> dict[str, Any]:
         """Return the result for machines to read, in SI."""
@@ -159,11 +155,7 @@ def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[s
     check_place(namespace, domain)
     with OperatorClient('home', namespace, domain) as client:
         machine = await_machine(client, namespace, domain)
-        answer = client.home(axes)
-        while not answer.done():
-            client.serve()
-        if not answer.result().ok:
-            raise InterpError(answer.result().message)
+        client.granted(client.home(axes))
         wanted = set(axes or machine.homing.switches)
         rest_since = time.monotonic()
         with held_at_interrupt(client):
@@ -187,20 +179,14 @@ def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        answer = client.trigger('feed_hold')
-        while not answer.done():
-            client.serve()
+        client.wait_for(client.trigger('feed_hold'))
         raise
 
 
 def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
     """Send the request and watch the machine until it rests."""
-    answer = client.move_axes(request)
-    while not answer.done():
-        client.serve()
-    if not answer.result().ok:
-        raise InterpError(answer.result().message)
-    target, moved = np.array(answer.result().response.positions), False
+    answer = client.granted(client.move_axes(request))
+    target, moved = np.array(answer.response.positions), False
     state, heard = client.state, time.monotonic()
     while True:
         client.serve()

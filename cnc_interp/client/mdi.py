@@ -11,6 +11,7 @@ from cnc_interp.client.hand_move import await_machine
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.kinematics.axes import place_text
 from cnc_interp.kinematics.machine import Machine
 
 #: Unit of the feedrate with G95, as it is shown [m].
@@ -98,20 +99,18 @@ def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iter
         if not lines:
             yield _end(client, machine, '', Answer(True, 'the modal state'))
         for line in lines:
-            answer = client.give_line(line)
+            asked = client.give_line(line)
             try:
-                while not answer.done():
-                    client.serve()
+                answer = client.wait_for(asked)
             except KeyboardInterrupt:
                 client.cancel_lines()
-                while not answer.done():
-                    client.serve()
+                client.wait_for(asked)
                 raise
-            run = answer.result().response
+            run = answer.response
             while run is not None and run.samples and not _rests(client.state, run.program_id):
                 client.serve()
-            yield _end(client, machine, line, answer.result())
-            if not answer.result().ok:
+            yield _end(client, machine, line, answer)
+            if not answer.ok:
                 return
 
 
@@ -124,9 +123,6 @@ def _end(client: OperatorClient, machine: Machine, line: str, answer: Answer) ->
     """Return the end of a line by what the nodes have told."""
     assert client.state is not None
     position = client.state.commanded_positions
-    place = '  '.join(
-        f'{axis.name} {axis.position_text(q)} {axis.shown_unit}'
-        for axis, q in zip(machine.axes, position, strict=True)
-    )
+    place = place_text(machine.axes, position)
     at = dict(zip(machine.axis_names, map(float, position), strict=True))
     return LineEnd(line, answer, modes_text(client.modes), place, at)

@@ -28,6 +28,7 @@ from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.question import AGAIN, Question
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.client.stop_signals import stops_later
+from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE, STATE
@@ -330,6 +331,27 @@ class OperatorClient:
         self._pending = [ended for ended in self._pending if not ended()]
         with stops_later():
             self._executor.spin_once(timeout_sec=timeout)
+
+    def wait_for(self, answer: Future[Answer]) -> Answer:
+        """Serve until there is an answer; return it."""
+        while not answer.done():
+            self.serve()
+        return answer.result()
+
+    def granted(self, answer: Future[Answer]) -> Answer:
+        """
+        Serve until something that was asked for is granted; return the answer.
+
+        Raises
+        ------
+        InterpError
+            If it is refused; the message says why.
+
+        """
+        found = self.wait_for(answer)
+        if not found.ok:
+            raise InterpError(found.message)
+        return found
 
     def start(self) -> None:
         """Start a thread that serves the node."""

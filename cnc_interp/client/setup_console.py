@@ -71,12 +71,8 @@ class SetupConsole:
             If it is refused.
 
         """
-        answer = self._setup.ask(service, **request)
-        while not answer.done():
-            self._client.serve()
-        if not answer.result().ok:
-            raise InterpError(answer.result().message)
-        return answer.result().message.partition(': ')[2]
+        answer = self._client.granted(self._setup.ask(service, **request))
+        return answer.message.partition(': ')[2]
 
     def offsets_text(self) -> str:
         """Return positions and offsets as a table in mm and deg; a star marks the active one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,14 @@ class Axis:
     def position_text(self, position: float) -> str:
         """Return a position [m or rad] as text for a display, in mm or deg without the unit."""
         return f'{position / MM:z.3f}' if self.linear else f'{position / DEG:z.4f}'
+
+
+def place_text(axes: Sequence[Axis], position: Iterable[float]) -> str:
+    """Return the positions of all axes [m or rad] as text with names and units."""
+    return '  '.join(
+        f'{axis.name} {axis.position_text(q)} {axis.shown_unit}'
+        for axis, q in zip(axes, position, strict=True)
+    )
 
 
 def error_text(error: float, unit: str) -> str:

@@ -147,6 +147,7 @@ class Trial:
             )
         )
         if node == 'program_node':
+            self.stop()
             bench.recorded()
         bench.children.revive()
         bench.watching = True
@@ -156,6 +157,12 @@ class Trial:
             bench.until_state(MachineState.IDLE)
             return False
         return self.moves_on(press=True)
+
+    def stop(self) -> None:
+        """Hold, also a machine that rests: a starved one goes on with what still comes."""
+        if not self.bench.state.completed:
+            self.bench.press('feed_hold')
+            self.held()
 
     def moves_on(self, press: bool = False) -> bool:
         """Wait until the tool advances, or has reached the end; press cycle_start as needed."""

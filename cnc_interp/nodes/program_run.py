@@ -26,7 +26,7 @@ from cnc_interp.run.run_state import State
 from cnc_interp.wire.run_messages import run_result
 from cnc_interp.wire.settings_messages import loaded_program
 
-#: How long the first motion may take to reach the machine when all nodes answer [s].
+#: How long look-ahead and planner may take to accept a run when all nodes answer [s].
 PATIENCE = 10.0
 #: Within this, the machine stands where a line by hand starts [m, rad].
 SAME = 1e-9
@@ -155,12 +155,20 @@ class ProgramRun:
             text = f'{MACHINE} does not answer any more; start it again'
             return Outcome(Code.STREAM_LOST, text)
         self._see_nodes(peers, now)
-        if self.phase is Phase.OFFERED and not self.missing and now - self._since > PATIENCE:
-            return Outcome(
-                Code.BUSY, 'the look-ahead is in a run that is not over; reset, or else restart '
-                'lookahead_node and feedrate_node, then run this again',
-            )  # fmt: skip
-        return None
+        if self.phase is not Phase.OFFERED:
+            return None
+        if self.missing:
+            self._since = now
+        if now - self._since <= PATIENCE:
+            return None
+        if self.run_id.attempt:  # a node was lost again before it was seen on the run
+            self.recovery.node = min(PLANNERS - self._known_by)
+            self._change(Step.LOSE, now)
+            return None
+        return Outcome(
+            Code.BUSY, 'the look-ahead is in a run that is not over; reset, or else restart '
+            'lookahead_node and feedrate_node, then run this again',
+        )  # fmt: skip
 
     def _ended(self, machine: MachineReport | None, kind: Refusal, reason: str) -> Outcome | None:
         """Return the outcome where the machine has ended the run, or a node has refused it."""

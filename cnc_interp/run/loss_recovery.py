@@ -10,7 +10,7 @@ from cnc_interp.run.run_state import SELF_STARTING, State
 SETTLED = 0.1
 """A machine that rests for so long after cycle_start has nothing to execute [s]."""
 FILLED = 0.5
-"""A machine whose buffer is not full after so long gets no more setpoints [s]."""
+"""A machine with a plan whose buffer is not full after so long gets no more setpoints [s]."""
 
 
 class LossRecovery:
@@ -49,7 +49,9 @@ class LossRecovery:
     @property
     def is_due(self) -> bool:
         """Tell whether the program must be sent again now."""
-        least = FILLED if self._starts_by_itself else SETTLED
+        report = self._report
+        fills = report is not None and report.state is State.STARVED and not report.plan_over
+        least = FILLED if fills or self._starts_by_itself else SETTLED
         return bool(self.node) and self._waits >= least
 
     def begin_again(self) -> None:

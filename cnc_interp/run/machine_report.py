@@ -55,8 +55,8 @@ class MachineReport:
 
     @property
     def rests_on_path(self) -> bool:
-        """Tell whether the machine rests on the path until somebody does something."""
-        return self.state is State.HELD or self._lacks_plan
+        """Tell whether the machine rests on the path after a stop that was not planned."""
+        return self.state in (State.HELD, State.STARVED)
 
     @property
     def is_free(self) -> bool:
@@ -81,8 +81,9 @@ class MachineReport:
         if self.state is State.HELD:
             # With cycle_start and enough setpoints of the old plan it would have left the hold.
             return run_id.attempt > 0 and (self.plan_over or self.start_wanted)
-        if self.state in (State.FILLING, State.PAUSED):  # a node was lost while it waited
-            return run_id.attempt > 0
+        waits = self.state in (State.FILLING, State.PAUSED, State.STARVED)
+        if waits and run_id.attempt > 0:  # a node was lost meanwhile
+            return True
         # A machine whose drives are off refuses the plan itself.
         return self.is_free or self.state is State.INACTIVE
 

@@ -43,7 +43,7 @@ TABLE: dict[tuple[Phase, Step], Phase] = {
     (P.OFFERED, S.LOSE): P.LOST,
     (P.STREAMING, S.LOSE): P.LOST,
     (P.LOST, S.LOSE): P.LOST,
-    (P.LOST, S.BEGIN_AGAIN): P.STREAMING,
+    (P.LOST, S.BEGIN_AGAIN): P.OFFERED,
     **{(phase, S.END): P.ENDED for phase in P},
 }
 #: Phases in which blocks are sent.

@@ -76,7 +76,7 @@ def go_on_at(course):
         run.step(peers, 0.0, 3.0)
         if run.may_go_on():
             run.begin_again(0.0)
-            assert run.phase is Phase.STREAMING and run.run_id.attempt == 1
+            assert run.phase is Phase.OFFERED and run.run_id.attempt == 1
             return time
     return None
 
@@ -99,6 +99,44 @@ def test_a_machine_that_starts_at_once_executes_first_what_it_has():
 @pytest.mark.parametrize('code', [HELD, STARVED])
 def test_without_cycle_start_it_never_goes_on(code):
     assert go_on_at([(0.0, RUNNING, False), *((k * STEP, code, False) for k in range(9))]) is None
+
+
+@pytest.mark.parametrize('wanted', [False, True])
+def test_a_starved_machine_that_got_a_part_of_its_next_plan_goes_on_after_cycle_start(wanted):
+    """Its planner was lost while it filled the buffer again, so the plan is not over."""
+    run, peers = streaming()
+    peers.forgot = 'segments'
+    times = [0.4 * k * FILLED for k in range(7)]
+    due = []
+    for time in times:
+        peers.say(run, STARVED, time, start_wanted=wanted, plan_over=False)
+        run.step(peers, 0.0, 3.0)
+        due.append(run.may_go_on())
+        assert peers.machine.takes(RunId('name', 1, 0)) and not peers.machine.is_free
+    assert due == [wanted and time >= 1.2 * FILLED for time in times]
+
+
+@pytest.mark.parametrize('stream', ['blocks', 'segments'])
+def test_a_node_that_was_lost_before_it_was_seen_on_the_run_is_missed(stream):
+    """It took the run that began again, and was killed before its acknowledgement was read."""
+    run, peers = streaming()
+    peers.forgot = stream
+    for time in (0.0, 2.0 * SETTLED):
+        peers.say(run, HELD, time, start_wanted=True, plan_over=True)
+        run.step(peers, 0.0, 3.0)
+    assert run.may_go_on()
+    run.begin_again(0.0)
+    peers.silent = 'feedrate_node'
+    assert run.step(peers, 2.0 * PATIENCE, 3.0) is None, 'its return is waited for'
+    peers.silent = ''
+    for now in (2.1 * PATIENCE, 2.9 * PATIENCE):
+        assert run.step(peers, now, 3.0) is None and run.phase is Phase.OFFERED
+    assert run.step(peers, 3.0 * PATIENCE + 0.1, 3.0) is None and run.phase is Phase.LOST
+    assert run.recovery.node == {'blocks': 'lookahead_node', 'segments': 'feedrate_node'}[stream]
+    for time in (5.0, 5.0 + 2.0 * SETTLED):
+        peers.say(run, HELD, time, start_wanted=True, plan_over=True)
+        run.step(peers, 3.0 * PATIENCE, 3.0)
+    assert run.may_go_on()
 
 
 def rests_by_itself(state, times):

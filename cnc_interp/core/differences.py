@@ -8,10 +8,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import largest_between
+from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, largest_between
 
 #: Setpoints that must be known before the first one whose differences are taken.
 BEFORE = 3
+#: Steps of an axis below this are rest [m, rad].
+STILL = 1e-12
 #: An excess of up to 0.1 % of a limit or a tolerance is rounding.
 ROUNDING = 1.001
 
@@ -27,7 +29,7 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
     ----------
     positions : ndarray, shape (3 + K, n_axes)
         The three setpoints before, then K setpoints [m, rad].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits over position; see ``limit_table.py``.
     period : float
         Interpolation period T [s].
@@ -49,6 +51,42 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
             around = sliding_window_view(held, order + 1, axis=0)
             limit = largest_between(table, around.min(axis=-1), around.max(axis=-1))[row]
         shares[row] = np.diff(held, order, axis=0) / (limit * period**order)
+    return shares
+
+
+def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+    """
+    Divide the torques that three setpoints in a row ask for by the largest ones.
+
+    The velocity is that between the first and the third. Where an axis turns between them,
+    Coulomb friction has both signs, so the smaller torque counts.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (3 + K, n_axes)
+        The three setpoints before, then K setpoints [m, rad].
+    table : ndarray, shape (7, n_axes, m)
+        Limits over position; see ``limit_table.py``.
+    period : float
+        Interpolation period T [s].
+
+    Returns
+    -------
+    ndarray, shape (K, n_axes)
+        Shares, not negative [-]; row k belongs to the differences that end at setpoint k. Zero
+        for axes without a largest torque.
+
+    """
+    steps = np.diff(positions[BEFORE - 2 :], axis=0)
+    sign = np.where(np.abs(steps) < STILL, 0.0, np.sign(steps))
+    asked = np.diff(steps, axis=0) / period**2
+    asked += table[VISCOUS, :, 0] * (steps[1:] + steps[:-1]) / (2.0 * period)
+    friction, way = table[COULOMB, :, 0], np.sign(sign[1:] + sign[:-1])
+    turns = sign[1:] * sign[:-1] < 0.0
+    torque = np.where(
+        turns, np.maximum(np.abs(asked) - friction, 0.0), np.abs(asked + way * friction)
+    )
+    shares: FloatArray = torque / table[DRIVE, :, 0]
     return shares
 
 

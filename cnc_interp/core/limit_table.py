@@ -3,9 +3,17 @@ Limits of the axes over their positions: one table, from the machine file to eve
 
 Each limit of an axis is piecewise linear between a few positions, and constant beyond the first
 and the last. An axis with constant limits has one position. The table has the shape
-(4, n_axes, m): rows ``VELOCITY``, ``ACCELERATION``, ``JERK`` hold the limits at the m positions
+(7, n_axes, m): rows ``VELOCITY``, ``ACCELERATION``, ``JERK`` hold the limits at the m positions
 of row ``PLACE`` [m or rad, per s, s2, s3]. Axes with fewer positions are filled up by infinite
 ones. With m = 1 all limits are constants.
+
+The drive of an axis may have a largest torque (or force) T beside them, of which inertia J,
+viscous friction B and Coulomb friction C take their parts:
+
+    |J q_ddot + B q_dot + C sign(q_dot)| <= T
+
+Divided by J, rows ``DRIVE``, ``COULOMB`` and ``VISCOUS`` hold T/J, C/J and B/J [m or rad per s2,
+the same, 1/s]. ``DRIVE`` is infinite where the axis has no such limit.
 """
 
 from __future__ import annotations
@@ -15,7 +23,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 
-VELOCITY, ACCELERATION, JERK, PLACE = 0, 1, 2, 3
+VELOCITY, ACCELERATION, JERK, PLACE, DRIVE, COULOMB, VISCOUS = range(7)
 
 FAR = 1e300
 """Beyond every position; infinite positions would give no difference [m or rad]."""
@@ -32,15 +40,18 @@ def constant_table(limits: FloatArray) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (4, n_axes, 1)
-        The same limits everywhere.
+    ndarray, shape (7, n_axes, 1)
+        The same limits everywhere, and no largest torque.
 
     """
-    table: FloatArray = np.concatenate([limits, np.full_like(limits[:1], -FAR)])[:, :, None]
+    table = np.zeros((7, limits.shape[1], 1))
+    table[:PLACE, :, 0], table[PLACE], table[DRIVE] = limits, -FAR, np.inf
     return table
 
 
-def place_table(limits: FloatArray, places: dict[int, FloatArray]) -> FloatArray:
+def place_table(
+    limits: FloatArray, places: dict[int, FloatArray], loads: dict[int, FloatArray] | None = None
+) -> FloatArray:
     """
     Return the table of limits of which some depend on the position.
 
@@ -50,10 +61,12 @@ def place_table(limits: FloatArray, places: dict[int, FloatArray]) -> FloatArray
         Limits of the axes that are not in ``places`` [m or rad, per s, s2, s3].
     places : dict of int to ndarray, shape (4, k)
         For some axes: limits, and in the last row the increasing positions at which they hold.
+    loads : dict of int to ndarray, shape (3,), optional
+        For some axes: T/J, C/J and B/J [m or rad per s2, the same, 1/s].
 
     Returns
     -------
-    ndarray, shape (4, n_axes, m)
+    ndarray, shape (7, n_axes, m)
         The table; m is the largest k, at least 1.
 
     """
@@ -63,8 +76,69 @@ def place_table(limits: FloatArray, places: dict[int, FloatArray]) -> FloatArray
     for axis, of in places.items():
         k = of.shape[1]
         table[:PLACE, axis] = of[:PLACE, -1:]
-        table[:, axis, :k] = of
+        table[: PLACE + 1, axis, :k] = of
+    for axis, load in (loads or {}).items():
+        table[DRIVE:, axis] = load[:, None]
     return table
+
+
+def has_loads(table: FloatArray) -> bool:
+    """Tell whether a drive has a largest torque."""
+    return bool(np.isfinite(table[DRIVE]).any())
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float) -> float:
+    """
+    Return the use of the torque that friction leaves to an axis; negative against the motion.
+
+    Friction takes a part of the torque that accelerates, and helps to brake:
+    with sigma = sign(q_dot), -(T + C)/J <= sigma q_ddot + B/J |q_dot| <= (T - C)/J. At rest both
+    directions count as accelerating.
+
+    Parameters
+    ----------
+    table : ndarray, shape (7, n_axes, m)
+        Limits over position.
+    axis : int
+        The axis.
+    velocity, acceleration : float
+        Its state [m or rad, per s, per s2].
+
+    """
+    drive, friction = table[DRIVE, axis, 0], table[COULOMB, axis, 0]
+    if drive == np.inf:
+        return 0.0
+    if velocity == 0.0:
+        return float(abs(acceleration) / (drive - friction))
+    along = acceleration if velocity > 0.0 else -acceleration
+    along += table[VISCOUS, axis, 0] * abs(velocity)
+    return float(along / (drive - friction) if along > 0.0 else along / (drive + friction))
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def acceleration_room(
+    table: FloatArray, axis: int, q: float, velocity: float
+) -> tuple[float, float]:
+    """
+    Return the largest acceleration of an axis along its motion and against it.
+
+    Parameters
+    ----------
+    table : ndarray, shape (7, n_axes, m)
+        Limits over position.
+    axis : int
+        The axis.
+    q, velocity : float
+        Its state [m or rad, per s].
+
+    """
+    most = limit_at(table, ACCELERATION, axis, q)
+    drive = table[DRIVE, axis, 0]
+    if drive == np.inf:
+        return most, most
+    friction = table[COULOMB, axis, 0] + table[VISCOUS, axis, 0] * abs(velocity)
+    return min(most, drive - friction), min(most, drive + friction)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -74,7 +148,7 @@ def limit_at(table: FloatArray, row: int, axis: int, q: float) -> float:
 
     Parameters
     ----------
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits over position.
     row, axis : int
         ``VELOCITY``, ``ACCELERATION`` or ``JERK``, and the axis.
@@ -101,7 +175,7 @@ def limits_along(table: FloatArray, q: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits over position.
     q : ndarray, shape (K, n_axes)
         Positions [m or rad].
@@ -135,7 +209,7 @@ def largest_between(table: FloatArray, low: FloatArray, high: FloatArray) -> Flo
 
     Parameters
     ----------
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits over position.
     low, high : ndarray, shape (K, n_axes)
         Lowest and highest positions [m or rad].

@@ -11,15 +11,20 @@ Neighbouring cells are neighbours in memory, so that the compiler computes sever
 Sums over the axes are made for ``CHUNK`` cells at a time, so they stay in the cache. Rounding does
 not depend on how many cells the processor computes at once.
 
-Arrays of this module, for n cells and places q = 0 (left end), 1 (right end), 2 (left node):
+If a drive has a largest torque, there is a fourth place, again the left node. Its rows have a
+constant: -1 <= g + constant <= 1, because Coulomb friction takes its part of the torque.
+
+Arrays of this module, for n cells, p places and r = 2 p n_axes + 2 rows. The places are q = 0
+(left end), 1 (right end), 2 (left node), and 3 (left node, torque):
 
     rows          (n_axes, 9, n)     row 3 q + f: factor of term f at place q; the limit is 1
+                  (n_axes, 13, n)    with four places; row 12 is the constant of place 3
     inverse_caps  (2, n)             1 / largest s_dot^2 in the cell and at its left node [s2/m2]
     m             (n,)               coefficients: the unknowns [m2/s2]
-    terms         (6, n + 1)         terms of the rows;  slopes (14, n + 1): their derivatives
+    terms         (7, n + 1)         terms of the rows;  slopes (14, n + 1): their derivatives
     weight        (n,)               barrier weight of the cell: its share of the time [-]
-    slack, dual   (6 n_axes + 2, n)  w and y: rows 6 k + 2 q and 6 k + 2 q + 1 are both sides of
-                                     place q of axis k; the last two are the caps
+    slack, dual   (r, n)             w and y: rows 2 (p k + q) and 2 (p k + q) + 1 are both sides
+                                     of place q of axis k; the last two are the caps
     change, next_dual                the same shape: steps of w and y
     d0, d1, d2, rhs, residual        (n + 2,): diagonals of the Newton matrix, right-hand side,
                                      dual residual; entry i + 1 belongs to m_i
@@ -42,11 +47,26 @@ CHUNK = 256
 """Number of cells that are summed over all axes at a time."""
 
 
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def places_of(rows: FloatArray) -> int:
+    """Return the number of places."""
+    return 4 if rows.shape[1] > 9 else 3
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def constant_of(
+    rows: FloatArray, k: int, q: int, lo: int, hi: int, zero: FloatArray
+) -> FloatArray:
+    """Return the constants of the rows of axis k at place q in cells lo ... hi."""
+    return rows[k, 12, lo:hi] if q == 3 else zero[: hi - lo]
+
+
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_rows(
     c0: FloatArray,
     c1: FloatArray,
     c2: FloatArray,
+    constant: FloatArray,
     x0: FloatArray,
     x1: FloatArray,
     x2: FloatArray,
@@ -72,7 +92,7 @@ def _sum_rows(
     """Add the rows of one axis and place to sums in the terms: squares, pushes and pulls."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
-        g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
+        g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j] + constant[j]
         r0, r1 = y0[j] / w0[j], y1[j] / w1[j]
         push = r0 * (w0[j] - 1.0 + g) - r1 * (w1[j] - 1.0 - g)
         pull, both = y0[j] - y1[j], r0 + r1
@@ -297,13 +317,13 @@ def add_rows(
         row.
 
     """
-    n, n_axes = len(m), rows.shape[0]
+    n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     total_gap, weighted, most = 0.0, 0.0, 0.0
     for out in (d0, d1, d2, residual, rhs):
         out[:] = 0.0
     # Rows of x: the matrix of each cell (6), its right-hand side (3), its dual residual (3).
     s, x = np.empty((12, CHUNK)), np.empty((12, CHUNK))
-    gap, use = np.empty(CHUNK), np.empty(CHUNK)
+    gap, use, zero = np.empty(CHUNK), np.empty(CHUNK), np.zeros(CHUNK)
     e = slopes
     for lo in range(0, n, CHUNK):
         hi = min(lo + CHUNK, n)
@@ -315,13 +335,14 @@ def add_rows(
             x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
         )  # fmt: skip
         x[9:12] = x[6:9]
-        for q in range(3):
+        for q in range(places):
             s[:] = 0.0
             x0, x1, x2 = term_rows(terms, q, lo, hi)
             for k in range(n_axes):
-                c, r = 3 * q, 6 * k + 2 * q
+                c, r = 3 * q, 2 * (places * k + q)
                 _sum_rows(
-                    rows[k, c, left], rows[k, c + 1, left], rows[k, c + 2, left], x0, x1, x2,
+                    rows[k, c, left], rows[k, c + 1, left], rows[k, c + 2, left],
+                    constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
                     slack[r, left], slack[r + 1, left], dual[r, left], dual[r + 1, left],
                     s[0], s[1], s[2], s[3], s[4], s[5],
                     s[6], s[7], s[8], s[9], s[10], s[11], gap, use,
@@ -332,7 +353,7 @@ def add_rows(
             )
             by_coefficients(s[6], s[7], s[8], *z, x[6], x[7], x[8])
             by_coefficients(s[9], s[10], s[11], *z, x[9], x[10], x[11])
-        r = 6 * n_axes
+        r = 2 * places * n_axes
         _sum_caps(
             inverse_caps[0, left], inverse_caps[1, left], m[left], terms[4, left],
             e[9, left], e[10, left],
@@ -383,7 +404,7 @@ def start_rows(
         s_dot at the nodes [m/s].
     weight, slack : ndarray
         Output: cell weights and slacks.
-    dual : ndarray, shape (6 n_axes + 2, n)
+    dual : ndarray, shape (r, n)
         Output: duals. A warm start keeps larger values of the last solution.
     warm : bool
         Whether ``dual`` holds the last solution of nearly the same problem.
@@ -394,26 +415,26 @@ def start_rows(
         Number of one-sided rows that take part.
 
     """
-    n, n_axes = len(m), rows.shape[0]
+    n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
     count = 0
     for i in range(n):
         share = 2 * width[i] / (v[i] + v[i + 1]) / total
         weight[i] = max(n * share, 1e-3)
-    use, taking_part = np.empty(n), np.empty(n, dtype=np.bool_)
-    for row in range(3 * n_axes + 2):
-        k, q = row // 3, row % 3
+    use, taking_part, zero = np.empty(n), np.empty(n, dtype=np.bool_), np.zeros(n)
+    for row in range(places * n_axes + 2):
+        k, q = row // places, row % places
         if k < n_axes:
             x0, x1, x2 = term_rows(terms, q, 0, n)
             c0, c1, c2 = rows[k, 3 * q], rows[k, 3 * q + 1], rows[k, 3 * q + 2]
-            use[:] = c0 * x0 + c1 * x1 + c2 * x2
+            use[:] = c0 * x0 + c1 * x1 + c2 * x2 + constant_of(rows, k, q, 0, n, zero)
             taking_part[:] = (c0 != 0.0) | (c1 != 0.0) | (c2 != 0.0)
         else:
-            cap = inverse_caps[row - 3 * n_axes]
+            cap = inverse_caps[row - places * n_axes]
             use[:] = cap * (m if q == 0 else terms[4, :n])
             taking_part[:] = cap != 0.0
         sides = 2 if k < n_axes else 1
-        first = 2 * row if k < n_axes else 6 * n_axes + q
+        first = 2 * row if k < n_axes else 2 * places * n_axes + q
         for side in range(sides):
             w, y = slack[first + side], dual[first + side]
             for i in range(n):

@@ -11,7 +11,13 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.distinct_arrays import DistinctArrays
-from cnc_interp.feedrate.barrier_rows import CHUNK, add_to, by_coefficients
+from cnc_interp.feedrate.barrier_rows import (
+    CHUNK,
+    add_to,
+    by_coefficients,
+    constant_of,
+    places_of,
+)
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
 KEPT_STEP = 0.98
@@ -23,6 +29,7 @@ def _predict_rows(
     c0: FloatArray,
     c1: FloatArray,
     c2: FloatArray,
+    constant: FloatArray,
     x0: FloatArray,
     x1: FloatArray,
     x2: FloatArray,
@@ -42,7 +49,7 @@ def _predict_rows(
     """Predict the steps of the rows of one axis and place; x are the linearised terms."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
-        g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
+        g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j] + constant[j]
         i0, i1 = 1.0 / w0[j], 1.0 / w1[j]
         dw0, dw1 = 1.0 - w0[j] - g, 1.0 - w1[j] + g
         t0, t1 = dw0 * i0, dw1 * i1
@@ -111,7 +118,7 @@ def predict(
     ----------
     rows, inverse_caps, slopes, weight, slack, dual : ndarray
         Input, with the shapes of ``barrier_rows``.
-    m_reached, reached : ndarray, shape (n,), (6, n + 1)
+    m_reached, reached : ndarray, shape (n,), (7, n + 1)
         Coefficients and linearised terms after the whole predictor step.
     centring, bending : ndarray, shape (n + 2,)
         Output: forces of ``weight`` and of the products dw dy.
@@ -123,29 +130,30 @@ def predict(
         divided by the cell weights.
 
     """
-    n, n_axes = len(m_reached), rows.shape[0]
+    n, n_axes, places = len(m_reached), rows.shape[0], places_of(rows)
     worst, square = 1.0, 0.0
     centring[:], bending[:] = 0.0, 0.0
     # Rows of x: both forces on the three coefficients of each cell, dw dy, 1 / step length.
-    s, x = np.empty((6, CHUNK)), np.empty((8, CHUNK))
+    s, x, zero = np.empty((6, CHUNK)), np.empty((8, CHUNK)), np.zeros(CHUNK)
     for lo in range(0, n, CHUNK):
         hi = min(lo + CHUNK, n)
         here = slice(lo, hi)
         x[:] = 0.0
-        for q in range(3):
+        for q in range(places):
             s[:] = 0.0
             x0, x1, x2 = term_rows(reached, q, lo, hi)
             for k in range(n_axes):
-                c, r = 3 * q, 6 * k + 2 * q
+                c, r = 3 * q, 2 * (places * k + q)
                 _predict_rows(
-                    rows[k, c, here], rows[k, c + 1, here], rows[k, c + 2, here], x0, x1, x2,
+                    rows[k, c, here], rows[k, c + 1, here], rows[k, c + 2, here],
+                    constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
                     slack[r, here], slack[r + 1, here], dual[r, here], dual[r + 1, here],
                     s[0], s[1], s[2], s[3], s[4], s[5], x[6], x[7],
                 )  # fmt: skip
             z = slope_rows(slopes, q, lo, hi)
             by_coefficients(s[0], s[1], s[2], *z, x[0], x[1], x[2])
             by_coefficients(s[3], s[4], s[5], *z, x[3], x[4], x[5])
-        r = 6 * n_axes
+        r = 2 * places * n_axes
         _predict_cap(
             inverse_caps[0, here], m_reached[here], slack[r, here], dual[r, here],
             s[0], s[1], x[6], x[7],
@@ -177,6 +185,7 @@ def _step_rows(
     c0: FloatArray,
     c1: FloatArray,
     c2: FloatArray,
+    constant: FloatArray,
     p0: FloatArray,
     p1: FloatArray,
     p2: FloatArray,
@@ -195,7 +204,7 @@ def _step_rows(
     """Write the steps of one side of the rows: sign g <= 1; p, x are terms after both steps."""
     for j in range(len(c0)):
         f0, f1, f2 = sign * c0[j], sign * c1[j], sign * c2[j]
-        inverse, there = 1.0 / w[j], 1.0 - w[j]
+        inverse, there = 1.0 / w[j], 1.0 - w[j] - sign * constant[j]
         predicted = there - (f0 * p0[j] + f1 * p1[j] + f2 * p2[j])
         step = there - (f0 * x0[j] + f1 * x1[j] + f2 * x2[j])
         product = -y[j] * predicted * (1.0 + predicted * inverse)
@@ -234,11 +243,11 @@ def advance(
         Factor of the products dw dy of the predictor.
     rows, inverse_caps, weight : ndarray
         Input, with the shapes of ``barrier_rows``.
-    m_predicted, predicted, m_reached, reached : ndarray, shape (n,), (6, n + 1)
+    m_predicted, predicted, m_reached, reached : ndarray, shape (n,), (7, n + 1)
         Coefficients and linearised terms after the whole step of predictor and corrector.
     m, slack, dual : ndarray
         Coefficients, slacks and duals, updated in place.
-    change, next_dual : ndarray, shape (6 n_axes + 2, n)
+    change, next_dual : ndarray, shape (r, n)
         Room for the steps of slacks and duals.
 
     Returns
@@ -247,31 +256,31 @@ def advance(
         Step lengths of slacks and coefficients, and of duals [-].
 
     """
-    n, n_axes = len(m), rows.shape[0]
+    n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
     f, zero = np.empty((2, CHUNK)), np.zeros(CHUNK)
     for lo in range(0, n, CHUNK):
         hi = min(lo + CHUNK, n)
         here = slice(lo, hi)
         f[:] = 0.0
-        for q in range(3):
+        for q in range(places):
             p, x = term_rows(predicted, q, lo, hi), term_rows(reached, q, lo, hi)
             for k in range(n_axes):
                 c0, c1 = rows[k, 3 * q, here], rows[k, 3 * q + 1, here]
-                c2 = rows[k, 3 * q + 2, here]
+                c2, constant = rows[k, 3 * q + 2, here], constant_of(rows, k, q, lo, hi, zero)
                 for side in range(2):
-                    r = 6 * k + 2 * q + side
+                    r = 2 * (places * k + q) + side
                     _step_rows(
-                        target, second_order, c0, c1, c2, *p, *x, 1.0 - 2.0 * side,
+                        target, second_order, c0, c1, c2, constant, *p, *x, 1.0 - 2.0 * side,
                         weight[here], slack[r, here], dual[r, here],
                         change[r, here], next_dual[r, here], f[0], f[1],
                     )  # fmt: skip
         for which in range(2):
-            r, cap = 6 * n_axes + which, inverse_caps[which, here]
+            r, cap = 2 * places * n_axes + which, inverse_caps[which, here]
             p0 = m_predicted[here] if which == 0 else predicted[4, here]
             x0 = m_reached[here] if which == 0 else reached[4, here]
             _step_rows(
-                target, second_order, cap, zero, zero, p0, zero, zero, x0, zero, zero, 1.0,
+                target, second_order, cap, zero, zero, zero, p0, zero, zero, x0, zero, zero, 1.0,
                 weight[here], slack[r, here], dual[r, here],
                 change[r, here], next_dual[r, here], f[0], f[1],
             )  # fmt: skip

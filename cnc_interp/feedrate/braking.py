@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.limit_table import limits_along
+from cnc_interp.core.limit_table import COULOMB, DRIVE, limits_along
 
 LASTING = 0.25
 """Time without braking that a law may take [s]."""
@@ -39,7 +39,7 @@ def without_braking(
         s_dot and s_ddot there [m/s, m/s2].
     duration : ndarray, shape (n,)
         Time spent in each cell [s].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
 
     Returns
@@ -56,7 +56,9 @@ def without_braking(
     found = np.zeros((2, len(duration)), dtype=bool)
     if time[-1] < LASTING:
         return found
-    for row, limit in enumerate(limits_along(table, q)[1:]):
+    acceleration, jerk = limits_along(table, q)[1:]
+    acceleration = np.minimum(acceleration, table[DRIVE, :, 0] + table[COULOMB, :, 0])
+    for row, limit in enumerate((acceleration, jerk)):
         with np.errstate(divide='ignore', invalid='ignore'):
             # largest deceleration of s that each axis allows; without q_s it allows any
             each = np.where(q_s == 0.0, np.inf, (limit + np.sign(q_s) * by_curve[row]) / abs(q_s))

@@ -112,7 +112,7 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
         Width of the cell [m].
     v : float
         Speed in the cell [m/s].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
 
     Returns

@@ -188,7 +188,7 @@ def planning_grid(
     ----------
     path : AxisPath
         Path without stops inside.
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
     start : tuple of float
         s_dot and s_ddot at the start of the path [m/s, m/s2].

@@ -90,7 +90,7 @@ class WindowScan:
 
     Parameters
     ----------
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
     v_start : float
         s_dot at the start of the window [m/s].

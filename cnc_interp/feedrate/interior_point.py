@@ -107,9 +107,10 @@ def solve(
     ----------
     h : ndarray, shape (n,)
         Cell widths [m].
-    rows : ndarray, shape (n_axes, 9, n)
+    rows : ndarray, shape (n_axes, 9, n) or (n_axes, 13, n)
         Per axis: q_s, 3 q_ss, q_sss over the jerk limit at the left ends of the cells; the same at
-        their right ends; then q_s, q_ss, 0 over the acceleration limit at their left nodes.
+        their right ends; then q_s, q_ss, 0 over the acceleration limit at their left nodes. With
+        torques also q_s, q_ss, (B/J) q_s over T/J at these nodes, and sign(q_s) C/T.
     caps : ndarray, shape (n, 2)
         Largest coefficient of each cell, and largest s_dot^2 at its left node [m2/s2].
     ends : ndarray, shape (4,)
@@ -118,7 +119,7 @@ def solve(
         Coefficients: a positive starting point on entry, the solution on return [m2/s2].
     width : ndarray, shape (n,)
         Effective widths; those of the solution on return [m].
-    slack, dual : ndarray, shape (6 n_axes + 2, n)
+    slack, dual : ndarray, shape (6 n_axes + 2, n) or (8 n_axes + 2, n)
         Slacks and duals of the rows. With ``warm`` they start from the last solution.
     warm : bool
         Whether ``m``, ``slack`` and ``dual`` solve the same problem with slightly other limits.
@@ -135,8 +136,8 @@ def solve(
     """
     n, n_rows = len(h), len(slack)
     b, a, v = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
-    terms, slopes = np.zeros((6, n + 1)), np.zeros((14, n + 1))
-    predicted, reached = np.zeros((6, n + 1)), np.zeros((6, n + 1))
+    terms, slopes = np.zeros((7, n + 1)), np.zeros((14, n + 1))
+    predicted, reached = np.zeros((7, n + 1)), np.zeros((7, n + 1))
     inverse_caps = _inverse_caps(caps)
     change, next_dual = np.empty((n_rows, n)), np.empty((n_rows, n))
     d0, d1, d2 = np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)

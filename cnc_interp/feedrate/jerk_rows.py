@@ -17,12 +17,13 @@ The objective is the time, the sum of 2 H/(v_i + v_{i+1}). Rows are scaled to |g
 
     jerk at both ends   alpha j + beta v a + gamma v b,  j = (a_{i+1} - a_i)(v_i + v_{i+1})/(2 H)
     acceleration        q_s a + q_ss b
+    torque              q_s a + q_ss b + (B/J) q_s v + sigma C/J, with sigma = sign(q_s)
     speed               m_i <= v_i v_{i+1},  b_i <= v_i^2, where v_i is the largest s_dot at node i
 
 A row is a constant combination of at most three terms of its cell: (j, v a, v b) at the left end,
-the same at the right end, and (a, b) at the left node. Only the terms depend on the unknowns, and
-each one on m_{i-1}, m_i, m_{i+1} only. Thus the Newton matrix is pentadiagonal, and one axis costs
-three multiplications per row.
+the same at the right end, (a, b) at the left node, and (a, b, v) there for the torque, which also
+has a constant. Only the terms depend on the unknowns, and each one on m_{i-1}, m_i, m_{i+1} only.
+Thus the Newton matrix is pentadiagonal, and one axis costs three multiplications per row.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.distinct_arrays import DistinctArrays
-from cnc_interp.core.limit_table import ACCELERATION, JERK, limit_at
+from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VISCOUS, limit_at
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
@@ -183,8 +184,8 @@ def terms_and_time(
         Effective widths H [m].
     b, a, v : ndarray, shape (n + 1,)
         s_dot^2, s_ddot and s_dot at the nodes [m2/s2, m/s2, m/s].
-    terms : ndarray, shape (6, n + 1)
-        Output: j in cell i; v a, v b, a, b at node i; zero.
+    terms : ndarray, shape (7, n + 1)
+        Output: j in cell i; v a, v b, a, b at node i; zero; v at node i.
     slopes : ndarray, shape (14, n + 1)
         Output: derivatives of j by m_{i-1}, m_i, m_{i+1}; of v a, v b, a, b and v at node i by
         m_{i-1} and m_i, two rows each; zero. Those by the fixed first and last coefficient are
@@ -203,7 +204,7 @@ def terms_and_time(
     _nodes_by_coefficients(width, e[7], e[8], e[9], e[10])
     if n > 1:
         e[7, 1], e[9, 1], e[8, n - 1], e[10, n - 1] = 0.0, 0.0, 0.0, 0.0
-    terms[3], terms[4], terms[5], e[13] = a, b, 0.0, 0.0
+    terms[3], terms[4], terms[5], terms[6], e[13] = a, b, 0.0, v, 0.0
     _products(
         a, b, v, terms[1], terms[2], e[3], e[4], e[5], e[6], e[7], e[8], e[9], e[10], e[11], e[12]
     )
@@ -244,17 +245,18 @@ def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatA
 
     Parameters
     ----------
-    terms, slopes : ndarray, shape (6, n + 1), (14, n + 1)
+    terms, slopes : ndarray, shape (7, n + 1), (14, n + 1)
         Output of ``terms_and_time``.
     dm : ndarray, shape (n + 2,)
         The step; entry i + 1 belongs to m_i, both ends are zero [m2/s2].
-    out : ndarray, shape (6, n + 1)
+    out : ndarray, shape (7, n + 1)
         Output: the terms.
 
     """
     _linearised_jerk(terms[0], slopes[0], slopes[1], slopes[2], dm, out[0])
     for t in range(1, 5):
         _linearised(terms[t], slopes[2 * t + 1], slopes[2 * t + 2], dm, out[t])
+    _linearised(terms[6], slopes[11], slopes[12], dm, out[6])
     out[5] = 0.0
 
 
@@ -262,9 +264,9 @@ def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatA
 def term_rows(
     terms: FloatArray, q: int, lo: int, hi: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the three terms of place q (left end, right end, left node) of cells lo ... hi."""
-    if q == 2:
-        return terms[3, lo:hi], terms[4, lo:hi], terms[5, lo:hi]
+    """Return the three terms of place q of cells lo ... hi; see ``barrier_rows.py``."""
+    if q > 1:
+        return terms[3, lo:hi], terms[4, lo:hi], terms[3 + q, lo:hi]
     return terms[0, lo:hi], terms[1, lo + q : hi + q], terms[2, lo + q : hi + q]
 
 
@@ -279,6 +281,12 @@ def slope_rows(
     e, here, after, zero = slopes, slice(lo, hi), slice(lo + 1, hi + 1), slopes[13, lo:hi]
     if q == 2:
         before, middle = (e[7, here], e[9, here], zero), (e[8, here], e[10, here], zero)
+        return *before, *middle, zero, zero, zero
+    if q == 3:
+        before, middle = (
+            (e[7, here], e[9, here], e[11, here]),
+            (e[8, here], e[10, here], e[12, here]),
+        )
         return *before, *middle, zero, zero, zero
     j = e[0, here], e[1, here], e[2, here]
     if q == 0:
@@ -301,11 +309,11 @@ def build_rows(
     ----------
     left, right : ndarray, shape (4, n, n_axes)
         q and its derivatives by s at both ends of each cell [m or rad, per m^order].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
     scale : ndarray, shape (n, 4, n_axes)
         Parts of the limits that each cell may use [-].
-    rows : ndarray, shape (n_axes, 9, n)
+    rows : ndarray, shape (n_axes, 9, n) or (n_axes, 13, n)
         Output: factors of the terms; see ``barrier_rows.py``. They are zero where no coefficient
         is free.
 
@@ -329,3 +337,9 @@ def build_rows(
                 most = limit_at(table, ACCELERATION, k, left[0, i, k]) * smaller
                 rows[k, 6, i] = left[1, i, k] / most
                 rows[k, 7, i] = left[2, i, k] / most
+                if rows.shape[1] > 9:
+                    drive, sign = table[DRIVE, k, 0], np.sign(left[1, i, k] + right[1, i, k])
+                    rows[k, 9, i] = left[1, i, k] / (drive * smaller)
+                    rows[k, 10, i] = left[2, i, k] / (drive * smaller)
+                    rows[k, 11, i] = table[VISCOUS, k, 0] * rows[k, 9, i]
+                    rows[k, 12, i] = sign * table[COULOMB, k, 0] / drive

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.limit_table import has_loads
 from cnc_interp.feedrate.braking import without_braking
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
@@ -120,8 +121,9 @@ class StretchProblem:
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = _first_coefficients(self.h, grid.bounds, guess)
         self.use = np.empty((2, n, 4, n_axes))
-        self.slack = np.ones((6 * n_axes + 2, n))
-        self.dual = np.zeros((6 * n_axes + 2, n))
+        self.loaded = has_loads(table)
+        self.slack = np.ones(((8 if self.loaded else 6) * n_axes + 2, n))
+        self.dual = np.zeros_like(self.slack)
         self.changed = np.zeros(n, dtype=np.bool_)  # cells whose limits fell since the last law
         self.width, self.v, self.a = self.h, np.zeros(n + 1), np.zeros(n + 1)  # of the last law
         share = np.diff(path.s) / np.repeat(self.h, np.diff(nodes))
@@ -196,7 +198,7 @@ class StretchProblem:
             np.ascontiguousarray(x[:, cells])
             for x in (self.left, self.right, self.slack, self.dual)
         )
-        rows = np.empty((left.shape[2], 9, end - first))
+        rows = np.empty((left.shape[2], 13 if self.loaded else 9, end - first))
         build_rows(left, right, self.table, scale, rows)
         part = np.minimum(scale[:, 0].min(axis=1), scale[:, 3, 0])
         fast = self.grid.bounds[cells, 4:] * part[:, None]
@@ -333,7 +335,9 @@ class StretchProblem:
         duration = np.add.reduceat(stretch.duration, nodes[:-1])
         self.with_limit_use(v, a, duration)
         worst = self.use[0].max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
-        factor = max(1.0, worst[0], worst[1] ** 0.5, worst[2] ** (1 / 3), worst[3])
+        # Viscous friction falls with the speed only.
+        second = worst[1] if self.loaded else worst[1] ** 0.5
+        factor = max(1.0, worst[0], second, worst[2] ** (1 / 3), worst[3])
         return self.with_limit_use(v / factor, a / factor**2, duration * factor)
 
 
@@ -351,7 +355,7 @@ def plan(
     ----------
     path : AxisPath
         Path without stops inside.
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
     start : tuple of float
         s_dot and s_ddot at the start of the path [m/s, m/s2].

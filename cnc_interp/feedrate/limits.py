@@ -16,6 +16,7 @@ from cnc_interp.core.limit_table import (
     constant_table,
     limit_at,
     limits_along,
+    load_use,
 )
 from cnc_interp.core.units import MS
 from cnc_interp.kinematics.axis_path import (
@@ -57,7 +58,7 @@ def limit_table(limits: AxisLimits) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (4, n_axes, m)
+    ndarray, shape (7, n_axes, m)
         The own ``limit_table`` of a machine or of ``PlanningLimits``; constants else.
 
     """
@@ -77,7 +78,7 @@ class PlanningLimits:
     ----------
     max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
         Largest limits [m/s or rad/s, per s, per s2].
-    limit_table : ndarray, shape (4, n_axes, m)
+    limit_table : ndarray, shape (7, n_axes, m)
         The limits over position.
 
     """
@@ -163,7 +164,8 @@ def limit_use(
 
     ``velocity = q_s s_dot``, ``acceleration = q_ss s_dot^2 + q_s s_ddot`` and
     ``jerk = q_sss s_dot^3 + 3 q_ss s_dot s_ddot + q_s s_dddot`` are divided by their limits.
-    The feed use is s_dot / F. A negative s_dot gives a feed use above 1.
+    The torque of a drive counts as acceleration, see ``load_use``. The feed use is s_dot / F. A
+    negative s_dot gives a feed use above 1.
 
     Parameters
     ----------
@@ -177,7 +179,7 @@ def limit_use(
         s_dot and s_ddot at the grid points [m/s, m/s2].
     jerk, duration : ndarray, shape (n,)
         Constant s_dddot in each cell [m/s3], and the time spent in the cell [s].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
     points : ndarray of int, shape (n,)
         Number of instants to check in each cell, both ends included.
@@ -226,8 +228,9 @@ def limit_use(
                     septic_value(coefficients[k], u, h[i], jet)
                     q, q_s, q_ss, q_sss = jet[0], jet[1], jet[2], jet[3]
                 velocity = abs(q_s * s_dot) / limit_at(table, VELOCITY, k, q)
-                acceleration = abs(q_ss * s_dot * s_dot + q_s * s_ddot)
-                acceleration /= limit_at(table, ACCELERATION, k, q)
+                second = q_ss * s_dot * s_dot + q_s * s_ddot
+                acceleration = abs(second) / limit_at(table, ACCELERATION, k, q)
+                acceleration = max(acceleration, abs(load_use(table, k, q_s * s_dot, second)))
                 third = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j)
                 third /= limit_at(table, JERK, k, q)
                 use[0, i, 0, k] = max(use[0, i, 0, k], velocity)

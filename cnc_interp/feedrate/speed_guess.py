@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import ACCELERATION, JERK, VELOCITY, limit_at
+from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VELOCITY, limit_at
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
 FASTEST = 100.0
@@ -43,7 +43,7 @@ def speed_bounds(
         q and its derivatives by s at both ends of each cell [m or rad, per m, per m2, per m3].
     feed : ndarray, shape (n,)
         Programmed feedrate in the cells [m/s].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
 
     Returns
@@ -69,6 +69,7 @@ def speed_bounds(
             q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(jet[3]))
             q0, q1, q2 = left[0, i, k], jet[0], right[0, i, k]
             largest_a = _lowest(table, ACCELERATION, k, q0, q1, q2)
+            largest_a = min(largest_a, table[DRIVE, k, 0] - table[COULOMB, k, 0])
             largest_j = _lowest(table, JERK, k, q0, q1, q2)
             if q_s > 0.0:
                 fast = min(fast, _lowest(table, VELOCITY, k, q0, q1, q2) / q_s)

@@ -11,9 +11,10 @@ until the deceleration can be brought back to zero together with the speed:
     v = a^2 / (2 j)    where j is a part of the jerk that a straight line would allow.
 
 From there j = a^2 / (2 v), which stays constant down to rest. The lower end also keeps the
-acceleration q_ss v^2 + q_s a [Eq. 7] within its limit. If an axis cannot follow, the stop is tried
-again with an earlier and slower release, then with less braking. If none keeps the limits there
-is no stop from this state, and the motion goes on as planned until there is one.
+acceleration q_ss v^2 + q_s a [Eq. 7] and the torque within their limits. If an axis cannot
+follow, the stop is tried again with an earlier and slower release, then with less braking. If none
+keeps the limits there is no stop from this state, and the motion goes on as planned until there is
+one.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.limit_table import ACCELERATION, JERK, VELOCITY, limit_at
+from cnc_interp.core.limit_table import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import (
@@ -73,18 +74,20 @@ def _left_by_axes(
     worst = 0.0
     for i in range(jet.shape[0]):
         q, q_s, q_ss, q_sss = jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3]
-        largest_a, largest_j = limit_at(table, ACCELERATION, i, q), limit_at(table, JERK, i, q)
+        sign = 1.0 if q_s > 0.0 else -1.0
+        forward, backward = acceleration_room(table, i, q, q_s * v)
+        largest_j, along = limit_at(table, JERK, i, q), sign * (q_ss * v * v + q_s * a)
         bent, turned = q_ss * v * v, 3 * q_ss * v * a + q_sss * v**3
         worst = max(worst, abs(q_s * v) / limit_at(table, VELOCITY, i, q))
-        worst = max(worst, abs(bent + q_s * a) / largest_a)
+        worst = max(worst, along / forward, -along / backward)
         if q_s == 0.0:
-            worst = max(worst, abs(turned) / largest_j)
+            worst = max(worst, abs(turned) / largest_j, abs(bent) / forward)
             continue
-        slope, sign = abs(q_s), 1.0 if q_s > 0.0 else -1.0
+        slope = abs(q_s)
         most = (1.0 - leeway) * largest_j
         out[0] = max(out[0], (-most - sign * turned) / slope)
         out[1] = min(out[1], (most - sign * turned) / slope)
-        out[2] = max(out[2], (-(1.0 - leeway) * largest_a - sign * bent) / slope)
+        out[2] = max(out[2], (-(1.0 - leeway) * backward - sign * bent) / slope)
         out[3] = min(out[3], most / slope)
     return worst
 
@@ -270,7 +273,7 @@ def stop_law(
         Path that contains the state and continues after it.
     state : tuple of float
         State of motion: s, s_dot and s_ddot [m, m/s, m/s2].
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position; see ``core/limit_table.py``.
     time : float
         Time of the state on the clock of the law [s].

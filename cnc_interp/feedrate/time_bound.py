@@ -229,7 +229,7 @@ def time_bound(
         Path without stops inside, with N cells.
     nodes : ndarray of int
         Indices of the grid points between the planner cells, from 0 to N.
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes over position. Only velocity and acceleration limits are used.
     start : float
         Largest s_dot^2 at the start of the path [m2/s2].

@@ -6,6 +6,8 @@ At each state (v, a) = (s_dot, s_ddot) every axis leaves an interval of j = s_dd
     |q_s j + 3 q_ss v a + q_sss v^3| <= J    [B2013, Eq. 8]
     |q_s a + q_ss v^2| <= A, |q_s v| <= V, v <= F at the end of the step    [Eq. 6, 7]
 
+and the torque of its drive, see ``acceleration_room``.
+
 Each step takes the largest j of all intervals, or the lowest one to brake. Before a speed limit, j
 is lower, so that a is zero when v gets there. A step ends after one period or at the border of a
 path cell, where q_sss may jump.
@@ -19,7 +21,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import ACCELERATION, JERK, VELOCITY, limit_at
+from cnc_interp.core.limit_table import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.stretch import time_at
 from cnc_interp.kinematics.axis_path import septic_value
 
@@ -61,17 +63,18 @@ def _leave(
         q_s, bent = jet[1], jet[2] * v * v
         turned = (3 * jet[2] * a + jet[3] * v * v) * v
         jerk = (1 - SLACK) * limit_at(table, JERK, i, jet[0])
-        acceleration = (1 - SLACK) * limit_at(table, ACCELERATION, i, jet[0])
+        forward, backward = acceleration_room(table, i, jet[0], q_s * v)
+        forward, backward = (1 - SLACK) * forward, (1 - SLACK) * backward
         if q_s == 0.0:
-            if abs(turned) > jerk or abs(bent) > acceleration:
+            if abs(turned) > jerk or abs(bent) > forward:
                 out[0], out[1] = np.inf, -np.inf
             continue
         if q_s < 0.0:
             q_s, bent, turned = -q_s, -bent, -turned
         out[0] = max(out[0], (-jerk - turned) / q_s)
         out[1] = min(out[1], (jerk - turned) / q_s)
-        out[2] = max(out[2], (-acceleration - bent) / q_s)
-        out[3] = min(out[3], (acceleration - bent) / q_s)
+        out[2] = max(out[2], (-backward - bent) / q_s)
+        out[3] = min(out[3], (forward - bent) / q_s)
         out[4] = min(out[4], jerk / q_s)
         out[5] = min(out[5], (1 - SLACK_SPEED) * limit_at(table, VELOCITY, i, jet[0]) / q_s)
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
-from cnc_interp.core.limit_table import PLACE, place_table
+from cnc_interp.core.limit_table import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axes import Axis
+from cnc_interp.kinematics.drive_loads import DriveLoad, drive_loads
 from cnc_interp.kinematics.machine_entries import (
     LOCKED_LIMITS,
     Homing,
@@ -73,6 +74,8 @@ class Machine:
     places : dict of int to ndarray, shape (4, k)
         For axes whose limits depend on the position: velocity, acceleration and jerk limits, and
         the k positions at which they hold, see ``core/limit_table.py`` [m or rad, per s, s2, s3].
+    loads : dict of int to DriveLoad
+        For axes whose drives have a largest torque: torque, inertia and friction.
     homing : Homing
         Reference switches, and the order in which axes are homed.
     file : str
@@ -93,6 +96,7 @@ class Machine:
     singular_cone: float
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     places: dict[int, FloatArray] = field(default_factory=dict)
+    loads: dict[int, DriveLoad] = field(default_factory=dict)
     homing: Homing = field(default_factory=Homing)
     file: str = ''
 
@@ -113,15 +117,23 @@ class Machine:
 
     @cached_property
     def limit_table(self) -> FloatArray:
-        """The limits over position, shape (4, n_axes, m); see ``core/limit_table.py``."""
-        table = place_table(self.limits, self.places)
+        """The limits over position, shape (7, n_axes, m); see ``core/limit_table.py``."""
+        loads = {axis: load.row for axis, load in self.loads.items()}
+        table = place_table(self.limits, self.places, loads)
         table.flags.writeable = False
         return table
 
     @cached_property
     def lowest_limits(self) -> FloatArray:
-        """Limits that hold at every position, shape (3, n_axes) [m or rad, per s, s2, s3]."""
+        """
+        Limits that hold at every position and velocity, shape (3, n_axes).
+
+        In m or rad, per s, s2 and s3.
+        """
         lowest: FloatArray = self.limit_table[:PLACE].min(axis=2)
+        for axis, load in self.loads.items():
+            left = load.least_acceleration(float(self.max_velocity[axis]))
+            lowest[ACCELERATION, axis] = min(lowest[ACCELERATION, axis], left)
         lowest.flags.writeable = False
         return lowest
 
@@ -236,6 +248,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
         places=limits_by_position(content, names, linear, rows),
+        loads=drive_loads(content, names, linear, table[:, 0]),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=homing(content, travel),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
@@ -43,7 +43,8 @@ class Recording:
     feedrate : ndarray, shape (K,)
         Actual speed of the tip relative to the workpiece, over each period [m/s].
     largest_use : ndarray, shape (3, n_axes)
-        Largest velocity, acceleration and jerk of the setpoints over their limits [-].
+        Largest velocity, acceleration and jerk of the setpoints over their limits [-]; torques
+        count as accelerations.
 
     """
 
@@ -128,6 +129,8 @@ class AxisMotion:
         held = np.concatenate([self.setpoints, setpoints])
         shares = limit_shares(held, self.machine.limit_table, self.period)
         use = np.abs(shares).max(axis=1)
+        torques = torque_shares(held, self.machine.limit_table, self.period).max(axis=0)
+        use[1] = np.maximum(use[1], torques)
         self.setpoints = held[-BEFORE:]
         self.largest_use = np.maximum(self.largest_use, use)
         self._recent_use = np.maximum(self._recent_use, use)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.differences import limit_shares
+from cnc_interp.core.differences import limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
@@ -65,8 +65,9 @@ def refuse_setpoints(
         raise StreamError(f'{beyond}; move the workpiece or the program')
     parts = [before, positions, np.tile(positions[-1:], (3, 1))]
     course = np.concatenate(parts)
-    shares = np.abs(limit_shares(course, machine.limit_table, period))
-    for use, what in zip(shares, ('velocity', 'acceleration', 'jerk'), strict=True):
+    table = machine.limit_table
+    shares = [*np.abs(limit_shares(course, table, period)), torque_shares(course, table, period)]
+    for use, what in zip(shares, ('velocity', 'acceleration', 'jerk', 'torque'), strict=True):
         if not use.max() <= ROUNDING:
             k = int(np.argmax(use.max(axis=0)))
             raise StreamError(

@@ -1,5 +1,5 @@
 """
-The limits of the axes where they are, for the proof.
+The limits of the axes where they are, and the torques of their drives, for the proof.
 
 A limit that depends on the position is linear between the positions of the machine file. This
 module reads them from there again and shares no code with the planner.
@@ -12,6 +12,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.machine import Machine
+
+#: An axis that moves less than this in a period stands still [m or rad].
+AT_REST = 1e-12
 
 
 def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
@@ -71,3 +74,39 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
             largest[inside] = np.maximum(largest[inside], value)
         limits[:, j] = largest
     return limits
+
+
+def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> FloatArray:
+    """
+    Compute the torque that an axis needs around each sample but the first and the last.
+
+    It is |J a + B v + C sign(v)| with the second difference a and the central one v. If the axis
+    turns at the sample, the sign is free, and the smaller torque counts.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    axis : int
+        An axis with a largest torque.
+    q : ndarray, shape (K,)
+        Samples of the axis [m or rad].
+    period : float
+        Time between them [s].
+
+    Returns
+    -------
+    ndarray, shape (K - 2,)
+        Torques, not negative [N or Nm].
+
+    """
+    load = machine.loads[axis]
+    before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]
+    inertia = load.inertia * (after - before) / period**2
+    moved = inertia + load.viscous * (q[2:] - q[:-2]) / (2.0 * period)
+    forth = (before > AT_REST) | (after > AT_REST)
+    back = (before < -AT_REST) | (after < -AT_REST)
+    one_way = np.abs(moved + load.coulomb * (1.0 * forth - 1.0 * back))
+    both_ways = np.maximum(np.abs(moved) - load.coulomb, 0.0)
+    torque: FloatArray = np.where(forth & back, both_ways, one_way)
+    return torque

@@ -9,10 +9,10 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.proof.axis_limits import limits_of_differences
+from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.program_shapes import SLACK
-from cnc_interp.proof.verdict import DIFFERENCES, Proof
+from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Proof
 
 
 def with_beside(
@@ -38,15 +38,21 @@ def with_beside(
     largest, faults = 0.0, []
     for k, q in enumerate(stretches, start=1):
         held = np.pad(q, ((3, 3), (0, 0)), mode='edge')
+        uses = {}
         for order, (kind, _) in enumerate(DIFFERENCES, start=1):
             difference = np.abs(np.diff(held, order, axis=0)) / period**order
-            use = difference / limits_of_differences(machine, order, held)
-            largest = max(largest, float(use.max()))
-            faults += [
-                f'{kind} of {name} uses {share:.2%} of its limit beside the program (motion {k})'
-                for name, share in zip(machine.axis_names, use.max(axis=0), strict=True)
-                if not share <= ROUNDING
-            ]
+            use = (difference / limits_of_differences(machine, order, held)).max(axis=0)
+            uses.update({(kind, j): float(share) for j, share in enumerate(use)})
+        for j, load in machine.loads.items():
+            torque = torques_of(machine, j, held[:, j], period)
+            uses[TORQUE, j] = float(torque.max()) / load.torque
+        largest = max(largest, *uses.values())
+        faults += [
+            f'{kind} of {machine.axis_names[j]} uses {share:.2%} of its limit beside the program '
+            f'(motion {k})'
+            for (kind, j), share in uses.items()
+            if not share <= ROUNDING
+        ]
         beyond = np.maximum(machine.travel[:, 0] - q, q - machine.travel[:, 1]).max(axis=0)
         faults += [
             f'{name} exceeds its travel beside the program (motion {k})'

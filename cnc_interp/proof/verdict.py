@@ -16,6 +16,8 @@ from cnc_interp.proof.program_again import Agreement
 
 # Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
+# The limit that only some axes have.
+TORQUE = 'torque'
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,17 @@ class Proof:
         """Return the finding of a quantity and an axis."""
         return next(f for f in self.findings if f.what == what and f.axis == axis)
 
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of limits that axes of this machine have."""
+        kinds = tuple(kind for kind, _ in DIFFERENCES)
+        return (*kinds, TORQUE) if any(f.what == TORQUE for f in self.findings) else kinds
+
+    def use_of(self, kind: str, axis: str) -> float:
+        """Return the largest use of a limit of an axis; NaN if it has no such limit [-]."""
+        uses = (f.ratio for f in self.findings if f.what == kind and f.axis == axis)
+        return next(uses, float('nan'))
+
     def to_json(self) -> dict[str, Any]:
         """Return the proof as plain values for JSON; values that are not finite become None."""
         text = json.dumps({'ok': self.ok, **asdict(self)})
@@ -124,9 +137,10 @@ class Proof:
         ]
         if self.findings:
             lines.append('largest use  ' + ''.join(f'{name:>9}' for name in self.axis_names))
-            for kind, _ in DIFFERENCES:
-                uses = [self.largest(kind, name).ratio for name in self.axis_names]
-                lines.append(f'{kind:<13}' + ''.join(f'{use:>9.2%}' for use in uses))
+            for kind in self.kinds:
+                uses = [self.use_of(kind, name) for name in self.axis_names]
+                cells = ('-' if np.isnan(use) else f'{use:.2%}' for use in uses)
+                lines.append(f'{kind:<13}' + ''.join(f'{cell:>9}' for cell in cells))
         for finding in self.findings:
             if not finding.axis:
                 value, limit = _with_units(finding)
@@ -297,6 +311,8 @@ def _with_units(finding: Finding) -> tuple[str, str]:
         scale, unit = 60e3, 'mm/min'
     elif finding.what == 'rotation time':
         scale, unit = 1.0, 's'
+    elif finding.what == TORQUE:
+        scale, unit = 1.0, 'N' if finding.linear else 'Nm'
     elif 'rotary word' in finding.what:
         scale, unit = 180.0 / np.pi, 'deg'
     elif order is not None:

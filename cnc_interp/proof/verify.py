@@ -29,7 +29,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.proof.axis_limits import limits_of_differences
+from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.columns import Stored, gathered, held, spans
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
@@ -43,7 +43,7 @@ from cnc_interp.proof.program_shapes import (
 )
 from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
-from cnc_interp.proof.verdict import DIFFERENCES, Ledger, Proof
+from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 from cnc_interp.proof.vertex_search import VertexSearch
 
 # Uses of limits agree when they differ by less [-].
@@ -153,6 +153,10 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             limit = limits_of_differences(machine, order, position)[first:last]
             for j, name in enumerate(names):
                 ledger.judge(kind, middle[:, j], limit[:, j], name, ROUNDING, first=a)
+        for j, load in machine.loads.items():
+            torque = torques_of(machine, j, position[:, j], plan.period)
+            torque = torque[2 : None if b == count else 2 + b - a]
+            ledger.judge(TORQUE, torque, load.torque, names[j], ROUNDING, first=a)
         for j, name in enumerate(names):
             lowest, highest = machine.travel[j]
             outside = np.maximum(lowest - position[3:-3, j], position[3:-3, j] - highest)

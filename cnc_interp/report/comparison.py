@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 
 from cnc_interp.core.units import UM
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.proof.verdict import DIFFERENCES, Proof
+from cnc_interp.proof.verdict import Proof
 from cnc_interp.report.figures import feed_ceiling
 from cnc_interp.report.html import drawing, section
 from cnc_interp.report.plot_style import BLUE, BUCKETS, ORANGE, base_layout, rounded, with_axes
@@ -85,7 +85,7 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
 
 def use_table(first: Run, second: Run) -> str:
     """Write the largest use of every axis limit in both runs as a table."""
-    kinds = [kind for kind, _ in DIFFERENCES]
+    kinds = max(first.proof.kinds, second.proof.kinds, key=len)
     names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
     head = ''.join(f'<th colspan="2">{kind}</th>' for kind in kinds)
     lines = []
@@ -108,19 +108,17 @@ def use_of(run: Run, kind: str, axis: str) -> float:
     run : Run
         The run.
     kind : str
-        'velocity', 'acceleration' or 'jerk'.
+        'velocity', 'acceleration', 'jerk' or 'torque'.
     axis : str
         Name of the axis.
 
     Returns
     -------
     float
-        Share of the limit [-]; NaN if the machine has no such axis.
+        Share of the limit [-]; NaN if the machine has no such axis, or the axis no such limit.
 
     """
-    if axis not in run.series.axis_names:
-        return float(np.nan)
-    return float(run.proof.largest(kind, axis).ratio)
+    return run.proof.use_of(kind, axis)
 
 
 def comparison_figure(first: Run, second: Run) -> Any:

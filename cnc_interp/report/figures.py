@@ -156,49 +156,68 @@ def feed_ceiling(series: Series) -> float:
 
 
 def axes_figure(series: Series) -> Any:
-    """Draw velocity, acceleration and jerk of every axis in percent of their limits."""
-    names = series.axis_names
+    """
+    Draw velocity, acceleration and jerk of every axis in percent of their limits.
+
+    Torques are drawn beside them where axes have a largest one.
+    """
+    names, kinds = series.axis_names, list(KINDS) + ['torque'] * bool(series.torque_use)
     figure = make_subplots(
-        rows=len(names), cols=3, shared_xaxes=True, shared_yaxes=True,
-        vertical_spacing=0.025, horizontal_spacing=0.02, column_titles=list(KINDS),
+        rows=len(names), cols=len(kinds), shared_xaxes=True, shared_yaxes=True,
+        vertical_spacing=0.025, horizontal_spacing=0.02, column_titles=kinds,
     )  # fmt: skip
+    most = 1.0
     for j, name in enumerate(names):
-        for k, kind in enumerate(KINDS):
-            use = series.axis_use[k][:, j]
-            rows = extremes(use, SMALL_BUCKETS)
-            limit = series.axis_limits[k, rows, j]
-            unit = f'{series.axis_units[j]}/s{"" if k == 0 else k + 1}'
-            figure.add_trace(
-                go.Scatter(
-                    x=rounded(series.time[rows]), y=rounded(100.0 * use[rows]),
-                    name=f'{name} {kind}', line={'color': BLUE, 'width': 1.0}, showlegend=False,
-                    customdata=rounded(
-                        np.column_stack([use[rows] * limit, limit, series.line[rows]])
-                    ),
-                    hovertemplate=f'{name}: %{{customdata[0]:.4g}} of %{{customdata[1]:.4g}} '
-                    f'{unit} '
-                    '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
-                ),
-                row=j + 1, col=k + 1,
-            )  # fmt: skip
-            for level in (-100.0, 100.0):
-                figure.add_hline(
-                    level, line={'color': RED, 'width': 0.8, 'dash': 'dot'}, row=j + 1, col=k + 1
-                )
-            largest = float(np.abs(use).max(initial=0.0))
-            figure.add_annotation(
-                text=f'{100.0 * largest:.1f} %', xref='x domain', yref='y domain', x=0.995, y=0.98,
-                showarrow=False, font={'size': 11, 'color': RED if largest > 1.001 else INK},
-                bgcolor='rgba(255,255,255,0.75)', row=j + 1, col=k + 1,
-            )  # fmt: skip
+        unit = series.axis_units[j]
+        curves = [
+            (use[:, j], limit[:, j], f'{unit}/s{"" if k == 0 else k + 1}')
+            for k, (use, limit) in enumerate(zip(series.axis_use, series.axis_limits, strict=True))
+        ]
+        if j in series.torque_use:
+            use = series.torque_use[j]
+            limit = np.full_like(use, series.largest_torque[j])
+            curves.append((use, limit, 'N' if unit == 'mm' else 'Nm'))
+        for k, (use, limit, of) in enumerate(curves):
+            _draw_use(figure, series, (j, k), f'{name} {kinds[k]}', use, limit, of)
+            most = max(most, float(np.abs(use).max(initial=0.0)))
         figure.update_yaxes(title_text=f'<b>{name}</b>  %', row=j + 1, col=1)
-    span = 112.0 * max(1.0, min(3.0, float(np.abs(series.axis_use).max(initial=0.0))))
+    span = 112.0 * min(3.0, most)
     figure.update_yaxes(range=[-span, span], tickvals=[-100, 0, 100])
     figure.update_layout(base_layout(150 * len(names) + 90), hovermode='closest')
     figure.update_layout(margin={'t': 64})
-    for k in range(3):
+    for k in range(len(kinds)):
         figure.update_xaxes(title_text='time (s)', row=len(names), col=k + 1)
     return with_axes(figure)
+
+
+def _draw_use(
+    figure: Any, series: Series, place: tuple[int, int], name: str, use: FloatArray,
+    limit: FloatArray, unit: str,
+) -> None:  # fmt: skip
+    """Draw the use of one limit over time, at a row and column of the figure from 0 on."""
+    row, col = place[0] + 1, place[1] + 1
+    rows = extremes(use, SMALL_BUCKETS)
+    figure.add_trace(
+        go.Scatter(
+            x=rounded(series.time[rows]), y=rounded(100.0 * use[rows]),
+            name=name, line={'color': BLUE, 'width': 1.0}, showlegend=False,
+            customdata=rounded(
+                np.column_stack([use[rows] * limit[rows], limit[rows], series.line[rows]])
+            ),
+            hovertemplate=f'{name.split()[0]}: %{{customdata[0]:.4g}} of %{{customdata[1]:.4g}} '
+            f'{unit} '
+            '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
+        ),
+        row=row, col=col,
+    )  # fmt: skip
+    for level in (-100.0, 100.0):
+        figure.add_hline(level, line={'color': RED, 'width': 0.8, 'dash': 'dot'}, row=row, col=col)
+    largest = float(np.abs(use).max(initial=0.0))
+    figure.add_annotation(
+        text=f'{100.0 * largest:.1f} %', xref='x domain', yref='y domain', x=0.995, y=0.98,
+        showarrow=False, font={'size': 11, 'color': RED if largest > 1.001 else INK},
+        bgcolor='rgba(255,255,255,0.75)', row=row, col=col,
+    )  # fmt: skip
 
 
 def error_figure(series: Series) -> Any:

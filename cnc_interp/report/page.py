@@ -11,7 +11,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles, read_plan
-from cnc_interp.proof.verdict import DIFFERENCES, Proof
+from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import views_of
 from cnc_interp.report.html import STYLE, drawing, section
@@ -190,7 +190,7 @@ def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
     if isinstance(planning, int | float) and planning > 0.0:
         times = proof.cycle_time / planning
         rows.append((f'{planning:.3g} s', f'planning; motion takes {times:,.3g} times as long'))
-    for kind, _ in DIFFERENCES:
+    for kind in proof.kinds:
         most = max((f for f in proof.findings if f.what == kind), key=lambda f: f.ratio)
         rows.append((f'{most.ratio:.1%}', f'largest {kind} use, axis {most.axis}'))
     for name in ('contour error', 'orientation error'):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.limit_table import limits_along
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.kinematics.machine import Machine
@@ -39,6 +39,10 @@ class Series:
         Velocity, acceleration and jerk over their limits, signed [-].
     axis_limits : ndarray, shape (3, K, n_axes)
         Those limits where the axes are [mm or deg, per s, per s2, per s3].
+    torque_use : dict of int to ndarray, shape (K,)
+        Torque over the largest one [-], for axes that have one.
+    largest_torque : dict of int to float
+        Those torques [N or Nm].
     axis_names, axis_units : tuple of str
         Names, and ``mm`` or ``deg``.
     contour_error, orientation_error : ndarray, shape (K,)
@@ -63,6 +67,8 @@ class Series:
     feed_limit: FloatArray
     axis_use: FloatArray
     axis_limits: FloatArray
+    torque_use: dict[int, FloatArray]
+    largest_torque: dict[int, float]
     axis_names: tuple[str, ...]
     axis_units: tuple[str, ...]
     contour_error: FloatArray
@@ -96,6 +102,8 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         feed_limit=_between(plan.path['feed_limit'], grid, cell, s) / MM_PER_MIN,
         axis_use=axis_use(plan, machine.limit_table),
         axis_limits=np.broadcast_to(limits / shown, (3, len(s), len(shown))),
+        torque_use=torque_use(plan, machine),
+        largest_torque={j: load.torque for j, load in machine.loads.items()},
         axis_names=machine.axis_names,
         axis_units=tuple(one.shown_unit for one in machine.axes),
         contour_error=deviation.contour / UM,
@@ -116,7 +124,7 @@ def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
     ----------
     plan : PlanFiles
         The plan, with K setpoints.
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits over position; see ``core/limit_table.py``.
 
     Returns
@@ -129,6 +137,13 @@ def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
     shares = limit_shares(held, table, plan.period)
     # Velocity belongs to its later sample, acceleration and jerk to the sample before that.
     return np.stack([shares[0, :-1], shares[1, 1:], shares[2, 1:]])
+
+
+def torque_use(plan: PlanFiles, machine: Machine) -> dict[int, FloatArray]:
+    """Return the torques that the emitted positions need over the largest ones, shape (K,) [-]."""
+    held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
+    shares = torque_shares(held, machine.limit_table, plan.period)[1:]
+    return {axis: shares[:, axis] for axis in machine.loads}
 
 
 def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray) -> FloatArray:

@@ -59,7 +59,7 @@ class PlanContext:
     ----------
     limits : AxisLimits
         Limits of the axes.
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         The same limits as ``limit_table`` returns them.
     period : float
         Interpolation period [s].

@@ -11,7 +11,7 @@ import numpy as np
 
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program.blocks import Blocks
@@ -41,6 +41,7 @@ class PlanFigures:
         self._machine, self._settings = machine, settings
         self._period, self._height = period, settings.flank_height
         self._use = np.zeros_like(machine.limits)
+        self._torque_use = np.zeros(len(machine.axis_names))
         self._last: FloatArray | None = None  # the last three positions
         self._deviation = np.zeros(2)
         self._curved = self._spans = 0  # blocks that became curves, and spans of these
@@ -109,6 +110,8 @@ class PlanFigures:
         held = np.concatenate([before, position])
         shares = np.abs(limit_shares(held, self._machine.limit_table, self._period))
         self._use = np.maximum(self._use, shares.max(axis=1))
+        torques = torque_shares(held, self._machine.limit_table, self._period)
+        self._torque_use = np.maximum(self._torque_use, torques.max(axis=0))
         self._last = held[-BEFORE:]
 
     def summary(
@@ -136,6 +139,13 @@ class PlanFigures:
         if self._last is not None:
             self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
         machine = self._machine
+        uses = {
+            name: dict(zip(machine.axis_names, use.tolist(), strict=True))
+            for name, use in zip(('velocity', 'acceleration', 'jerk'), self._use, strict=True)
+        }
+        if machine.loads:
+            names, use = machine.axis_names, self._torque_use
+            uses['torque'] = {names[axis]: float(use[axis]) for axis in sorted(machine.loads)}
         return {
             'program': source,
             'machine': machine.file or machine.name,
@@ -154,10 +164,7 @@ class PlanFigures:
             'path_length': self._path_length,
             'planning_time': sum(seconds.values()),
             'planning_time_by_room': dict(seconds),
-            'largest_use': {
-                name: dict(zip(machine.axis_names, use.tolist(), strict=True))
-                for name, use in zip(('velocity', 'acceleration', 'jerk'), self._use, strict=True)
-            },
+            'largest_use': uses,
             'largest_contour_error': float(self._deviation[0]),
             'largest_orientation_error': float(self._deviation[1]),
             'tolerance_used': {

@@ -27,7 +27,7 @@ class StopSearch:
     ----------
     course : Course
         The path ahead.
-    table : ndarray, shape (4, n_axes, m)
+    table : ndarray, shape (7, n_axes, m)
         Limits of the axes as ``limit_table`` returns them.
     period : float
         Interpolation period [s].

@@ -102,7 +102,7 @@ def test_a_table_that_says_the_same_everywhere_changes_no_bit():
 
 def test_limits_without_places_are_constants():
     table = limit_table(Machine.load('xyzac'))
-    assert table.shape == (4, 5, 1)
+    assert table.shape == (7, 5, 1)
     assert np.array_equal(
         limits_along(table, np.zeros((1, 5)))[:, 0], Machine.load('xyzac').limits
     )
@@ -143,7 +143,7 @@ def test_the_largest_limit_between_two_positions_may_lie_at_a_place_between_them
 
 
 def test_a_machine_file_with_places_in_si():
-    assert RAM.limit_table.shape == (4, 3, 4)
+    assert RAM.limit_table.shape == (7, 3, 4)
     q = np.array([[-0.05, 0.0, -0.55], [0.0, 0.0, -0.4], [0.4, 0.0, 0.0]])
     velocity, acceleration, jerk = limits_along(RAM.limit_table, q)
     assert velocity[:, 0] == pytest.approx([1 / 6, 1 / 3, 0.5])

@@ -1,0 +1,58 @@
+"""
+Largest torques of the drives: rows of their own against one acceleration that always holds.
+
+    PYTHONPATH=. python benchmarks/loads.py
+
+Every axis gets a drive that just reaches its largest acceleration without friction. Coulomb
+friction takes 10 % of the torque, viscous friction 30 % at the largest velocity. The last column
+plans with the acceleration that is left at the largest velocity, 60 % of the limit, both ways.
+"""
+
+from __future__ import annotations
+
+import sys
+from statistics import median
+from types import SimpleNamespace
+
+import numpy as np
+from paths import cases
+
+from cnc_interp.core.limit_table import place_table
+from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.window import plan_path
+
+COULOMB, VISCOUS = 0.1, 0.3
+
+
+def limits_of(limits: AxisLimits, loaded: bool, part: float) -> SimpleNamespace:
+    """Return the limits with a part of the acceleration, and with drives if they are loaded."""
+    v, a, j = limits.max_velocity, part * limits.max_acceleration, limits.max_jerk
+    drives = np.stack([a, COULOMB * a, VISCOUS * a / v], axis=1)
+    loads = dict(enumerate(drives)) if loaded else {}
+    return SimpleNamespace(
+        max_velocity=v, max_acceleration=a, max_jerk=j,
+        limit_table=place_table(np.stack([v, a, j]), {}, loads),
+    )  # fmt: skip
+
+
+def main() -> int:
+    """Print one line for each path."""
+    print(f'{"path":<42}{"free s":>10}{"torques":>10}{"always":>10}   windows')
+    ratios = []
+    for case in cases():
+        ways = (False, 1.0), (True, 1.0), (False, 1.0 - COULOMB - VISCOUS)
+        free, own, always = (plan_path(case.path, limits_of(case.limits, *way)) for way in ways)
+        times = [piece.law.end_time / free.law.end_time for piece in (own, always)]
+        ratios.append(times)
+        print(
+            f'{case.name:<42}{free.law.end_time:>10.4f}'
+            + ''.join(f'{x:>10.4f}' for x in times)
+            + f'   {own.solved}',
+            flush=True,
+        )
+    print(f'{"median":<52}' + ''.join(f'{median(x):>10.4f}' for x in zip(*ratios, strict=True)))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

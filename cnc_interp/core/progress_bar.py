@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TextIO
 
@@ -23,6 +24,42 @@ def redraws(stream: TextIO) -> bool:
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
+class TimeLeft:
+    """
+    Estimates the remaining time of work from its speed in the later half of the time so far.
+
+    The time before the first part was done does not count, because it is also that of loading.
+    """
+
+    def __init__(self) -> None:
+        self._first = math.nan  # when the first part was done [s]
+        self._later: deque[tuple[float, float]] = deque()  # time and share in the later half
+
+    def after(self, now: float, share: float) -> float:
+        """
+        Return the remaining time; NaN as long as it is not known.
+
+        Parameters
+        ----------
+        now : float
+            Time on any clock [s].
+        share : float
+            Part of the work that is done, 0 to 1 [-].
+
+        """
+        if share <= 0.0:
+            return math.nan
+        later = self._later
+        if not later:
+            self._first = now
+        later.append((now, share))
+        half = 0.5 * (self._first + now)
+        while len(later) > 1 and later[1][0] <= half:
+            later.popleft()
+        begun, done = later[0]
+        return (now - begun) * (1.0 - share) / (share - done) if share > done else math.nan
+
+
 class ProgressBar:
     """
     Shows which part of the work is done.
@@ -39,7 +76,7 @@ class ProgressBar:
         self._redraws = stream is not None and redraws(stream)
         self._steps = 100 if self._redraws else 10
         self._began = time.monotonic()
-        self._first = (self._began, 0.0)  # when the first part was done, and how much it was
+        self._time_left = TimeLeft()
         self._work = ''
         self._step = 0
         self._width = 0  # width of the line on the terminal [characters]
@@ -61,23 +98,19 @@ class ProgressBar:
         note : str
             Text after the percentage.
         left : float
-            Remaining time [s]. If it is NaN, it is estimated from the speed since the first part
-            was done, because the time before it is also that of loading.
+            Remaining time [s]. If it is NaN, it is estimated; see ``TimeLeft``.
 
         """
         now = time.monotonic()
         if work != self._work:
             self.end(complete=False)
-            self._work, self._step, self._began, self._first = work, 0, now, (now, 0.0)
-        if self._first[1] == 0.0:
-            self._first = now, share
+            self._work, self._step, self._began, self._time_left = work, 0, now, TimeLeft()
+        estimate = self._time_left.after(now, share)
         step = int(self._steps * share)
         if self._stream is None or step == self._step or now - self._began < PATIENCE:
             return
         self._step = step
-        begun, done = self._first
-        if math.isnan(left) and share > done:
-            left = (now - begun) * (1.0 - share) / (share - done)
+        left = estimate if math.isnan(left) else left
         estimated = share >= ESTIMATED_FROM and math.isfinite(left)
         notes = [note, f'about {left:.0f} s left' if estimated and left >= 0.5 else '']
         shown = min(share, BEFORE_THE_END) if left > 0.0 else share

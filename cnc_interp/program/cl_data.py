@@ -95,8 +95,8 @@ class ClReader:
 
     @property
     def share(self) -> float:
-        """Return the part of the text that has been read, 0 to 1."""
-        return self.source.share(self.place)
+        """Return the part of the text whose blocks have been returned, about, 0 to 1."""
+        return self.source.share(self.place) * self.targets.share
 
     @property
     def start(self) -> StartLine:

@@ -235,6 +235,11 @@ class TargetColumns:
         """Whether there is no target yet."""
         return not self._rows
 
+    @property
+    def share(self) -> float:
+        """The part of the targets so far that became blocks, 0 to 1."""
+        return self._emitted / max(self._emitted + len(self._rows) / WIDTH, 1.0)
+
     def take(self) -> list[Blocks]:
         """Return the blocks that are final, and forget them."""
         parts, self._parts = self._parts, []

@@ -95,8 +95,8 @@ class GcodeReader:
 
     @property
     def share(self) -> float:
-        """Return the part of the text that has been read, 0 to 1."""
-        return self.flow.share
+        """Return the part of the text whose blocks have been returned, about, 0 to 1."""
+        return self.flow.share * self.targets.share
 
     @property
     def start(self) -> StartLine:

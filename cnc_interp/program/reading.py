@@ -141,7 +141,7 @@ class ProgramStream:
 
     @property
     def share(self) -> float:
-        """Return the part of the text that has been read, 0 to 1."""
+        """Return the part of the text whose blocks have been returned, about, 0 to 1."""
         return self._reader.share
 
     def read(self) -> Program:

@@ -240,7 +240,7 @@ def plan_to_files(
                     chain.push(batch)
                     chain.drain(writer)
                     if progress:
-                        # Reading is far ahead of planning, which takes most of the time.
+                        # Planning takes most of the time, and reading is ahead of it.
                         told = max(told, stream.share * chain.row_planned / rows_read)
                         progress(told)
             chain.finish()

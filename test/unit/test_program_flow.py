@@ -132,6 +132,7 @@ def test_blocks_stream_with_flat_memory_and_progress(tmp_path):
     for blocks in stream:
         shares.append(stream.share)
         rows += len(blocks)
+        assert rows / 60000 == pytest.approx(stream.share, abs=0.05)
         largest = max(largest, len(blocks))
     assert rows == 60001 - 1  # the second line repeats the start
     assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0

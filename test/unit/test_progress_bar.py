@@ -1,11 +1,12 @@
 """What the progress bar writes on a terminal and in a log, with a clock of the test's own."""
 
 import io
+import math
 
 import pytest
 
 from cnc_interp.core import progress_bar
-from cnc_interp.core.progress_bar import BAR, ProgressBar
+from cnc_interp.core.progress_bar import BAR, ProgressBar, TimeLeft
 
 
 class Terminal(io.StringIO):
@@ -72,6 +73,16 @@ def test_the_time_left_is_true_from_a_tenth_on_though_loading_took_long(clock):
         if k % 10 == 0:
             told = float(log.getvalue().splitlines()[-1].split('about ')[1].split()[0])
             assert abs(told - 0.4 * (100 - k)) < 1.0
+
+
+def test_the_time_left_follows_the_speed_of_the_later_half():
+    estimate, left = TimeLeft(), math.nan
+    for k in range(101):  # a slow first tenth
+        left = estimate.after(2.0 * k, 0.001 * k)
+    assert left == pytest.approx(200.0 * 9)
+    for k in range(1, 221):
+        left = estimate.after(200.0 + k, 0.1 + 0.002 * k)
+    assert left == pytest.approx((1.0 - 0.54) / 0.002)
 
 
 def test_a_line_covers_the_longer_one_before_and_ends_full(clock):

@@ -1,20 +1,45 @@
-"""The least time beside the law: how near it is, and what it costs of planning; run by itself."""
+"""
+The least time beside the law: how near it is, and what it costs of planning; run by itself.
+
+    PYTHONPATH=. python benchmarks/bound.py
+    PYTHONPATH=. python benchmarks/bound.py --programs 4000 [--only NAME ...]
+
+The second way takes the first blocks of the public programs. It counts the cells of the path that
+are planned in a second, with the bound, and plans for other periods, too: "use" is the largest
+share of a limit that differences of the setpoints take at 0.25, 1 and 4 ms. CPU time.
+"""
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from itertools import chain
 
+import numpy as np
+from dense import read
 from paths import Case, cases, dense_cases
+from programs import CASES
 
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.differences import BEFORE, limit_shares
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MS
+from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
+from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.settings.choices import DEFAULT_MACHINE
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.run.chain import LONGEST_STEP
+from cnc_interp.run.interpolator import Interpolator
+from cnc_interp.run.path_chain import path_of
+from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 
 #: How often each path is planned; the shortest time counts.
 TIMES = 5
+#: Periods at which the use of the limits is measured [s].
+PERIODS = (0.25 * MS, 1.0 * MS, 4.0 * MS)
 
 
 def fastest(case: Case, bound: bool) -> tuple[float, PlannedPiece]:
@@ -27,7 +52,7 @@ def fastest(case: Case, bound: bool) -> tuple[float, PlannedPiece]:
     return min(seconds), piece
 
 
-def main() -> int:
+def of_paths() -> None:
     """Print one line for each path."""
     heads = 'cells', 'law s', 'bound s', 'law/bound', 'its share'
     print(f'{"path":<42}' + ''.join(f'{head:>10}' for head in heads))
@@ -43,6 +68,61 @@ def main() -> int:
             flush=True,
         )
     print(f'share of the feed planner in all: {1 - alone / both:.1%}')
+
+
+def largest_use(path: AxisPath, machine: Machine, period: float) -> float:
+    """Plan for a period and return the largest use of a limit by differences of the setpoints."""
+    options = PlanOptions(bound=False, step=min(period, LONGEST_STEP))
+    piece, interpolator = (
+        plan_path(path, limits_at(machine, period), options),
+        Interpolator(period),
+    )
+    held: FloatArray = np.repeat(path.cell_left[0, :1], BEFORE, axis=0)
+    most = 0.0
+    end = np.repeat(path.cell_right[0, -1:], BEFORE, axis=0)
+    for position in chain((part.position for part in interpolator.parts(piece)), (end,)):
+        held = np.concatenate([held[-BEFORE:], position])
+        most = max(most, float(np.abs(limit_shares(held, machine.limit_table, period)).max()))
+    return most
+
+
+def of_programs(most: int, names: list[str]) -> None:
+    """Print one row of a table for each public program that can be read."""
+    heads = 'blocks', 'cells', 'cells/s', "the bound's share", 'law / bound'
+    uses = (f'use at {period / MS:g} ms' for period in PERIODS)
+    print('| program | ' + ' | '.join([*heads, *uses]) + ' |')
+    print('|---' + '|--:' * (len(heads) + len(PERIODS)) + '|')
+    for name in names:
+        try:
+            machine, blocks, _, _ = read(name, most)
+        except InterpError:
+            continue
+        path = path_of(blocks, Transform.of(machine), Settings())
+        seconds = [np.inf, np.inf]
+        for bound in (False, True, False, True):
+            begun = time.process_time()
+            piece = plan_path(path, machine, PlanOptions(bound=bound))
+            seconds[bound] = min(seconds[bound], time.process_time() - begun)
+        cells, law = len(piece.law), piece.law.end_time
+        told = (f'{largest_use(path, machine, period):.2%}' for period in PERIODS)
+        print(
+            f'| {name} | {len(blocks) - 1:,} | {cells:,} | {cells / seconds[1]:,.0f} '
+            f'| {1 - seconds[0] / seconds[1]:.1%} | {law / piece.least_time:.3f} | '
+            + ' | '.join(told) + ' |',
+            flush=True,
+        )  # fmt: skip
+
+
+def main() -> int:
+    """Measure paths or programs."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--programs', type=int, metavar='BLOCKS')
+    parser.add_argument('--only', choices=sorted(CASES), nargs='+', default=sorted(CASES))
+    options = parser.parse_args()
+    if options.programs:
+        of_programs(options.programs, options.only)
+    else:
+        of_paths()
     return 0
 
 

@@ -5,8 +5,9 @@ Beginning and end of a recording are handshakes with every node, so the bag is w
 
 - Parameters are asked for after the topics were subscribed to. DDS announces the endpoints of a
   process in the order in which they were made, so a node that answers knows the subscriptions.
-- At the end every node is asked to publish what it has collected (``~/flush``). Its answer comes
-  after all it has published before. Executed setpoints are counted, too.
+- At the end every node is asked to publish what it has collected (``~/flush``). On a busy computer
+  its answer may overtake messages that were lost and are sent again. So executed setpoints are
+  counted, and a state of the machine is waited for that was told after the end.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from cnc_interp_msgs.msg import SetpointChunk
+from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
@@ -54,7 +56,7 @@ class Recorder:
     """
 
     def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
-        self._bag = BagWriter(path)
+        self._bag, self._clock = BagWriter(path), node.get_clock()
         for topic in topics:
             kind, profile = TOPICS[topic]
             node.create_subscription(
@@ -75,11 +77,13 @@ class Recorder:
         self._known: set[str] = set()
         self._flushed: set[str] = set()
         self._executed = 0
+        self._state = b''  # the last one of the machine, serialised
+        self._ended: Time | None = None  # when the nodes were asked first
         #: Number of executed setpoints that the bag must hold.
         self.wanted = 0
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
-        """Return the callback of a topic; that of executed setpoints counts them, too."""
+        """Return the callback of a topic."""
 
         def write(data: bytes) -> None:
             self._bag.write(topic, data, time.time_ns())
@@ -88,7 +92,11 @@ class Recorder:
             write(data)
             self._executed += len(deserialize_message(data, SetpointChunk).sequences)
 
-        return count if topic == 'executed_setpoints' else write
+        def keep(data: bytes) -> None:
+            write(data)
+            self._state = data
+
+        return {'executed_setpoints': count, 'machine_state': keep}.get(topic, write)
 
     @property
     def count(self) -> int:
@@ -107,10 +115,19 @@ class Recorder:
 
     def complete(self) -> bool:
         """Ask the nodes for what they have collected; tell whether everything is recorded."""
+        if self._ended is None:
+            self._ended = self._clock.now()
         for node in self._missing():
             if self._flush[node].answer() is not None:
                 self._flushed.add(node)
-        return not self._missing() and self._executed >= self.wanted
+        return not self._missing() and self._executed >= self.wanted and self._has_last_state()
+
+    def _has_last_state(self) -> bool:
+        """Tell whether a state of the machine after the end is recorded; states come in order."""
+        if not self._state or self._ended is None:
+            return 'machine_node' not in self._known
+        told = deserialize_message(self._state, MachineState).header.stamp
+        return bool(Time.from_msg(told, self._ended.clock_type) > self._ended)
 
     def _missing(self) -> list[str]:
         """Return the nodes that have not answered at the end yet."""

@@ -2,12 +2,15 @@
 What DDS keeps in shared memory, removed after processes that could not do so.
 
 A process that ends in order leaves nothing. One that was killed leaves its segment of half a
-megabyte, and the ports that it had open last.
+megabyte, and the ports that it had open last. A port has a number, and another process may be
+about to open the same one. If the file were removed after that, whoever opens the port later would
+get another file, and its messages would never arrive. So Fast DDS's own lock is held meanwhile.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import re
 from collections.abc import Iterator
@@ -17,27 +20,76 @@ from cnc_interp.core.temporary_folder import is_unlocked
 
 FOLDER = Path('/dev/shm')
 SEGMENT = re.compile(r'(fastrtps_[0-9a-f]{16})_el')
-PORT = re.compile(r'(?:sem\.)?fastrtps_port([0-9]+)(?:_el|_sl|_mutex)?')
+PORT = re.compile(r'(?:sem\.)?(fastrtps_port([0-9]+))(?:_el|_sl|_mutex)?')
+MAPPED = re.compile(r' ([0-9]+) +/dev/shm/(fastrtps|sem)[_.]')
 #: Ports below this number belong to no domain: all processes use them again, so they are few.
 FIRST_OF_DOMAINS = 7400
 
 
 def remove_dead_segments() -> None:
     """Remove the segments of processes that were killed, and ports that no process has open."""
-    dead: list[Path] = []
+    segments: list[Path] = []  # their locks
     ports: dict[str, list[Path]] = {}
     for file in own_files():
-        with contextlib.suppress(OSError):
-            if (found := SEGMENT.fullmatch(file.name)) and is_unlocked(file):
-                dead += [file.with_name(found[1]), file]
-        if (found := PORT.fullmatch(file.name)) and int(found[1]) >= FIRST_OF_DOMAINS:
-            ports.setdefault(found[1], []).append(file)
-    if ports:
-        living = open_ports()
-        dead += [file for port, files in ports.items() if port not in living for file in files]
-    for file in dead:
-        with contextlib.suppress(OSError):
-            file.unlink()
+        if SEGMENT.fullmatch(file.name) and _is_dead(file):
+            segments.append(file)
+        if (found := PORT.fullmatch(file.name)) and int(found[2]) >= FIRST_OF_DOMAINS:
+            ports.setdefault(found[1], [semaphore_of(found[1])]).append(file)
+    if not segments and not ports:
+        return
+    with contextlib.ExitStack() as locks:
+        for port in ports:
+            locks.enter_context(opening_locked(port))
+        living = files_in_use()  # from now on, who opens a port waits
+        for port, files in ports.items():
+            if not living & {*_numbers(FOLDER / port), *_numbers(semaphore_of(port))}:
+                for file in files:
+                    file.unlink(missing_ok=True)
+    for lock in segments:
+        segment = lock.with_name(lock.name.removesuffix('_el'))
+        # A process that has just begun makes the file of the lock before it holds it.
+        if not living & {*_numbers(segment)} and _is_dead(lock):
+            segment.unlink(missing_ok=True)
+            lock.unlink(missing_ok=True)
+
+
+def _is_dead(lock: Path) -> bool:
+    """Tell whether no process holds the lock of a segment."""
+    with contextlib.suppress(OSError):
+        return is_unlocked(lock)
+    return False
+
+
+def _numbers(file: Path) -> Iterator[int]:
+    """Yield the inode of a file; nothing where there is none."""
+    with contextlib.suppress(OSError):
+        yield file.stat().st_ino
+
+
+def semaphore_of(port: str) -> Path:
+    """Return the file of the semaphore under which Fast DDS opens or makes a port."""
+    return FOLDER / f'sem.{port}_mutex'
+
+
+@contextlib.contextmanager
+def opening_locked(port: str) -> Iterator[None]:
+    """
+    Hold the semaphore under which Fast DDS opens or makes a port.
+
+    If another process holds it, that one has the semaphore open, or died in the middle.
+    """
+    library = ctypes.CDLL(None)
+    library.sem_open.restype = ctypes.c_void_p
+    name = f'/{port}_mutex'.encode()
+    semaphore = ctypes.c_void_p(library.sem_open(name, os.O_CREAT, 0o644, 1))
+    held = bool(semaphore.value) and library.sem_trywait(semaphore) == 0
+    try:
+        yield
+    finally:
+        if held:
+            library.sem_post(semaphore)
+        if semaphore.value:
+            library.sem_close(semaphore)
 
 
 def own_files() -> Iterator[Path]:
@@ -49,10 +101,17 @@ def own_files() -> Iterator[Path]:
                     yield Path(entry.path)
 
 
-def open_ports() -> set[str]:
-    """Return the numbers of the ports that a process has open."""
-    found: set[str] = set()
+def files_in_use() -> set[int]:
+    """
+    Return the inodes of what processes have open in shared memory.
+
+    Names will not do: a semaphore is made under another name. Those of this process are left out;
+    it holds them while it asks.
+    """
+    found: set[int] = set()
     for maps in Path('/proc').glob('[0-9]*/maps'):
         with contextlib.suppress(OSError):
-            found.update(re.findall(r'fastrtps_port([0-9]+)', maps.read_text(errors='replace')))
+            own = maps.parent.name == str(os.getpid())
+            opened = MAPPED.findall(maps.read_text(errors='replace'))
+            found |= {int(inode) for inode, name in opened if not (own and name == 'sem')}
     return found

@@ -38,14 +38,18 @@ def family(process_id):
 
 
 def shared(process_id):
-    """Names in shared memory that a process and its descendants have open, but common ports."""
-    names = set()
+    """
+    Names in shared memory that a process and its descendants have made, but common ports.
+
+    They hold the locks of these. What else they have open may be another run's: DDS reads what
+    comes to a port that a process of another run had before.
+    """
+    locks = set()
     for member in family(process_id):
-        try:
-            maps = Path(f'/proc/{member}/maps').read_text()
-        except OSError:
-            continue
-        names.update(re.findall(r'/dev/shm/(\S*fastrtps_\S+)', maps))
+        for opened in Path(f'/proc/{member}/fd').glob('*'):
+            with contextlib.suppress(OSError):
+                locks.update(re.findall(r'^/dev/shm/(fastrtps_\w+_el)$', str(opened.readlink())))
+    names = locks | {lock.removesuffix('_el') for lock in locks}
     ports = {name: re.search(r'port([0-9]+)', name) for name in names}
     return {n for n in names if not ports[n] or int(ports[n][1]) >= FIRST_OF_DOMAINS}
 

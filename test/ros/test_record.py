@@ -52,9 +52,12 @@ def first_times(items, number):
     The items by their number, in the order of their first arrival.
 
     On a busy computer some come twice: what is not acknowledged in time is sent again, unchanged.
+    Only the checksum may differ: it covers bytes between the fields, which are not set.
     """
     once = {}
     for item in items:
+        if hasattr(item, 'checksum'):
+            item.checksum = 0
         first = once.setdefault(number(item), item)
         assert repr(item) == repr(first)  # NaN, which equals nothing, is in some of them
     return once

@@ -18,6 +18,7 @@ those of more than ``--most-lines`` lines: their whole text is read and smoothed
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections import Counter
 from dataclasses import dataclass, field, fields, replace
@@ -126,7 +127,7 @@ def words_set_the_state(case: Case, line: int, place: StartPlace) -> str:
     row, words = place.block.row, place.block.words
     if case.dialect == 'cl' or row == 1:
         return 'not compared (CL data, or the first motion)'
-    codes = [word for word in words if not word.startswith(('F', 'T', 'M6'))]
+    codes = [word for word in words if not re.fullmatch(r'F.*|T\d+|M6', word)]
     feeds = [word for word in words if word.startswith('F')]
     text = '\n'.join([*codes, *feeds, *case.lines[line - 1 :], ''])
     source = Source.of_text(text, 'rest' + case.file.suffix)

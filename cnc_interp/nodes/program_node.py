@@ -174,7 +174,7 @@ class ProgramNode(Node):
         if run.preparation.cancelled:
             self._press('reset' if run.rests else 'feed_hold', now)
         elif run.may_go_on():
-            run.begin_again(now)
+            run.begin_again(now, self._outlet.sender.sent)
             self._begin(run)
 
     def _tell_programs(self, run: ProgramRun) -> None:
@@ -219,7 +219,8 @@ class ProgramNode(Node):
     def _finish(self, run: ProgramRun, outcome: Outcome) -> None:
         """End the run and return its result to the client."""
         result = run.result(outcome)
-        result.blocks_sent = max(0, self._outlet.sender.sent - 1)
+        # A run that began again may end with what was sent before.
+        result.blocks_sent = max(1, run.sent_before, self._outlet.sender.sent) - 1
         if self._state is not None:
             add_executed(result, self._state)
         succeeded = outcome.code is Code.SUCCEEDED

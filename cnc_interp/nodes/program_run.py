@@ -74,6 +74,7 @@ class ProgramRun:
         self._since = 0.0  # time at which the phase began [s]
         self.continue_at = 0.0  # path length from which the program goes on [m]
         self._machine: MachineReport | None = None  # its last report on this run
+        self.sent_before = 0  # blocks, the most of the attempts before
         self._changes_done = 0  # changes of the machine's setup that were executed
         self._known_by: set[str] = set()
 
@@ -220,13 +221,14 @@ class ProgramRun:
         """Tell whether the operator wants to continue after a loss and all nodes answer."""
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
-    def begin_again(self, now: float) -> None:
+    def begin_again(self, now: float, sent: int) -> None:
         """
         Begin the run again from the place where the machine rests.
 
         All blocks are sent again, because rounding looks at what lies before: the same blocks
-        give the same path.
+        give the same path. ``sent`` tells how many were sent.
         """
+        self.sent_before = max(self.sent_before, sent)
         reached = 0.0 if self._machine is None else self._machine.path_position
         # It is not above 0 on the approach.
         self.continue_at = reached if reached > 0.0 else self.start_at

@@ -36,9 +36,8 @@ REFILLED, REFILLING = 0.8, 0.5
 """Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
 sampled meanwhile; longest time between two where there is less [s]."""
 
-LEAD, LEAST_LEAD, LONGEST_LEAD = 0.08, 0.06, 0.4
-"""Motion ahead of the machine after which the first revision joins; the least after a quick one,
-the most after a late one [s]."""
+LEAD, LONGEST_LEAD = 0.065, 0.4
+"""Motion ahead of the machine after which a revision joins; the most, after a late one [s]."""
 
 LONGER = 1.3
 """Time given to a revision, relative to the time of the one before [-]."""
@@ -289,7 +288,7 @@ class PlanningSession:
     def _lead_like_last(self, now: float) -> float:
         """Return the lead of a revision that takes about as long as the last one [s]."""
         needed = LONGER * (now - self._asked_at) + MARGIN
-        return min(max(needed, LEAST_LEAD), LONGEST_LEAD)
+        return min(max(needed, LEAD), LONGEST_LEAD)
 
     def _is_late(self, number: int) -> bool:
         """Tell whether the machine may pass a setpoint before a plan can join there."""

@@ -126,7 +126,8 @@ class Bench(NodesUnderTest):
         result = self.result_of(handle, patience)
         ended = (result.code, result.message)
         assert ended == (Result.SUCCEEDED, 'executed to the end'), ended
-        assert result.blocks_sent == result.blocks_executed == len(blocks_of(self.text)) - 1
+        blocks = result.blocks_sent, result.blocks_executed
+        assert blocks == 2 * (len(blocks_of(self.text)) - 1,), blocks
         self.spin_until(lambda: self.state.completed)
         q, s = self.recorded()
         path = path_of(self.text)

@@ -12,7 +12,6 @@ from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (
     LEAD,
-    LEAST_LEAD,
     LONGER,
     MARGIN,
     REFILLED,
@@ -229,22 +228,30 @@ def test_a_late_revision_is_dropped_and_the_next_one_gets_the_time_it_takes(benc
     assert ahead == pytest.approx(LONGER * 0.1 + MARGIN, abs=1.001 * T)
 
 
-def test_after_a_quick_revision_the_next_one_joins_nearer_to_the_machine(bench):
-    bench.planning(window=400)
+def test_after_a_late_revision_a_quick_one_brings_the_next_one_nearer_again(bench):
+    bench.planning(window=600)
     session = bench.session
     leads = []
-    for settings in (SLOW, OperatorSettings(0.7)):
+    for late, settings in ((LEAD, SLOW), (0.0, SLOW), (0.0, OperatorSettings(0.7))):
         session.settings = settings
-        task = bench.step()
+        bench.step()
         leads.append((session._join_after() - bench.executed) * T)
+        task = session.task
+        bench.executed += round(late / T)
+        if late:
+            bench.step()  # takes 0.1 s
         bench.finish(task)
+        if late:
+            bench.executed -= round(late / T)
+            continue
         bench.receives = session.run_id
         bench.executed, bench.now = session.joins_at, bench.now + 1.0
         bench.finish(bench.step())
         for _ in range(60):
             bench.finish(bench.step())
             bench.send()
-    assert leads == pytest.approx([LEAD, LEAST_LEAD], abs=1.001 * T)
+    longest = LONGER * 0.1 + MARGIN
+    assert leads == pytest.approx([LEAD, longest, 0.5 * longest], abs=1.001 * T)
 
 
 def test_where_the_machine_has_passed_the_plan_before_goes_on(bench):

@@ -75,7 +75,7 @@ def go_on_at(course):
         peers.say(run, code, time, start_wanted=wanted, plan_over=code != RUNNING)
         run.step(peers, 0.0, 3.0)
         if run.may_go_on():
-            run.begin_again(0.0)
+            run.begin_again(0.0, 1)
             assert run.phase is Phase.OFFERED and run.run_id.attempt == 1
             return time
     return None
@@ -125,7 +125,7 @@ def test_a_node_that_was_lost_before_it_was_seen_on_the_run_is_missed(stream):
         peers.say(run, HELD, time, start_wanted=True, plan_over=True)
         run.step(peers, 0.0, 3.0)
     assert run.may_go_on()
-    run.begin_again(0.0)
+    run.begin_again(0.0, 1)
     peers.silent = 'feedrate_node'
     assert run.step(peers, 2.0 * PATIENCE, 3.0) is None, 'its return is waited for'
     peers.silent = ''
@@ -187,7 +187,7 @@ def test_a_run_that_the_machine_has_not_begun_goes_on_too():
         peers.machine = replace(peers.machine, time=time)
         run.step(peers, 0.0, 3.0)
     assert run.may_go_on()
-    run.begin_again(0.0)
+    run.begin_again(0.0, 1)
     assert run.continue_at == 0.0 and run.run_id.attempt == 1
 
 

@@ -35,22 +35,40 @@ def remove_dead_segments() -> None:
             segments.append(file)
         if (found := PORT.fullmatch(file.name)) and int(found[2]) >= FIRST_OF_DOMAINS:
             ports.setdefault(found[1], [semaphore_of(found[1])]).append(file)
-    if not segments and not ports:
-        return
-    with contextlib.ExitStack() as locks:
-        for port in ports:
-            locks.enter_context(opening_locked(port))
-        living = files_in_use()  # from now on, who opens a port waits
-        for port, files in ports.items():
-            if not living & {*_numbers(FOLDER / port), *_numbers(semaphore_of(port))}:
-                for file in files:
-                    file.unlink(missing_ok=True)
-    for lock in segments:
+    if segments or ports:
+        _remove_segments(segments)
+        _remove_ports(ports)
+
+
+def _remove_segments(locks: list[Path]) -> None:
+    """Remove segments, given by their locks, that no process has open."""
+    living = files_in_use()
+    for lock in locks:
         segment = lock.with_name(lock.name.removesuffix('_el'))
         # A process that has just begun makes the file of the lock before it holds it.
         if not living & {*_numbers(segment)} and _is_dead(lock):
             segment.unlink(missing_ok=True)
             lock.unlink(missing_ok=True)
+
+
+def _remove_ports(files: dict[str, list[Path]]) -> None:
+    """Remove the files of ports that no process has open."""
+
+    def dead() -> list[str]:
+        living = files_in_use()
+        return [
+            port
+            for port in files
+            if not living & {*_numbers(FOLDER / port), *_numbers(semaphore_of(port))}
+        ]
+
+    with contextlib.ExitStack() as locks:
+        files = {port: files[port] for port in dead()}  # nobody waits for a port that lives
+        for port in files:
+            locks.enter_context(opening_locked(port))
+        for port in dead():  # from now on, who opens one of them waits
+            for file in files[port]:
+                file.unlink(missing_ok=True)
 
 
 def _is_dead(lock: Path) -> bool:

@@ -105,12 +105,14 @@ class OperatorClient:
         self.checked: float | None = None
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
+        self.active_modes: ModalState | None = None  # of the block that is executed
         self._override = SharedValue(1.0, ECHO)
         self.machine = ''
         self._on_state = on_state
         node.create_subscription(MachineState, 'machine_state', self._see_state, STATE)
         node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
         node.create_subscription(ModalState, 'modal_state', self._see_modes, LOADED)
+        node.create_subscription(ModalState, 'active_modes', self._see_active_modes, LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
@@ -159,6 +161,9 @@ class OperatorClient:
 
     def _see_modes(self, message: ModalState) -> None:
         self.modes = message
+
+    def _see_active_modes(self, message: ModalState) -> None:
+        self.active_modes = message
 
     def _see_state(self, state: MachineState) -> None:
         self._override.hear(state.feed_override)

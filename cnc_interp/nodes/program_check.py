@@ -13,6 +13,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
+from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks
 from cnc_interp.program.columns import ProgramChange
 from cnc_interp.program.mdi import MdiLine, MdiReader
@@ -57,6 +58,8 @@ class Prepared:
         What it changes of them.
     used : frozenset of str
         What it uses of them.
+    modes : ModesOfBlocks
+        The modal state of each block.
     start : StartPlace or None
         Where the run starts, if that is not the top.
     line : MdiLine, optional
@@ -74,6 +77,7 @@ class Prepared:
     is_own_setup: bool
     changes: tuple[ProgramChange, ...]
     used: frozenset[str]
+    modes: ModesOfBlocks
     start: StartPlace | None = None
     line: MdiLine | None = None
 
@@ -204,7 +208,7 @@ def check(
         raise
     return Prepared(
         blocks, stream.notices, text, settings, length, stops, setup,
-        settings.setup is not None, stream.changes, stream.used, start,
+        settings.setup is not None, stream.changes, stream.used, stream.modes, start,
     )  # fmt: skip
 
 

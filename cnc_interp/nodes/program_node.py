@@ -18,6 +18,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.active_modes import ActiveModesTopic
 from cnc_interp.nodes.block_feed import BlockFeed
 from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
@@ -73,6 +74,7 @@ class ProgramNode(Node):
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
         self._queue = ProgramQueue()
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
+        self._modes = ActiveModesTopic(self)
         self._buttons = {
             name: self.create_client(Trigger, name) for name in ('feed_hold', 'reset')
         }
@@ -148,6 +150,8 @@ class ProgramNode(Node):
             self._feed.fill(self._outlet.sender)
             self._outlet.pump()
             self._tell_progress(run.preparation.prepared, now)
+            if self._state is not None and run.preparation.prepared is not None:
+                self._modes.tell(run.preparation.prepared, self._state)
         self._tell_programs(run)
         self._keep_changes(run, outcome)
         if outcome is not None:

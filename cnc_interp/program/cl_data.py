@@ -19,6 +19,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
 from cnc_interp.program import arcs, cl_words, codes
+from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.notices import Notices
@@ -188,12 +189,21 @@ class ClReader:
             feedrate = self.feedrate
         tolerances = (self.settings.contour_tolerance, self.settings.orientation_tolerance)
         speed = (feedrate, nan, rapid, 0.0)
+        self.targets.state = self._state(rapid)
         self.targets.add(
             (
                 x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *tolerances, self.line_number,
                 0.0, nan, *arc, 0.0, 0.0, 0.0,
             )
         )  # fmt: skip
+
+    def _state(self, rapid: bool) -> tuple[float, float, float]:
+        """Return the modal state of the next target, as ``ModesOfBlocks.see`` takes it."""
+        unit = 'UNITS/MM' if self.unit == MM else 'UNITS/INCHES'
+        words = (*(['RAPID'] if rapid else []), unit, *self._outputs.values())
+        tolerances = (self.settings.contour_tolerance, self.settings.orientation_tolerance)
+        number = self.targets.modes.number(words, lambda: modes_without_motion(words, *tolerances))
+        return number, NONE, NONE if self.feedrate is None else self.feedrate
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
         """Return three numbers as a unit vector; raise if they are far from one."""

@@ -20,6 +20,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
+from cnc_interp.program.active_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks import (
     GO_ON,
     OPTIONAL_STOP,
@@ -39,6 +40,7 @@ from cnc_interp.program.moves import (
     EXTRA_LETTERS,
     GREAT_CIRCLE,
     LINE,
+    MODES,
     NAMED,
     ORIENTATION,
     PASSES,
@@ -120,6 +122,8 @@ class TargetColumns:
         self._coming: deque[tuple[int, SetupChange, int]] = deque()  # block not yet known
         self._changes: list[ProgramChange] = []
         self._emitted = 0  # rows of the blocks so far
+        self.modes = ModesOfBlocks()
+        self.state = (NONE, NONE, NONE)  # of the next target, as ``ModesOfBlocks.see`` takes it
         self._before: FloatArray | None = None  # the last target that became a block
         self._parts: list[Blocks] = []
         self.start = StartLine(settings.from_line, settings.line_pass, source)
@@ -151,8 +155,7 @@ class TargetColumns:
 
     def _append(self, row: tuple[float, ...]) -> None:
         self._rows.extend(row)
-        self._rows.append(self.start.passes)
-        self._rows.append(self._changed)
+        self._rows.extend((self.start.passes, self._changed, *self.state))
 
     def change(self, change: SetupChange, line_number: int) -> None:
         """Record a change of the setup after the last target."""
@@ -174,14 +177,16 @@ class TargetColumns:
 
         Parameters
         ----------
-        rows : ndarray, shape (n, 31)
-            Targets with the columns of ``add``; the last two are filled in here.
+        rows : ndarray, shape (n, WIDTH)
+            Targets with the columns of ``add``, motion code and feed; the others are filled in
+            here.
 
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)
         rows[:, PASSES] = self.start.passes
         rows[:, CHANGES] = self._changed
+        rows[:, MODES.start] = self.state[0]
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
     def stop_here(self, kind: float = 1.0) -> None:
@@ -221,9 +226,7 @@ class TargetColumns:
         self._convert(last=True)
         extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
         self._curve, self._before = replace(curve, extra=extra), None
-        self._rows.extend(end)
-        self._rows.append(passes)
-        self._rows.append(self._changed)
+        self._rows.extend((*end, passes, self._changed, *self.state))
 
     @property
     def stands(self) -> bool:
@@ -288,6 +291,7 @@ class TargetColumns:
             changed, first = np.unique(rows[row, CHANGES], return_index=True)
             for count, block in zip(changed, first, strict=True):
                 self._place_changes(int(count), self._emitted + int(block))
+        self.modes.see(rows[row][:, MODES], self._emitted)
         self._emitted += len(blocks)
         self._parts.append(blocks)
 

@@ -108,6 +108,14 @@ class Frames:
         self.origin = total[:3] + self.shift + np.array([0.0, 0.0, self.length])
         self.rotary_origin = total[3:]
         self.rotated = bool(np.any(self.turn != np.eye(3)))
+        found = {
+            'G92': self.g92.any(),
+            'G52': self.local.any(),
+            'TRANS': self.shift.any(),
+            'ROT': self.rotated,
+        }
+        #: Codes of the shifts beside the work offset that are not zero.
+        self.shifts = tuple(code for code, counts in found.items() if counts)
 
     def point(self, program: Vector) -> Vector:
         """
@@ -147,16 +155,6 @@ class Frames:
     def machine_point(self, axis: int, coordinate: float) -> float:
         """Convert a machine coordinate of X, Y or Z (0, 1, 2) to that of a point [m]."""
         return coordinate - float(self._zero[axis])
-
-    def shifts(self) -> list[str]:
-        """Return the codes of the shifts beside the work offset that are not zero."""
-        found = {
-            'G92': self.g92.any(),
-            'G52': self.local.any(),
-            'TRANS': self.shift.any(),
-            'ROT': self.rotated,
-        }
-        return [code for code, counts in found.items() if counts]
 
     def reset_frame(self) -> None:
         """Cancel the programmed shift and rotation."""

@@ -16,6 +16,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes, scan
+from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
@@ -109,6 +110,7 @@ class GcodeReader:
         self.variables.follow(before.variables)
         self._chosen_tool = before._chosen_tool or self._tool
         self._cycle = deepcopy(before._cycle)
+        self._outputs = dict(before._outputs)
 
     def stand_at(self, q: FloatArray) -> None:
         """Begin where the machine stands: axis positions, shape (n_axes,) [m, rad]."""
@@ -120,21 +122,24 @@ class GcodeReader:
         """Return the position along the tool of a canned cycle, in program coordinates [m]."""
         return float(self.mover.here()[PLANES[self.mover.plane][2]])
 
-    def active_codes(self, offset: str) -> tuple[str, ...]:
-        """Return the active code of each modal group; the work offset is given."""
-        mover = self.mover
-        motion = '' if mover.motion is None else f'G{mover.motion}'
-        length = 'G43' if mover.frames.length else 'G49'
-        turning = ('ORIVECT' if mover.great_circle else 'ORIAXES') if mover.rotary_letters else ''
-        found = (
-            motion if self._cycle is None else self._cycle.code,
-            *mover.codes_of_settings(),
-            offset,
-            *mover.frames.shifts(),
-            mover.tcp or length,
-            turning,
+    def active_modes(self, offset: str, tool: int) -> ActiveModes:
+        """Return the modal state; work offset and tool are given."""
+        _, motion, feed = self._state()
+        return self.mover.modes(self._cycle_code, offset, tool, self._outputs).moving(motion, feed)
+
+    @property
+    def _cycle_code(self) -> str:
+        return '' if self._cycle is None else self._cycle.code
+
+    def _state(self) -> tuple[float, float, float]:
+        """Return the modal state of the next target, as ``ModesOfBlocks.see`` takes it."""
+        mover, code, tool = self.mover, self._cycle_code, self._tool
+        motion = NONE if code or mover.motion is None else float(mover.motion)
+        number = mover.targets.modes.number(
+            (code, tool, *self._outputs.values(), *mover.modal_values()),
+            lambda: mover.modes(code, mover.setup.offset, tool, self._outputs),
         )
-        return tuple(code for code in found if code)
+        return number, motion, mover.feed_word
 
     def blocks(self) -> Iterator[Blocks]:
         """Read the program and yield its blocks in batches."""
@@ -235,6 +240,7 @@ class GcodeReader:
         f = values.pop('F', None) if 'G4' not in words.g and 'G65' not in words.g else None
         if f is not None:
             mover.set_feed(f, words.texts['F'])
+        mover.targets.state = self._state()
         taking = [code for code in words.g if code in codes.TAKE_AXES]
         if len(taking) > 1:
             raise self.fault(f'{taking[0]} is in the same block; keep one of them', taking[1])

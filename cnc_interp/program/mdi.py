@@ -8,12 +8,9 @@ that is refused changes nothing, because its reader is not kept.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import nan
-
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MINUTE
+from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
@@ -24,37 +21,6 @@ from cnc_interp.settings.choices import Settings
 
 #: Name of a line in messages.
 MDI = 'MDI'
-
-
-@dataclass(frozen=True)
-class ActiveModes:
-    """
-    A modal state.
-
-    Parameters
-    ----------
-    codes : tuple of str
-        The active code of each modal group, such as G1, G17, G21, G90.
-    feedrate : float
-        Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
-    duration : float
-        Duration of a block with G93 [s]; NaN where none is set.
-    spindle_speed : float
-        Programmed spindle speed [rev/min].
-    tool : int
-        Number of the active tool; 0 where none is chosen.
-    contour_tolerance, orientation_tolerance : float
-        Tolerances [m].
-
-    """
-
-    codes: tuple[str, ...]
-    feedrate: float
-    duration: float
-    spindle_speed: float
-    tool: int
-    contour_tolerance: float
-    orientation_tolerance: float
 
 
 class MdiLine(ProgramStream):
@@ -132,15 +98,4 @@ class MdiReader:
 
     def modes(self, setup: JobSetup) -> ActiveModes:
         """Return the modal state with which the next line starts, with these offsets and tools."""
-        state = self._last.mover
-        per_minute = state.blocks_per_minute
-        per = MINUTE if state.feed_mode == 'G95' else 1.0
-        return ActiveModes(
-            self._last.active_codes(setup.offset),
-            nan if state.feedrate is None else state.feedrate * per,
-            nan if per_minute is None else MINUTE / per_minute,
-            state.spindle_speed,
-            setup.tool,
-            state.contour,
-            state.orientation,
-        )
+        return self._last.active_modes(setup.offset, setup.tool)

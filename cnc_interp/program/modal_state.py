@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf, nan, pi
 
 import numpy as np
@@ -10,6 +11,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program import codes
+from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
 from cnc_interp.program.columns import TargetColumns
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
@@ -35,6 +37,7 @@ _SETTINGS = ('motion', 'plane', 'unit', 'incremental', 'centre_absolute', 'feed_
              'retract_to_start', 'stop_always')  # fmt: skip
 _VALUES = ('great_circle', 'tcp', 'feedrate', 'turn_rate', 'blocks_per_minute', 'feed_changed',
            'spindle_speed', 'contour', 'orientation')  # fmt: skip
+_COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 'orientation')
 
 
 def modal_words(state: ModalState) -> list[str]:
@@ -130,6 +133,31 @@ class ModalState:
         for name in (*_SETTINGS, *_VALUES):
             setattr(self, name, getattr(before, name))
         self.frames.follow(before.frames)
+
+    def modal_values(self) -> tuple[object, ...]:
+        """Return all that the codes, the spindle speed and the tolerances tell, to compare it."""
+        frames = self.frames
+        values = (getattr(self, name) for name in _COMPARED)
+        return (*values, self.setup.offset, bool(frames.length), *frames.shifts)
+
+    def modes(self, cycle: str, offset: str, tool: int, outputs: Mapping[str, str]) -> ActiveModes:
+        """Return the modal state without motion code and feed; what is not kept here is given."""
+        length = 'G43' if self.frames.length else 'G49'
+        turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
+        found = (
+            cycle, *self.codes_of_settings(), offset, *self.frames.shifts, self.tcp or length,
+            turning, *outputs.values(),
+        )  # fmt: skip
+        codes = tuple(code for code in found if code)
+        return modes_without_motion(
+            codes, self.contour, self.orientation, self.spindle_speed, tool
+        )
+
+    @property
+    def feed_word(self) -> float:
+        """The last F: feedrate [m/s], with G95 [m per rev/min], with G93 [1/min], or ``NONE``."""
+        value = self.blocks_per_minute if self.feed_mode == 'G93' else self.feedrate
+        return NONE if value is None else value
 
     def codes_of_settings(self) -> list[str]:
         """Return the code of each setting of ``codes.SETTINGS`` but the motion."""

@@ -34,7 +34,9 @@ CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
 #: How often the line at which a run starts was reached before the target; the reader counts.
 PASSES = 29
 #: How many changes of the setup come before it; ``TargetColumns`` counts.
-CHANGES, WIDTH = 30, 31
+CHANGES = 30
+#: Its modal state, motion code and feed, as ``ModesOfBlocks.see`` takes them.
+MODES, MOTION, FEED, WIDTH = slice(31, 34), 32, 33, 34
 #: Letters of the columns EXTRA.
 EXTRA_LETTERS = 'UVW'
 SAME = 1e-12  # [m], [-], [rad]
@@ -61,7 +63,7 @@ class Moves:
         Kinematics of the machine.
     zero : ndarray, shape (3,)
         Axis positions of the workpiece zero, with the rotary axes at zero [m].
-    before, rows : ndarray, shape (n, 30)
+    before, rows : ndarray, shape (n, WIDTH)
         Targets at the start and at the end of each motion.
     settings : Settings
         Choices of the user.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
 from cnc_interp.program.columns import ProgramChange
@@ -133,6 +134,11 @@ class ProgramStream:
     def changes(self) -> tuple[ProgramChange, ...]:
         """Return what the program changes of the setup; complete after the last block."""
         return self._reader.targets.changes
+
+    @property
+    def modes(self) -> ModesOfBlocks:
+        """Return the modal state of each block so far."""
+        return self._reader.targets.modes
 
     @property
     def used(self) -> frozenset[str]:

@@ -21,9 +21,11 @@ from cnc_interp.program.moves import (
     DURATION,
     EXACT_STOP,
     EXTRA,
+    FEED,
     FEEDRATE,
     GREAT_CIRCLE,
     LINE,
+    MOTION,
     NAMED,
     NORMAL,
     ORIENTATION,
@@ -108,6 +110,9 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     rows[:, EXTRA] = mover.extra
     rows[:, FEEDRATE], rows[:, DURATION], rows[:, TURN_RATE] = feeds
     rows[:, RAPID], rows[:, EXACT_STOP] = rapid, mover.stop_always
+    per_word = 1.0 if mover.feed_mode == 'G93' else mover.unit / MINUTE
+    rows[:, FEED] = _filled(values[:, scan.F] * per_word, mover.feed_word)[moves]
+    rows[:, MOTION] = motion[moves]
     rows[:, CONTOUR], rows[:, ORIENTATION] = mover.contour, mover.orientation
     rows[:, LINE], rows[:, AXES] = lines[moves], mover.by_axes
     if mover.rotary_letters and len(rows):

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, ModalState
 
-from cnc_interp.program.mdi import ActiveModes
+from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.run.run_phase import Outcome
 
 
@@ -60,6 +60,6 @@ def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback
     )
 
 
-def modal_state(modes: ActiveModes) -> ModalState:
-    """Make the message about the modal state of the lines by hand."""
-    return ModalState(**asdict(modes))
+def modal_state(modes: ActiveModes, program_id: str = '') -> ModalState:
+    """Make the message about a modal state: of the lines by hand, or of a run."""
+    return ModalState(**asdict(modes), program_id=program_id)

@@ -128,11 +128,28 @@ def test_the_task_list(panel, part):
     on_path = [state.path_position for state in panel.states if state.sequence]
     assert min(on_path) >= run.start_at - 1e-9
 
-    # Hold, go on, finish.
+    # Hold: the modal state is that of the line which is executed.
     tab.wait(lambda: not legs & set(tab.run(shown)) and tab.text('start') == '')
     tab.click('feed hold')
     panel.until(MachineState.HELD)
+    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F200'} <= set(tab.text('modes').split()))
+
+    # Jog away, return: cycle start leads back to the place of the hold, and goes on from there.
+    panel.spin_until(lambda: panel.next_state().resting)
+    held = panel.next_state()
+    rests = np.array(held.commanded_positions)
+    tab.click('jog')
+    panel.press_key(tab, 'jog Z+', lambda: panel.peers.state.positions[2] > rests[2] + 9.99e-3)
+    tab.wait(lambda: tab.text('state') == 'held')
+    away = panel.next_state()
+    assert np.abs(np.array(away.resume_positions) - rests).max() < 1e-9
+    assert away.path_position == held.path_position
+    tab.click('jog')
+    tab.wait(lambda: legs <= set(tab.run(shown)))
+    panel.states.clear()
     panel.go_on(tab)
+    on_path = [state.path_position for state in panel.states if state.state == state.RUNNING]
+    assert min(on_path) >= held.path_position - 1e-9 and not panel.peers.state.resume_positions
     panel.spin_until(lambda: panel.peers.state.completed)
     tab.wait(lambda: tab.text('progress') == '100.0%')
     tab.wait(lambda: np.abs(tip() - zero - (0.0, 40.0, 10.0)).max() < 2e-3)

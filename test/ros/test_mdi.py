@@ -24,6 +24,7 @@ ZERO = np.array([0.04, -0.07, 0.06]) + [0.0, 0.15e-3, 0.08]  # m + d of the refe
 def bench():
     running = Bench()
     running.modes = running.listen('modal_state', ModalState, qos.LOADED)
+    running.active = running.listen('active_modes', ModalState, qos.LOADED)
     running.mover = running.node.create_client(MoveAxes, 'move_axes')
     running.spin_until(lambda: running.modes and running.mover.service_is_ready())
     yield running
@@ -113,6 +114,30 @@ def test_with_tool_tip_programming_the_tip_moves(bench):
     assert (tip_after - tip)[0] == pytest.approx([0.004, 0, 0.002], abs=1e-12)
     assert axis_after == pytest.approx(axis, abs=1e-12)
     done(bench, 'M30')
+
+
+def test_the_modes_of_a_program_are_told_as_the_machine_comes_to_them(bench):
+    """All blocks are read and sent long before: at M0 those after it must not be told."""
+    text = (
+        'G21 G90 G94 G54 T2 M6 S5000 M3\nG0 X0 Y0 Z0\nG1 X2 F3000\nM0\n'
+        'G61 M8 S6000\nG1 X4 F1500\nM30\n'
+    )
+    bench.active.clear()
+    handle = bench.start(text=text)
+    bench.spin_until(lambda: bench.state.reason == MachineState.REASON_PROGRAM_STOP)
+    held = bench.next_state()
+    bench.spin_until(lambda: bench.active and 'G1' in bench.active[-1].codes)
+    for told in bench.active:
+        assert told.program_id == held.program_id
+        assert {'G54', 'G64', 'M3'} <= set(told.codes) and 'M8' not in told.codes
+        assert (told.spindle_speed, told.tool) == (5000.0, 2)
+    assert bench.active[-1].feedrate == pytest.approx(0.05)
+    assert bench.press('cycle_start').success
+    assert bench.result_of(handle).code == Result.SUCCEEDED
+    bench.spin_until(lambda: 'M8' in bench.active[-1].codes)
+    last = bench.active[-1]
+    assert {'G1', 'G61', 'M3'} <= set(last.codes) and last.feedrate == pytest.approx(0.025)
+    assert last.spindle_speed == 6000.0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import LoadedProgram
+from cnc_interp_msgs.msg import LoadedProgram, ModalState
 
 from cnc_interp.client.mdi import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
@@ -405,6 +405,14 @@ class Desk:
         """Return what program_node has told of the run on the desk, where ``shows_run``."""
         state = self.nodes.state
         return self.nodes.program if state is not None and self.shows_run(state) else None
+
+    def modes(self) -> tuple[str, ModalState | None]:
+        """Return whose modal state counts now: of the block that is executed, or of MDI."""
+        state, active = self.nodes.state, self.nodes.active_modes
+        if state is None or not in_program(state):
+            return 'MDI', self.nodes.modes
+        mine = active is not None and active.program_id == state.program_id
+        return 'executed', active if mine else None
 
     async def give_line(self, text: str) -> Answer:
         """Have a line by hand executed; answered at its end."""

@@ -44,9 +44,9 @@ class MdiField:
             self.field.on('keydown.down', lambda: self._recall(-1))
             self._told = ui.label().classes('small').props('data-mark="mdi answer"')
 
-    def show(self, modes: Any) -> None:
-        """Show a ``ModalState``; None before the first one."""
-        text = NOTHING if modes is None else modes_text(modes)
+    def show(self, whose: str, modes: Any) -> None:
+        """Show whose modal state it is, and the ``ModalState``; None where it is not known."""
+        text = f'{whose}: {NOTHING if modes is None or not modes.codes else modes_text(modes)}'
         if self._modes.text != text:
             self._modes.set_text(text)
 

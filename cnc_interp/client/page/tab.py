@@ -410,6 +410,6 @@ class Page:
         if self._changed('bar', round(share, 3)):
             self._bar.style(f'transform: scaleX({share:.3f})')
         self._messages.show()
-        self._mdi.show(desk.nodes.modes)
+        self._mdi.show(*desk.modes())
         if self._pad is not None:
             self._pad.show(state)

@@ -1,0 +1,136 @@
+"""The modal state with which each block was programmed, as the machine executes it later."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from math import nan
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MINUTE
+
+#: In place of a motion code, a feed or a state: there is none.
+NONE = -1.0
+#: More states, or more changes of state, motion code and feed, are not kept.
+MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
+
+
+@dataclass(frozen=True)
+class ActiveModes:
+    """
+    A modal state.
+
+    Parameters
+    ----------
+    codes : tuple of str
+        The active code of each modal group, such as G1, G17, G21, G90.
+    feedrate : float
+        Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
+    duration : float
+        Duration of a block with G93 [s]; NaN where none is set.
+    spindle_speed : float
+        Programmed spindle speed [rev/min].
+    tool : int
+        Number of the active tool; 0 where none is chosen.
+    contour_tolerance, orientation_tolerance : float
+        Tolerances [m].
+
+    """
+
+    codes: tuple[str, ...]
+    feedrate: float
+    duration: float
+    spindle_speed: float
+    tool: int
+    contour_tolerance: float
+    orientation_tolerance: float
+
+    def moving(self, motion: float, feed: float) -> ActiveModes:
+        """
+        Return the state with a motion code and a feed.
+
+        Parameters
+        ----------
+        motion : float
+            Number of the motion code, 0 to 3, or ``NONE``.
+        feed : float
+            Feedrate [m/s], with G95 [m per rev/min], with G93 [1/min], or ``NONE``.
+
+        """
+        codes = self.codes if motion == NONE else (f'G{motion:.0f}', *self.codes)
+        if feed == NONE:
+            return replace(self, codes=codes)
+        if 'G93' in codes:
+            return replace(self, codes=codes, duration=MINUTE / feed)
+        return replace(self, codes=codes, feedrate=feed * (MINUTE if 'G95' in codes else 1.0))
+
+
+def modes_without_motion(
+    codes: tuple[str, ...], contour: float, orientation: float, spindle: float = 0.0, tool: int = 0
+) -> ActiveModes:
+    """Return a modal state that has neither motion code nor feed."""
+    return ActiveModes(codes, nan, nan, spindle, tool, contour, orientation)
+
+
+class ModesOfBlocks:
+    """
+    The modal states of a program: each one once, and the blocks at which they change.
+
+    A program with very many changes is followed up to the last one that is kept. Then nothing is
+    known, so that the memory is bounded.
+    """
+
+    def __init__(self) -> None:
+        self._numbers: dict[Hashable, int] = {}
+        self._states: list[ActiveModes] = []
+        self._blocks, self._changes = array('q'), array('d')
+        self._last = np.full(3, nan)
+
+    def number(self, key: Hashable, state: Callable[[], ActiveModes]) -> float:
+        """Return the number of the state with this key; ``state`` makes it where it is new."""
+        found = self._numbers.get(key)
+        if found is None:
+            if len(self._states) >= MOST_STATES:
+                return NONE
+            found = self._numbers[key] = len(self._states)
+            self._states.append(state())
+        return float(found)
+
+    def see(self, states: FloatArray, first: int) -> None:
+        """
+        Take the states of further blocks.
+
+        Parameters
+        ----------
+        states : ndarray, shape (n, 3)
+            Number of the state, motion code, and feed of each block, as for ``moving``.
+        first : int
+            Row of the first of these blocks.
+
+        """
+        before = np.vstack([self._last, states[:-1]])
+        rows = np.flatnonzero((states != before).any(axis=1))
+        self._last = states[-1]
+        room = MOST_CHANGES - len(self._blocks)
+        if not room:
+            return
+        if len(rows) >= room:
+            rows, states = rows[:room], states.copy()
+            states[rows[-1]] = NONE  # from here on
+        self._blocks.extend((first + rows).tolist())
+        self._changes.frombytes(np.ascontiguousarray(states[rows]).tobytes())
+
+    def change_before(self, block: int) -> int:
+        """Return the number of the change with which a block begins or before it; -1 for none."""
+        return bisect_right(self._blocks, block) - 1
+
+    def after(self, change: int) -> ActiveModes | None:
+        """Return the modal state after a change; None where it is not known."""
+        if change < 0:
+            return None
+        number, motion, feed = self._changes[3 * change : 3 * change + 3]
+        return None if number == NONE else self._states[int(number)].moving(motion, feed)

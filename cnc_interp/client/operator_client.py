@@ -40,6 +40,8 @@ __all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorC
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
 #: Stop at the end of each line; stop at M1. Each is a service of that name.
 SWITCHES = ('single_block', 'optional_stop')
+#: Factors on the programmed feed and on the speed of rapids. Each is a topic of that name.
+OVERRIDES = ('feed_override', 'rapid_override')
 #: Commands that may arrive twice or late. They are sent again until they are answered.
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
@@ -106,7 +108,7 @@ class OperatorClient:
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
         self.active_modes: ModalState | None = None  # of the block that is executed
-        self._override = SharedValue(1.0, ECHO)
+        self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
         self.machine = ''
         self._on_state = on_state
         node.create_subscription(MachineState, 'machine_state', self._see_state, STATE)
@@ -119,7 +121,9 @@ class OperatorClient:
         self._move_axes = node.create_client(MoveAxes, 'move_axes')
         self._home = node.create_client(Home, 'home')
         self._beats = node.create_publisher(Jog, 'jog', BEATS)
-        self._set_override = node.create_publisher(Float64, 'feed_override', OVERRIDE)
+        self._set_overrides = {
+            topic: node.create_publisher(Float64, topic, OVERRIDE) for topic in OVERRIDES
+        }
         self._simulated = Question(
             node.create_client(GetParameters, 'machine_node/get_parameters'),
             GetParameters.Request(names=['machine']),
@@ -154,7 +158,12 @@ class OperatorClient:
     @property
     def override(self) -> float:
         """The feed override [-]: the value sent last until it is reported, then that."""
-        return self._override.at(time.monotonic())
+        return self._overrides['feed_override'].at(time.monotonic())
+
+    @property
+    def rapid_override(self) -> float:
+        """The rapid override [-], as ``override``."""
+        return self._overrides['rapid_override'].at(time.monotonic())
 
     def _see_program(self, message: LoadedProgram) -> None:
         self.program = message
@@ -166,7 +175,8 @@ class OperatorClient:
         self.active_modes = message
 
     def _see_state(self, state: MachineState) -> None:
-        self._override.hear(state.feed_override)
+        for topic, override in self._overrides.items():
+            override.hear(getattr(state, topic))
         if self._on_state is not None:
             self._on_state(state)
 
@@ -219,10 +229,10 @@ class OperatorClient:
         """Send a beat of a motion by hand."""
         self._commands.append(lambda: self._beats.publish(message))
 
-    def set_override(self, share: float) -> None:
-        """Set the feed override [-]."""
-        self._override.wish(share, time.monotonic())
-        self._commands.append(lambda: self._set_override.publish(Float64(data=share)))
+    def set_override(self, share: float, topic: str = 'feed_override') -> None:
+        """Set one of ``OVERRIDES`` [-]."""
+        self._overrides[topic].wish(share, time.monotonic())
+        self._commands.append(lambda: self._set_overrides[topic].publish(Float64(data=share)))
 
     def run(
         self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None

@@ -12,7 +12,9 @@ pytest.importorskip('websockets', reason='needs requirements/panel.txt')
 from browser import found
 from cnc_interp_msgs.msg import MachineState, SetupTable
 from page_under_test import REFUSED, PanelUnderTest
+from std_msgs.msg import Float64
 
+from cnc_interp.client.page.pose_field import pose_request
 from cnc_interp.nodes import qos
 from cnc_interp.program import JobSetup
 
@@ -27,7 +29,7 @@ TRAORI
 G0 X0 Y0 Z10 A10 C0
 G1 Z0 F1500
 o100 repeat [3]
-G91 G1 X10 F200
+G91 G1 X10 F100
 o100 endrepeat
 G90 G1 X0 Y40 Z10 F1500
 M30
@@ -125,6 +127,7 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: legs <= set(tab.run(shown)))
     panel.states.clear()
     panel.press_key(tab, 'cycle start', lambda: any(state.sequence for state in panel.states))
+    panel.set_override.publish(Float64(data=0.05))  # so that a slow browser can hold it
     on_path = [state.path_position for state in panel.states if state.sequence]
     assert min(on_path) >= run.start_at - 1e-9
 
@@ -132,10 +135,12 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: not legs & set(tab.run(shown)) and tab.text('start') == '')
     tab.click('feed hold')
     panel.until(MachineState.HELD)
-    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F200'} <= set(tab.text('modes').split()))
+    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F100'} <= set(tab.text('modes').split()))
 
     # Jog away, return: cycle start leads back to the place of the hold, and goes on from there.
     panel.spin_until(lambda: panel.next_state().resting)
+    panel.set_override.publish(Float64(data=1.0))
+    panel.spin_until(lambda: panel.override == 1.0)
     held = panel.next_state()
     rests = np.array(held.commanded_positions)
     tab.click('jog')
@@ -154,6 +159,85 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: tab.text('progress') == '100.0%')
     tab.wait(lambda: np.abs(tip() - zero - (0.0, 40.0, 10.0)).max() < 2e-3)
     assert tab.faults == []
+
+
+def lit(tab, key):
+    return tab.run(f'document.querySelector(`[data-mark="{key}"]`).ariaPressed') == 'true'
+
+
+def type_key(panel, tab, key, done):
+    """Press a key of the keyboard and see it done, as ``press_key`` of the panel."""
+    tab.type_key(key)
+    panel.spin_until(lambda: done() or tab.run(REFUSED))
+    if not done():
+        tab.wait(lambda: not tab.run(REFUSED))
+        tab.type_key(key)
+        panel.spin_until(done)
+
+
+def test_rapid_override_by_key_and_keyboard(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: lit(tab, 'rapid 100%'))
+    panel.press_key(tab, 'rapid 25%', lambda: panel.peers.state.rapid_override == 0.25)
+    tab.wait(lambda: lit(tab, 'rapid 25%') and not lit(tab, 'rapid 100%'))
+    by_others = panel.node.create_publisher(Float64, 'rapid_override', qos.OVERRIDE)
+    panel.spin_until(lambda: by_others.get_subscription_count() > 0)
+    by_others.publish(Float64(data=0.4))
+    tab.wait(lambda: tab.text('rapids') == 'rapids 40%' and not lit(tab, 'rapid 25%'))
+    type_key(panel, tab, '9', lambda: panel.peers.state.rapid_override == 1.0)
+    tab.wait(lambda: tab.text('rapids') == 'rapids' and lit(tab, 'rapid 100%'))
+    assert panel.peers.state.feed_override == 1.0 and tab.faults == []
+
+
+def test_block_delete_leaves_lines_with_a_slash_out(panel, part):
+    part.write_text(PART.replace('G90 G1 X0 Y40', '/G1 Y200\nG90 G1 X0 Y40'))
+    tab = panel.open_in_charge()
+    panel.load(tab, part)
+    long = tab.text('left')
+    tab.click('block delete')
+    tab.wait(lambda: lit(tab, 'block delete') and tab.text('status') == 'planned')
+    tab.wait(lambda: tab.text('left') < long)
+    panel.begin(tab)
+    chosen = {pair.key: pair.value for pair in panel.loaded[-1].settings}
+    assert chosen['skip_blocks'] == 'true' and panel.loaded[-1].path_length < 0.15
+    # The program of a run is not planned again under it.
+    tab.click('block delete')
+    tab.wait(lambda: tab.run('document.body.textContent.includes("a program is running")'))
+    assert lit(tab, 'block delete')
+    tab.click('EMERGENCY STOP')
+    panel.until(MachineState.FAULT)
+    panel.reset(tab)
+    tab.type_key('b')
+    tab.wait(lambda: not lit(tab, 'block delete'))
+    assert tab.faults == []
+
+
+def test_the_tool_goes_to_a_pose(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    before = panel.next_state()
+    tab.type_key('p')
+    tab.wait(lambda: tab.run('!!document.querySelector(".pose").offsetParent'))
+    tab.click('here')
+    tab.fill('pose Z', f'{1e3 * before.tip[2] + 4:.3f}')
+    way = 'document.querySelector(`[data-mark="go there"]`)'
+    assert tab.run(f'{way}.matches(".moves")')  # neither space nor Enter presses it
+    goal = before.tip[2] + 4e-3
+    panel.press_key(tab, 'go there', lambda: abs(panel.peers.state.tip[2] - goal) < 1e-5)
+    after = panel.next_state()
+    assert after.tip == pytest.approx([*before.tip[:2], goal], abs=1e-5)
+    assert after.axis == pytest.approx(before.axis, abs=1e-5)
+    assert tab.faults == []
+
+
+def test_the_request_of_a_pose_keeps_what_is_not_named():
+    request = pose_request({'X': '', 'Z': '12,5', 'I': '', 'K': ''}, 0.2)
+    assert np.array_equal(request.tip, [np.nan, np.nan, 0.0125], equal_nan=True)
+    assert (list(request.axis), request.speed) == ([], 0.2)
+    assert list(pose_request({'I': '1', 'K': '1'}, 1.0).axis) == [1.0, 0.0, 1.0]
+    for texts in ({'X': ''}, {'X': 'nan'}, {'X': 'high'}):
+        with pytest.raises(ValueError, match=r'.'):
+            pose_request(texts, 1.0)
 
 
 def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):

@@ -143,6 +143,11 @@ class JogPad:
             done = known[name] if name else all(known.values())
             key.props(f'color={"blue-grey-8" if done else "warning"}')
 
+    @property
+    def speed(self) -> float:
+        """The share of the largest velocities that is chosen [-]."""
+        return float(self._speed.value) / 100
+
     def toggle(self) -> None:
         """Show the pad, or hide it."""
         self._pad.set_visibility(not self._pad.visible)
@@ -156,7 +161,7 @@ class JogPad:
         """Move by a step."""
         if self._step == HOLD:
             return
-        request = step_of(name, sign * float(self._step), self._speed.value / 100, self._axes)
+        request = step_of(name, sign * float(self._step), self.speed, self._axes)
 
         async def moved() -> Answer:
             return await asyncio.wrap_future(self._nodes.move_axes(request))
@@ -168,5 +173,5 @@ class JogPad:
         name, sign, heard = (event.args[key] for key in ('name', 'sign', 'heard'))
         is_fresh = isinstance(heard, int | float) and time.monotonic() - heard <= STALE
         if self._may_move() and (is_fresh or not name):
-            share = (1 if sign > 0 else -1) * self._speed.value / 100
+            share = (1 if sign > 0 else -1) * self.speed
             self._nodes.beat(beat_of(str(name), share, self._names))

@@ -19,7 +19,14 @@ KEYBOARD = (
     ('-', '-', 'slower'),
     ('+', '+', 'faster'),
     ('0', '0', '100%'),
+    ('7', '7', 'rapid 25%'),
+    ('8', '8', 'rapid 50%'),
+    ('9', '9', 'rapid 100%'),
+    ('s', 'S', 'single block'),
+    ('o', 'O', 'optional stop'),
+    ('b', 'B', 'block delete'),
     ('j', 'J', 'jog'),
+    ('p', 'P', 'pose'),
     ('?', '?', 'keyboard'),
 )
 #: Names of keys, as the browser calls them, and the keys of the page.
@@ -29,6 +36,13 @@ MEANINGS = {
     'slower': 'feed override 5 % less',
     'faster': 'feed override 5 % more',
     '100%': 'feed override 100 %',
+    'rapid 25%': 'rapid override 25 %',
+    'rapid 50%': 'rapid override 50 %',
+    'rapid 100%': 'rapid override 100 %',
+    'single block': 'single block on or off',
+    'optional stop': 'optional stop (M1) on or off',
+    'block delete': 'block delete on or off: lines that begin with a slash are left out',
+    'pose': 'show or hide the fields of a tool pose',
     'jog': 'show or hide the keys that move an axis',
     'keyboard': 'show or hide this list',
 }

@@ -1,4 +1,4 @@
-"""A feed override on a page: a slider, and keys that move it by a step or to 100 %."""
+"""The feed override and the rapid override on a page."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from nicegui import events, ui
 
 #: Largest override, and the step of its keys [%].
 MOST, STEP = 150, 5
+#: Keys of the rapid override [%].
+RAPIDS = (25, 50, 100)
 
 
 class HeldSlider(ui.slider):
@@ -19,7 +21,7 @@ class HeldSlider(ui.slider):
 
 class OverrideSlider:
     """
-    The override in one page.
+    The feed override in one page: a slider, and keys that move it by a step or to 100 %.
 
     Parameters
     ----------
@@ -90,3 +92,50 @@ class OverrideSlider:
         """Show what counts: what the user did while the connection was interrupted is lost."""
         self._shown = None
         self._slider.update()
+
+
+class RapidKeys:
+    """
+    The rapid override in one page: a key for each value; the one that counts is lit.
+
+    Parameters
+    ----------
+    value, wish, may_set : callable
+        As for ``OverrideSlider``, of the rapid override.
+
+    """
+
+    def __init__(
+        self,
+        value: Callable[[], float],
+        wish: Callable[[float], None],
+        may_set: Callable[[], bool],
+    ):
+        self._value, self._wish, self._may_set = value, wish, may_set
+        self._shown: float | None = None
+        with ui.element('div').classes('steps rapids'):
+            self._text = ui.label('rapids').props('data-mark="rapids"')
+            self.keys = {percent: self._key(percent) for percent in RAPIDS}
+
+    def _key(self, percent: int) -> Any:
+        """Make the key of one value."""
+
+        def press() -> None:
+            if self._may_set():
+                self._wish(percent / 100)
+
+        key = ui.button(f'{percent}%', on_click=press, color='blue-grey-9')
+        return key.props(f'dense unelevated no-caps data-mark="rapid {percent}%"')
+
+    def show(self) -> None:
+        """Light the key of the value that counts; another value stands beside."""
+        value = self._value()
+        if self._shown == value:
+            return
+        self._shown = value
+        lit = round(100 * value, 6)
+        self._text.set_text('rapids' if lit in self.keys else f'rapids {lit:g}%')
+        for percent, key in self.keys.items():
+            on = percent == lit
+            colour, pressed = ('primary', 'true') if on else ('blue-grey-9', 'false')
+            key.props(f'color={colour} aria-pressed={pressed}')

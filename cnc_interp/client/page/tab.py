@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import Any
 
 from nicegui import events, ui
@@ -17,7 +18,8 @@ from cnc_interp.client.page.keyboard import keyboard_list
 from cnc_interp.client.page.listing import Listing
 from cnc_interp.client.page.mdi_line import MdiField
 from cnc_interp.client.page.messages import Messages
-from cnc_interp.client.page.override import OverrideSlider
+from cnc_interp.client.page.override import OverrideSlider, RapidKeys
+from cnc_interp.client.page.pose_field import PoseField
 from cnc_interp.client.page.readings import NOTHING, progress, readings
 from cnc_interp.client.page.scene import VIEWS, MachineView
 from cnc_interp.client.page.settings_dialog import SettingsDialog
@@ -153,6 +155,8 @@ class Page:
                 marked(key.props('dense no-caps unelevated color=blue-grey-9'), f'from {name}')
             jog = ui.button('jog').props('dense no-caps unelevated color=blue-grey-9')
             marked(jog, 'jog')
+            pose = ui.button('pose').props('dense no-caps unelevated color=blue-grey-9')
+            marked(pose, 'pose')
             offsets = ui.button('offsets', on_click=lambda: self._setup.open())
             marked(offsets.props('dense no-caps unelevated color=blue-grey-9'), 'offsets')
         self._pad: JogPad | None = None
@@ -164,6 +168,8 @@ class Page:
                 self._command_in_sight,
             )
             jog.on_click(pad.toggle)
+            field = PoseField(self._desk.nodes, lambda: pad.speed, self._command_in_sight)
+            pose.on_click(field.toggle)
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
             ui.html(
@@ -214,13 +220,21 @@ class Page:
             ),
         ]
         self._keys[0].classes('moves')
-        self._switches = [self._switch(name) for name in SWITCHES]
+        self._switches = [
+            *(self._switch(name) for name in SWITCHES),
+            Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
+        ]
         self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
         self._stop.classes('wide')
         self._override = OverrideSlider(
             lambda: desk.nodes.override,
             desk.nodes.set_override,
-            lambda: self._allowed() and self._in_sight(),
+            self._may_set,
+        )
+        self._rapids = RapidKeys(
+            lambda: desk.nodes.rapid_override,
+            lambda share: desk.nodes.set_override(share, 'rapid_override'),
+            self._may_set,
         )
 
     def _switch(self, name: str) -> Switch:
@@ -231,6 +245,15 @@ class Page:
             await self._command(lambda: desk.set_switch(name, on))
 
         return Switch(name.replace('_', ' '), lambda: desk.switched[name], turn)
+
+    async def _skip_blocks(self, on: bool) -> None:
+        """Leave lines with a slash out of the next run, or not."""
+        wanted = replace(self._desk.settings, skip_blocks=on)
+        await self._use(wanted)
+
+    def _may_set(self) -> bool:
+        """Tell whether this page may set an override now; say so where it may not."""
+        return self._allowed() and self._in_sight()
 
     @staticmethod
     def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
@@ -392,13 +415,18 @@ class Page:
             self._take.set_visibility(not self._in_charge)
             buttons = (self._loader, self._follower, self._checker, self._setter)
             fields = (self._upload, *self._start.keys, self._mdi.field)
-            switches = (*(one.key for one in self._switches), *self._override.elements)
+            switches = (
+                *(one.key for one in self._switches),
+                *self._override.elements,
+                *self._rapids.keys.values(),
+            )
             for element in (*self._keys, *switches, *buttons, *fields):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._trusted)
         for switch in self._switches:
             switch.show()
         self._override.show()
+        self._rapids.show()
 
     def _show_lists(self) -> None:
         """Show program text, progress and alarms."""

@@ -372,7 +372,7 @@ def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path
     def wait_behind():
         tab.click('queue next')
         tab.choose_file('input[type=file]', short_program)
-        tab.wait(lambda: tab.text('waiting') == f'then {short_program.name}')
+        tab.wait(lambda: tab.text('waiting') == f'next: {short_program.name}')
 
     wait_behind()
     tab.click('clear queue')

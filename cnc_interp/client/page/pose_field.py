@@ -71,8 +71,8 @@ class PoseField:
                 'small wide'
             )
             for name in TIP + AXIS:
-                field = ui.input(placeholder=name)
-                field.props('dense outlined inputmode=decimal autocomplete=off')
+                field = ui.input()
+                field.props(f'dense outlined inputmode=decimal autocomplete=off prefix={name}')
                 self._fields[name] = field.props(f'data-mark="pose {name}"')
             self._key('here', self._take_here)
             self._key('go there', self._go).classes('moves')

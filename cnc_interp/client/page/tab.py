@@ -372,7 +372,7 @@ class Page:
             self._labels['status'].classes(replace=f'status small{failed}')
         words['status'] = job.status if job else 'press load to choose a program'
         words['start'] = self._start_text()
-        words['waiting'] = f'then {desk.nodes.waiting}' if desk.nodes.waiting else ''
+        words['waiting'] = f'next: {desk.nodes.waiting}' if desk.nodes.waiting else ''
         for name, text in words.items():
             if self._changed(name, text):
                 self._labels[name].set_text(text)

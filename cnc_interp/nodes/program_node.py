@@ -150,8 +150,8 @@ class ProgramNode(Node):
             self._feed.fill(self._outlet.sender)
             self._outlet.pump()
             self._tell_progress(run.preparation.prepared, now)
-            if self._state is not None and run.preparation.prepared is not None:
-                self._modes.tell(run.preparation.prepared, self._state)
+        if self._state is not None and run.preparation.prepared is not None:
+            self._modes.tell(run.preparation.prepared, self._state)
         self._tell_programs(run)
         self._keep_changes(run, outcome)
         if outcome is not None:

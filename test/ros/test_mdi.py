@@ -126,16 +126,19 @@ def test_the_modes_of_a_program_are_told_as_the_machine_comes_to_them(bench):
     handle = bench.start(text=text)
     bench.spin_until(lambda: bench.state.reason == MachineState.REASON_PROGRAM_STOP)
     held = bench.next_state()
-    bench.spin_until(lambda: bench.active and 'G1' in bench.active[-1].codes)
-    for told in bench.active:
-        assert told.program_id == held.program_id
-        assert {'G54', 'G64', 'M3'} <= set(told.codes) and 'M8' not in told.codes
-        assert (told.spindle_speed, told.tool) == (5000.0, 2)
-    assert bench.active[-1].feedrate == pytest.approx(0.05)
+
+    def told():
+        return [message for message in bench.active if message.program_id == held.program_id]
+
+    bench.spin_until(lambda: told() and 'G1' in told()[-1].codes)
+    for modes in told():
+        assert {'G54', 'G64', 'M3'} <= set(modes.codes) and 'M8' not in modes.codes
+        assert (modes.spindle_speed, modes.tool) == (5000.0, 2)
+    assert told()[-1].feedrate == pytest.approx(0.05)
     assert bench.press('cycle_start').success
     assert bench.result_of(handle).code == Result.SUCCEEDED
-    bench.spin_until(lambda: 'M8' in bench.active[-1].codes)
-    last = bench.active[-1]
+    bench.spin_until(lambda: 'M8' in told()[-1].codes)
+    last = told()[-1]
     assert {'G1', 'G61', 'M3'} <= set(last.codes) and last.feedrate == pytest.approx(0.025)
     assert last.spindle_speed == 6000.0
 

@@ -153,8 +153,9 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: legs <= set(tab.run(shown)))
     panel.states.clear()
     panel.go_on(tab)
-    on_path = [state.path_position for state in panel.states if state.state == state.RUNNING]
-    assert min(on_path) >= held.path_position - 1e-9
+    seen = [panel.peers.state, *panel.states]
+    assert min(state.path_position for state in seen) >= held.path_position - 1e-9
+    assert {state.program_id for state in seen} == {held.program_id}
     assert len(panel.peers.state.resume_positions) == 0
     panel.spin_until(lambda: panel.peers.state.completed)
     tab.wait(lambda: tab.text('progress') == '100.0%')

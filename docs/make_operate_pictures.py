@@ -3,10 +3,10 @@ Take the pictures of docs/operate.md while an operator's tasks are done on the p
 
     python docs/make_operate_pictures.py
 
-starts ``cnc-interp panel examples/first_part.ngc`` and does in a real browser what steps 2 to 4 of
-docs/operate.md say: load, move by hand, touch off. Each step's picture is
-``docs/pictures/operate_*.png``, its parts numbered as in the text. Needs Chromium,
-requirements/panel.txt and Pillow.
+starts ``cnc-interp panel examples/first_part.ngc`` and does in a real browser what steps 2 to 7 of
+docs/operate.md say: load, move by hand, touch off, run, hold and move away, start at a line. Each
+step's picture is ``docs/pictures/operate_*.png``, its parts numbered as in the text. Needs
+Chromium, requirements/panel.txt and Pillow.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from make_page_pictures import HERE, SETTLE, SIZE, Browser, Tab, interp, label, 
 from PIL import Image
 
 PROGRAM = HERE.parent / 'examples' / 'first_part.ngc'
+
+#: Steps by which the feed is lowered while the program runs: a picture takes seconds.
+SLOWER = 19
 
 
 class Walk:
@@ -98,6 +101,42 @@ class Walk:
         for axis in 'XYZ':
             self._tab.fill(f'here {axis}', '0')
         self.picture('touch_off', 'here X', 'touch off', 'G54 X', 'new tool number')
+        self._tab.click('touch off')
+        self._tab.wait(lambda: self._tab.text('work Z') == '0.000')
+        self._tab.click('close setup')
+        self._tab.wait(lambda: self._tab.text('status') == 'planned')
+        self.give('G0 Z40')
+
+    def run(self) -> None:
+        """Run the program, slowly enough for a picture."""
+        self._tab.press_key('override slider', 'ArrowLeft', times=SLOWER)
+        self._tab.click('cycle start')
+        self._tab.wait(lambda: 'F2400' in self._tab.text('modes'))
+        self.picture('run', 'line', 'modes', 'feed hold', 'override slider', 'to go', 'rapids')
+
+    def away(self) -> None:
+        """Hold, and move the tool away."""
+        self._tab.click('feed hold')
+        self.state('held')
+        self._tab.click('100%')
+        self._tab.click('jog')
+        self._tab.click('jog tool+')
+        self._tab.wait(lambda: 'leads back' in self._tab.text('why'))
+        self.state('held')
+        self.picture('away', 'why', 'jog tool+', 'start', 'cycle start')
+        self._tab.click('jog')
+        self._tab.click('reset')
+        self.state('idle')
+
+    def start_at_a_line(self) -> None:
+        """See the state and the way before the motion to a line."""
+        self._tab.fill('start line', '15')
+        self._tab.fill('start pass', '2')
+        self._tab.click('start here')
+        self._tab.wait(lambda: 'line 15, pass 2' in self._tab.text('start'))
+        self._tab.click('cycle start')
+        self._tab.wait(lambda: 'plunge' in self._tab.text('start'))
+        self.picture('start_line', 'start line', 'start here', 'start', 'cycle start', 'reset')
 
 
 @contextmanager
@@ -127,7 +166,9 @@ def main() -> None:
     """Do the tasks, take the pictures."""
     with tempfile.TemporaryDirectory() as name, page(Path(name)) as tab:
         walk = Walk(tab, Path(name))
-        for task in (walk.load, walk.move, walk.touch_off):
+        for task in (
+            walk.load, walk.move, walk.touch_off, walk.run, walk.away, walk.start_at_a_line,
+        ):  # fmt: skip
             task()
         assert tab.faults == [], tab.faults
 

@@ -137,8 +137,8 @@ def main() -> None:
         browser = Browser()
         try:
             assert page.stdout is not None
-            address = re.search(r'http://\S+/', page.stdout.readline())
-            assert address is not None
+            said = iter(page.stdout)
+            address = next(found for line in said if (found := re.search(r'http://\S+/', line)))
             tab = browser.open(f'{address[0]}?token=picture', *SIZE)
             write_animation(frames_of(tab, folder))
             write_screens(tab, folder)

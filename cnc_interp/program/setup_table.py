@@ -25,7 +25,8 @@ class SetupTable:
     Parameters
     ----------
     file : Path, optional
-        The setup file. It need not be there yet. Without it nothing outlives this object.
+        The setup file. It need not be there yet, nor its folder. Without it nothing outlives this
+        object.
 
     Raises
     ------
@@ -44,6 +45,7 @@ class SetupTable:
             return
         try:
             log = file.resolve()
+            log.parent.mkdir(parents=True, exist_ok=True)
             self._log = log.with_name(f'{log.name}.log').open('a', encoding='utf-8')
             fcntl.flock(self._log, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -18,10 +18,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from cnc_interp.cli import main
 from cnc_interp.client import page
 from cnc_interp.client.alarms import Alarm, AlarmList
+from cnc_interp.client.operator_client import SWITCHES
 from cnc_interp.client.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
 from cnc_interp.client.page.desk import Job
 from cnc_interp.client.page.jog_pad import ARROWS, beat_of, step_of
 from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
+from cnc_interp.client.page.override import RAPIDS
 from cnc_interp.client.page.preview import DRAWN, Preview, thinned
 from cnc_interp.client.page.readings import (
     axis_words,
@@ -298,7 +300,8 @@ def test_keys_of_the_pad_become_beats_and_steps():
 def test_what_is_listed_of_the_keyboard_is_on_the_page():
     texts = Path(page.__file__).parent.glob('*.py')
     marks = ''.join(t.read_text(encoding='utf-8') for t in texts if t.stem != 'keyboard')
-    assert all(f"'{mark}'" in marks for _, _, mark in KEYBOARD)
+    made = {f'rapid {percent}%' for percent in RAPIDS} | {s.replace('_', ' ') for s in SWITCHES}
+    assert all(f"'{mark}'" in marks or mark in made for _, _, mark in KEYBOARD)
     assert {mark for _, _, mark in KEYBOARD} >= MEANINGS.keys()
     assert not {' ', 'Enter'} & {name for name, _, _ in KEYBOARD}
 

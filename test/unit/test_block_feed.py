@@ -13,6 +13,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.block_feed import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.program import JobSetup, read_text
+from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.path_messages import blocks_from
@@ -30,7 +31,17 @@ def feed():
     blocks = read_text(TEXT, 'line.ngc', transform, settings).blocks
     feed, sender = BlockFeed(), WindowedSender(1.0)
     program = Prepared(
-        blocks, (), TEXT, settings, 1.3, np.array(STOPS), JobSetup(), False, (), frozenset()
+        blocks,
+        (),
+        TEXT,
+        settings,
+        1.3,
+        np.array(STOPS),
+        JobSetup(),
+        False,
+        (),
+        frozenset(),
+        ModesOfBlocks(),
     )
     feed.begin(program, RUN, 0.0, sender)
     return feed, sender, blocks

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from argparse import Namespace
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ PARENT = 'CNC_INTERP_PARENT'
 LONGEST_TOKEN = 1000
 #: How long the page may take to end [s].
 LAST_WAIT = 5.0
+#: Time between looks at the nodes beside the page [s].
+WATCH_NODES = 0.5
 
 
 @dataclass(frozen=True)
@@ -125,9 +128,45 @@ def run_panel(request: PanelRequest) -> None:
     }
     if request.setup is not None:
         parameters['program_node']['setup'] = f"'{request.setup.resolve()}'"
-    with Children(request.namespace, domain, parameters, nodes_file()):
+    with Children(request.namespace, domain, parameters, nodes_file()) as children:
         print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
-        until_asked(served, request.namespace, domain)
+        with NodeWatch(children):
+            until_asked(served, request.namespace, domain)
+
+
+class NodeWatch:
+    """
+    Watches the nodes beside the page, in a thread.
+
+    Nodes that were killed are started again. One that ended by itself cannot work here, so the
+    page ends, and leaving the context raises InterpError with the node's last words.
+    """
+
+    def __init__(self, children: Children):
+        self._children, self._done = children, threading.Event()
+        self._problem: InterpError | None = None
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def _watch(self) -> None:
+        while not self._done.wait(WATCH_NODES):
+            try:
+                for name in self._children.revive():
+                    print(f'{name} was killed; it is started again', file=sys.stderr)
+                self._children.check()
+            except InterpError as problem:
+                self._problem = problem
+                os.kill(os.getpid(), signal.SIGINT)
+                return
+
+    def __enter__(self) -> NodeWatch:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        if self._problem is not None:
+            raise self._problem
 
 
 def token_of(file: Path | None) -> str:

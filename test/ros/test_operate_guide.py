@@ -1,0 +1,73 @@
+"""The commands of docs/operate.md, in their order, do what the page says."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from nodes_under_test import PATIENCE, hear_ctrl_c
+
+ROOT = Path(__file__).parents[2]
+
+
+def command_lines():
+    """Return what follows `./cnc` in every command line of the page."""
+    fences = re.findall(r'```\n(.*?)```', (ROOT / 'docs' / 'operate.md').read_text(), re.S)
+    return [line.split()[1:] for fence in fences for line in fence.splitlines() if line]
+
+
+def environment():
+    """Return the environment without what would tell NiceGUI that a test runs."""
+    return {k: v for k, v in os.environ.items() if not k.startswith('PYTEST')}
+
+
+def test_the_commands_lead_to_a_proven_part(tmp_path):
+    (tmp_path / 'examples').symlink_to(ROOT / 'examples')
+    panel, *others = command_lines()
+    assert [panel[0], *(line[0] for line in others)] == ['panel', 'run', 'check', 'report']
+    cnc = [sys.executable, '-m', 'cnc_interp']
+    page = subprocess.Popen(
+        [*cnc, *panel], cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=environment(),
+        preexec_fn=hear_ctrl_c,
+    )  # fmt: skip
+    try:
+        said = ''
+        for line in page.stdout:
+            said += line
+            if 'http' in line:
+                break
+        address = re.search(r'http://\S+', said)[0]
+        assert urllib.request.urlopen(address, timeout=PATIENCE).status == 200
+        domain = re.search(r'ROS domain +(\d+)', said)[1]
+        touch_off = [*cnc, 'touch-off', 'X', '0', 'Y', '0', 'Z', '0', '--domain', domain]
+        subprocess.run(touch_off, check=True)
+        page.send_signal(signal.SIGINT)
+        assert page.wait(PATIENCE) == 0
+    finally:
+        page.kill()
+        page.wait()
+    for line in others:
+        done = subprocess.run([*cnc, *line], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        if line[0] == 'check':
+            assert 'proven' in done.stdout
+    assert list((tmp_path / 'out').rglob('*.html'))
+
+
+def test_a_page_whose_nodes_cannot_work_ends_with_their_last_words(tmp_path):
+    (tmp_path / 'file').write_text('')
+    setup = tmp_path / 'file' / 'setup.yaml'
+    command = [sys.executable, '-m', 'cnc_interp', 'panel', '--port', '0', '--setup', setup]
+    done = subprocess.run(
+        command, env=environment(), capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert done.returncode == 2
+    said = done.stderr.splitlines()[-1]
+    assert said.startswith('cnc-interp: program_node ended: ') and str(setup) in said

@@ -6,6 +6,7 @@ MM = 1e-3
 UM = 1e-6
 INCH = 25.4e-3
 DEG = pi / 180.0
+ARCSEC = DEG / 3600.0
 REV = 2.0 * pi
 MINUTE, HOUR = 60.0, 3600.0
 MS = 1e-3

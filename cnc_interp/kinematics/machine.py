@@ -16,6 +16,7 @@ from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axes import Axis
+from cnc_interp.kinematics.axis_drives import AxisDrive, axis_drives
 from cnc_interp.kinematics.drive_loads import DriveLoad, drive_loads
 from cnc_interp.kinematics.machine_entries import (
     LOCKED_LIMITS,
@@ -76,6 +77,8 @@ class Machine:
         the k positions at which they hold, see ``core/limit_table.py`` [m or rad, per s, s2, s3].
     loads : dict of int to DriveLoad
         For axes whose drives have a largest torque: torque, inertia and friction.
+    drives : dict of int to AxisDrive
+        For axes whose drives are not ideal: how they follow their setpoints.
     homing : Homing
         Reference switches, and the order in which axes are homed.
     file : str
@@ -97,6 +100,7 @@ class Machine:
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     places: dict[int, FloatArray] = field(default_factory=dict)
     loads: dict[int, DriveLoad] = field(default_factory=dict)
+    drives: dict[int, AxisDrive] = field(default_factory=dict)
     homing: Homing = field(default_factory=Homing)
     file: str = ''
 
@@ -240,6 +244,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         name: (np.array(row[1]), MM if straight else DEG)
         for name, row, straight in zip(names, rows, linear, strict=True)
     }
+    loads = drive_loads(content, names, linear, table[:, 0])
     return Machine(
         name=str(content.get('name', 'unnamed')),
         axis_names=tuple(names),
@@ -248,7 +253,8 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
         places=limits_by_position(content, names, linear, rows),
-        loads=drive_loads(content, names, linear, table[:, 0]),
+        loads=loads,
+        drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=homing(content, travel),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),

@@ -7,17 +7,18 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.axis_motion import AxisMotion, Recording
-from cnc_interp.machine.drive_model import DriveModel, drive, drive_once
+from cnc_interp.machine.drive_kernels import RING, follow_all, follow_once
+from cnc_interp.machine.drive_model import lag_of, words_of
 
 
 class SimulatedDrives:
     """
-    Drives that follow setpoints by ``DriveModel``, in the cycle of the machine.
+    Drives that follow setpoints by the model of ``drive_model.py``, in the cycle of the machine.
 
     Parameters
     ----------
-    model : DriveModel
-        Gains and lag, the same for all axes.
+    machine : Machine
+        Its file gives the drives; an axis without an entry is ideal.
     period : float
         Interpolation period [s].
     position : ndarray, shape (n_axes,)
@@ -25,18 +26,16 @@ class SimulatedDrives:
 
     """
 
-    def __init__(self, model: DriveModel, period: float, position: FloatArray):
-        self.lag, self.step = model.lag, int(drive_once.address)
-        start: FloatArray = np.array(position, dtype=float)
-        still = np.zeros_like(start)
-        model_words = np.ravel(model.discretise(period))
-        self.memory = np.concatenate([model_words, start, still, start, still])  # x, v, r, f
-        self._held = slice(len(self.memory) - 2 * len(start), len(self.memory) - len(start))
+    def __init__(self, machine: Machine, period: float, position: FloatArray):
+        self.lag, self.step = lag_of(machine), int(follow_once.address)
+        words = words_of(machine, period, position)
+        self.memory = np.concatenate([[float(words.shape[1])], words.ravel()])
+        self._words = self.memory[1:].reshape(words.shape)
 
     @property
     def position(self) -> FloatArray:
         """The last setpoint, where the axes stand or settle [m, rad]."""
-        held: FloatArray = self.memory[self._held].copy()
+        held: FloatArray = self._words[:, RING].copy()
         return held
 
     def switch_on(self) -> None:
@@ -55,7 +54,6 @@ def simulate(
     period: float,
     positions: FloatArray,
     velocities: FloatArray | None = None,
-    model: DriveModel | None = None,
 ) -> Recording:
     """
     Run simulated drives through all setpoints, from rest at the first one.
@@ -65,21 +63,17 @@ def simulate(
     Parameters
     ----------
     machine : Machine
-        Axes, limits and geometry.
+        Axes, limits, geometry and drives.
     period : float
         Interpolation period [s].
     positions : ndarray, shape (K, n_axes)
         Setpoints [m, rad].
     velocities : ndarray, shape (K, n_axes), optional
         Their velocities; central differences when not given [m/s, rad/s].
-    model : DriveModel, optional
-        Gains and lag of the drives.
 
     """
-    model = model or DriveModel()
     r = np.ascontiguousarray(positions, dtype=float)
     rate = np.gradient(r, period, axis=0) if velocities is None else velocities
     rate = np.ascontiguousarray(rate, dtype=float)
-    start = np.stack([r[0], np.zeros_like(r[0])])
-    x, v = drive(*model.discretise(period), start, r[0], np.zeros_like(r[0]), r, rate)
-    return AxisMotion(machine, period, model.lag, r[0]).measure(r, x, v)
+    x, v = follow_all(words_of(machine, period, r[0]), r, rate)
+    return AxisMotion(machine, period, lag_of(machine), r[0]).measure(r, x, v)

@@ -22,7 +22,6 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.program import read_text
@@ -156,7 +155,7 @@ def warm_machine(machine: str, period: float) -> None:
     loaded = Machine.load(machine)
     stands = np.zeros(len(loaded.axis_names))
     endless = np.tile([-np.inf, np.inf], (len(stands), 1))
-    drives = SimulatedDrives(DriveModel(), period, stands)
+    drives = SimulatedDrives(loaded, period, stands)
     playback = Playback(replace(loaded, travel=endless), period, drives, 1)
     chunk = resting_chunk(stands, period)
     playback.switch_on()

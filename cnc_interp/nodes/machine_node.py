@@ -12,7 +12,6 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine.simulated import SimulatedDrives
@@ -66,10 +65,7 @@ class MachineNode(LifecycleNode):
         # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
-        model = DriveModel(
-            values['position_gain'], values['feed_forward'], values['time_constant']
-        )
-        drives = SimulatedDrives(model, self._period, np.zeros(len(machine.axis_names)))
+        drives = SimulatedDrives(machine, self._period, np.zeros(len(machine.axis_names)))
         window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)

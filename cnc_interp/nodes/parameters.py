@@ -83,12 +83,9 @@ MACHINE_NODE = (
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
-    Declared('position_gain', 100.0, 'Gain kv of the drives [1/s]', 1.0, 1000.0),
-    Declared('feed_forward', 1.0, 'Share of velocity feed-forward of the drives [-]', 0.0, 1.0),
     Declared(
         'trajectory_topic', '', 'Where to publish the setpoints to come as JointTrajectory too'
     ),
-    Declared('time_constant', 0.002, 'Lag of the velocity loop of the drives [s]', 1e-4, 0.1),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),
 )

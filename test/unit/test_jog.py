@@ -9,7 +9,6 @@ from tiers import examples
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.jog import AHEAD, LATE, PIECE, Jog
 from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine.playback import Playback
@@ -130,7 +129,7 @@ class Bench:
     def __init__(self, machine=XYZAC, position=None):
         position = np.zeros(len(machine.axis_names)) if position is None else position
         self.machine = machine
-        drives = SimulatedDrives(DriveModel(), T, position)
+        drives = SimulatedDrives(machine, T, position)
         self.play = Playback(machine, T, drives, 1000)
         self.play.switch_on()
         self.jog = Jog(self.play)

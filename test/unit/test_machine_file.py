@@ -66,7 +66,9 @@ def test_missing_limit_is_refused_naming_the_key():
 
 
 def test_unknown_machine_lists_the_bundled_ones(tmp_path):
-    with pytest.raises(MachineError, match='vmc, xyz, xyza, xyzac, xyzac_trt, xyzacw, xyzbc'):
+    with pytest.raises(
+        MachineError, match='xyz, xyza, xyzac, xyzac_tired, xyzac_trt, xyzacw, xyzbc'
+    ):
         Machine.load('hermle')
     broken = tmp_path / 'broken.yaml'
     broken.write_text('limits: [1, 2\n')

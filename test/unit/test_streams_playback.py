@@ -11,7 +11,6 @@ from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.drive_model import DriveModel
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.machine.simulated import SimulatedDrives
@@ -41,7 +40,7 @@ POSES = [
 
 
 def playback(full=50):
-    drives = SimulatedDrives(DriveModel(), T, HOME)
+    drives = SimulatedDrives(MACHINE, T, HOME)
     play = Playback(MACHINE, T, drives, full)
     play.switch_on()
     return play

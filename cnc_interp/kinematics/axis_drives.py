@@ -1,0 +1,185 @@
+"""How the drive of each axis follows its setpoints: the section ``drives`` of a machine file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from cnc_interp.core.errors import MachineError
+from cnc_interp.core.units import ARCSEC, DEG, MM, UM
+from cnc_interp.kinematics.drive_loads import DriveLoad
+from cnc_interp.kinematics.machine_entries import numbers
+
+
+@dataclass(frozen=True)
+class AxisDrive:
+    """
+    The drive of one axis; the values are those of ideal drives.
+
+    Inertia, largest torque, Coulomb and viscous friction are those of ``DriveLoad``.
+    ``machine/drive_model.py`` has the equations.
+
+    Parameters
+    ----------
+    position_gain : float
+        ``kv`` of the position loop [1/s].
+    feed_forward : float
+        Share ``f`` of the setpoint's velocity that is fed forward [-].
+    time_constant : float
+        Lag ``tau`` of the velocity loop [s].
+    delay : float
+        Dead time of the setpoints [s].
+    static : float
+        Friction at rest; 0 where it is the Coulomb friction [N or Nm].
+    stribeck_velocity : float
+        Velocity at which the excess of ``static`` has fallen to 1/e [m/s or rad/s].
+    backlash : float
+        Play between motor and table [m or rad].
+    mode_frequency, mode_damping : float
+        Flexible mode between motor and table; frequency 0 for none [Hz, -].
+    resolution : float
+        Step of the measuring system at the table, 0 for none [m or rad].
+
+    """
+
+    position_gain: float = 100.0
+    feed_forward: float = 1.0
+    time_constant: float = 2e-3
+    delay: float = 0.0
+    static: float = 0.0
+    stribeck_velocity: float = 0.0
+    backlash: float = 0.0
+    mode_frequency: float = 0.0
+    mode_damping: float = 0.0
+    resolution: float = 0.0
+
+    @property
+    def lag(self) -> float:
+        """How far the axis follows behind its setpoint, about [s]."""
+        return 1.0 / self.position_gain + self.time_constant + self.delay
+
+
+#: The drive of an axis without an entry.
+IDEAL = AxisDrive()
+
+
+class Entry(NamedTuple):
+    """
+    One value of a drive in the file.
+
+    Parameters
+    ----------
+    field : str
+        Field of ``AxisDrive``.
+    linear, rotary : str
+        Key for a linear and for a rotary axis; the unit ends it.
+    linear_unit, rotary_unit : float
+        Size of the units in SI.
+    low, high : float
+        Smallest and largest plausible value, in the unit of the file.
+
+    """
+
+    field: str
+    linear: str
+    rotary: str
+    linear_unit: float
+    rotary_unit: float
+    low: float
+    high: float
+
+
+#: The values of a drive in the order of the file; the first ``NEEDED`` must be given.
+ENTRIES = (
+    Entry('position_gain', 'position_gain_per_s', 'position_gain_per_s', 1.0, 1.0, 1.0, 1e3),
+    Entry('feed_forward', 'feed_forward', 'feed_forward', 1.0, 1.0, 0.0, 1.2),
+    Entry('time_constant', 'velocity_lag_ms', 'velocity_lag_ms', 1e-3, 1e-3, 0.1, 100.0),
+    Entry('delay', 'delay_ms', 'delay_ms', 1e-3, 1e-3, 0.0, 50.0),
+    Entry('static', 'static_N', 'static_Nm', 1.0, 1.0, 0.0, 1e7),
+    Entry(
+        'stribeck_velocity', 'stribeck_mm_per_s', 'stribeck_deg_per_s', MM, DEG, 0.0, 1e3
+    ),
+    Entry('backlash', 'backlash_um', 'backlash_arcsec', UM, ARCSEC, 0.0, 5e3),
+    Entry('mode_frequency', 'mode_Hz', 'mode_Hz', 1.0, 1.0, 0.0, 500.0),
+    Entry('mode_damping', 'mode_damping', 'mode_damping', 1.0, 1.0, 0.0, 1.0),
+    Entry('resolution', 'resolution_um', 'resolution_arcsec', UM, ARCSEC, 0.0, 100.0),
+)  # fmt: skip
+NEEDED = 3
+
+
+def key_and_unit(entry: Entry, linear: bool) -> tuple[str, float]:
+    """Return the key of a value in the file, and its unit in SI."""
+    if linear:
+        return entry.linear, entry.linear_unit
+    return entry.rotary, entry.rotary_unit
+
+
+def axis_drives(
+    content: dict[str, Any],
+    names: list[str],
+    linear: list[bool],
+    loads: dict[int, DriveLoad],
+) -> dict[int, AxisDrive]:
+    """
+    Read the drives that are not ideal.
+
+    Parameters
+    ----------
+    content : dict
+        The machine file.
+    names, linear : list of str, list of bool
+        All axes, and whether each is linear.
+    loads : dict of int to DriveLoad
+        Their loads.
+
+    Raises
+    ------
+    MachineError
+        If an entry is wrong; the message names the key.
+
+    """
+    given = content.get('drives') or {}
+    if not isinstance(given, dict):
+        raise MachineError('must hold axes with the values of their drives', 'drives')
+    found = {}
+    for name, values in given.items():
+        where = f'drives.{name}'
+        if name not in names:
+            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', where)
+        j = names.index(name)
+        found[j] = _drive(values, where, linear[j], loads.get(j))
+    return found
+
+
+def _drive(values: Any, where: str, linear: bool, load: DriveLoad | None) -> AxisDrive:
+    """Read one drive."""
+    keys = [key_and_unit(entry, linear) for entry in ENTRIES]
+    needed = [key for key, _ in keys[:NEEDED]]
+    if not isinstance(values, dict) or not set(needed) <= set(values):
+        raise MachineError(f'give {", ".join(needed)}', where)
+    for key in values:
+        if key not in dict(keys):
+            raise MachineError(f'unknown; known: {", ".join(dict(keys))}', f'{where}.{key}')
+    found = {}
+    for entry, (key, unit) in zip(ENTRIES, keys, strict=True):
+        if key not in values:
+            continue
+        value = numbers([values[key]], 1, f'{where}.{key}')[0]
+        if not entry.low <= value <= entry.high:
+            raise MachineError(
+                f'{value:g} is outside {entry.low:g} ... {entry.high:g}; is the unit right?',
+                f'{where}.{key}',
+            )
+        found[entry.field] = value * unit
+    drive = AxisDrive(**found)
+    static, _ = key_and_unit(ENTRIES[4], linear)
+    stribeck, _ = key_and_unit(ENTRIES[5], linear)
+    if drive.static and (load is None or not load.coulomb <= drive.static):
+        raise MachineError(
+            'must be at least the Coulomb friction under loads', f'{where}.{static}'
+        )
+    if bool(drive.static) != bool(drive.stribeck_velocity):
+        raise MachineError(f'give {static} and {stribeck}, or neither', where)
+    if bool(drive.mode_frequency) and not drive.mode_damping > 0.0:
+        raise MachineError('must be positive', f'{where}.mode_damping')
+    return drive

@@ -106,6 +106,11 @@ class Transform:
         return np.asarray(self.machine.rotary_direction[self.outer])
 
     @property
+    def rotary_travel(self) -> FloatArray:
+        """Lowest and highest positions of the rotary axes, shape (2, 2) [rad]."""
+        return np.asarray(self.machine.travel[3:5].T)
+
+    @property
     def pole_cone(self) -> float:
         """Angle around the pole in which a direction does not give rotary positions [rad]."""
         return self.machine.singular_cone

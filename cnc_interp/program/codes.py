@@ -42,22 +42,26 @@ WORK_OFFSETS = set(job.WORK_OFFSETS)
 #: Codes with their own meaning of the axis words in their block.
 TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
+    'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
 }  # fmt: skip
 CYCLES = {'G73', 'G74', 'G81', 'G82', 'G83', 'G84', 'G85', 'G86', 'G89'}
 
 _OFF = 'nothing to switch off'
 HARMLESS_G: dict[str, str] = {
-    'G8': _OFF,
     'G15': _OFF,
     'G40': _OFF,
     'G50': _OFF,
-    'G53.1': 'the frame is not tilted',
-    'G69': _OFF,
     'G97': 'no effect',
+    'G255': _OFF,
     'G601': 'every exact stop is exact',
     'G602': 'every exact stop is exact',
     'G603': 'every exact stop is exact',
 }
+
+#: Switches of a control's look-ahead, and their words: G05 P10000, G05.1 Q1, G08 P1.
+LOOK_AHEAD = {'G5': 'P', 'G5.1': 'QR', 'G8': 'P'}
+#: With these letters, a code of ``LOOK_AHEAD`` is a spline.
+SPLINE_LETTERS = frozenset('XYZIJ')
 
 _LINEAR = 'post the program with linear moves'
 _RADIUS = 'cutter radius compensation is not supported; post the path of the tool centre'
@@ -76,12 +80,11 @@ REFUSED_G: dict[str, str] = {
     'G41.1': _RADIUS,
     'G42': _RADIUS,
     'G42.1': _RADIUS,
+    'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
     'G51': 'scaling is not supported; post at full size',
     'G54.1': _FRAME,
     'G54.2': _FRAME,
     'G66': 'modal macro calls are not supported; call with G65',
-    'G68': f'{_FRAME}, or write ROT or AROT',
-    'G68.2': f'{_FRAME}, or write ROT or AROT',
     'G76': 'this cycle is not supported; post it as G0 and G1 moves',
     'G87': 'this cycle is not supported; post it as G0 and G1 moves',
     'G88': 'this cycle is not supported; post it as G0 and G1 moves',

@@ -41,6 +41,8 @@ class Frames:
         self.length = 0.0
         self.shift, self.turn = np.zeros(3), np.eye(3)
         self.rotated = False
+        #: The code of the rotation; empty for ROT.
+        self.tilt_code = ''
         self.take(setup)
 
     def take(self, setup: JobSetup) -> None:
@@ -64,6 +66,7 @@ class Frames:
         """Take over what another program has set and the setup does not hold."""
         self.named, self.length, self.local = before.named, before.length, before.local.copy()
         self.shift, self.turn, self.rotated = before.shift, before.turn, before.rotated
+        self.tilt_code = before.tilt_code
         self.update()
 
     def known(self, name: str) -> bool:
@@ -112,7 +115,7 @@ class Frames:
             'G92': self.g92.any(),
             'G52': self.local.any(),
             'TRANS': self.shift.any(),
-            'ROT': self.rotated,
+            self.tilt_code or 'ROT': self.rotated,
         }
         #: Codes of the shifts beside the work offset that are not zero.
         self.shifts = tuple(code for code, counts in found.items() if counts)
@@ -158,13 +161,31 @@ class Frames:
 
     def reset_frame(self) -> None:
         """Cancel the programmed shift and rotation."""
-        self.shift, self.turn = np.zeros(3), np.eye(3)
+        self.shift, self.turn, self.tilt_code = np.zeros(3), np.eye(3), ''
+
+    def tilt(self, code: str, shift: Vector, turn: FloatArray) -> None:
+        """
+        Shift the frame along its own axes, then turn it by a code of the program.
+
+        Parameters
+        ----------
+        code : str
+            The code, for the modal state.
+        shift : ndarray, shape (3,)
+            Shift [m].
+        turn : ndarray, shape (3, 3)
+            Rotation.
+
+        """
+        self.tilt_code = code
+        self.shift, self.turn = self.shift + self.turn @ shift, self.turn @ turn
+        self.update()
 
     def rotate(self, angles: dict[str, float]) -> None:
         """Rotate the frame about its own Z, Y and X axes, in this order [rad]."""
         for letter in 'ZYX':
             if letter in angles:
-                self.turn = self.turn @ _rotation('XYZ'.index(letter), angles[letter])
+                self.turn = self.turn @ rotation('XYZ'.index(letter), angles[letter])
         self.update()
 
     def move(self, shift: Vector) -> None:
@@ -181,7 +202,7 @@ class Frames:
         self.update()
 
 
-def _rotation(axis: int, angle: float) -> FloatArray:
+def rotation(axis: int, angle: float) -> FloatArray:
     """Return the rotation about a coordinate axis, shape (3, 3); right angles are exact."""
     c, s = np.cos(angle), np.sin(angle)
     c, s = (np.round(v) if abs(v - np.round(v)) < 1e-15 else v for v in (c, s))

@@ -35,6 +35,7 @@ from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.source import Source
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.start_line import StartLine
+from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.variables import ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.choices import Settings
@@ -83,6 +84,7 @@ class GcodeReader:
         self._percent_seen = False
         self.finished = False  # whether M2 or M30 was read
         self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
+        self._plane = TiltedPlane(self.mover)
 
     @property
     def targets(self) -> TargetColumns:
@@ -183,7 +185,8 @@ class GcodeReader:
         window = self.flow.window
         rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
         in_main = self.flow.source is self.flow.main
-        if len(rows) >= SHORTEST and self._cycle is None and in_main and not self.splines.open:
+        free = self._cycle is None and not self.splines.open and not self._plane.is_incomplete
+        if len(rows) >= SHORTEST and in_main and free:
             lines = window.start.line + rows
             if move_along(self.mover, window.code[rows], window.values[rows], lines):
                 self.flow.row = end
@@ -247,6 +250,8 @@ class GcodeReader:
         calling = self.flow.call_of(words)
         if 'G4' in taking:
             self._dwell(words)
+        elif self._plane.takes(taking):
+            self._plane.execute(taking[0], words)
         elif taking and 'G65' not in taking:
             self._axis_codes.execute(taking[0], words)
         if any(key == 'BSPLINE' for key, _ in words.keys):
@@ -271,9 +276,13 @@ class GcodeReader:
         was = mover.feed_mode
         set_here: dict[str, str] = {}
         for code in words.g:
-            if code in codes.REFUSED_G:
+            if code in codes.LOOK_AHEAD and not codes.SPLINE_LETTERS & words.values.keys():
+                for letter in codes.LOOK_AHEAD[code]:
+                    words.values.pop(letter, None)
+                self.notice(code, 'no effect, the path is always smoothed within the tolerances')
+            elif code in codes.REFUSED_G:
                 raise self.fault(codes.REFUSED_G[code], code)
-            if code in codes.SETTINGS:
+            elif code in codes.SETTINGS:
                 attribute, value = codes.SETTINGS[code]
                 if attribute in set_here:
                     raise self.fault(
@@ -296,10 +305,12 @@ class GcodeReader:
                     self.notice(code, 'feed in, feed out; the spindle is not synchronised')
             elif code == 'G80':
                 self._cycle = None
+            elif code == 'G69':
+                self._plane.cancel()
             elif code in codes.HARMLESS_G:
                 self.notice(code, codes.HARMLESS_G[code])
             elif code not in codes.TAKE_AXES and code != 'G53':
-                raise self.fault('this G code is not supported; remove it or post without', code)
+                raise self.fault('this G code is not supported; post without it', code)
         if 'G64' in words.g:
             self._modes.path_tolerance(words)
         if was != mover.feed_mode:
@@ -352,18 +363,17 @@ class GcodeReader:
                 raise self.fault('the tolerance must be greater than zero', key)
             self._modes.tolerances(key, tolerance, tolerance)
             mover.stop_always = mover.stop_always and tolerance is None
-        elif key == 'CYCLE800' and not any(given):
-            mover.frames.reset_frame()
-            mover.frames.update()
+        elif key == 'CYCLE800' and any(given):
+            self._plane.swivel(given, words)
+        elif key == 'CYCLE800':
+            self._plane.cancel()
         elif key == 'BSPLINE':
             pass  # the curve is opened after the settings of the block
         elif key in codes.HARMLESS_KEYS:
             self.notice(key, 'no effect, it does not move the tool')
         else:
             unknown = 'unknown word; remove it, or write a letter and a number as X10'
-            cycle = 'swivelling frames are not supported; post with TRAORI'
-            why = cycle if key == 'CYCLE800' else codes.refused_key(key)
-            raise self.fault(why or unknown, key)
+            raise self.fault(codes.refused_key(key) or unknown, key)
 
     def _assign(self, words: BlockWords) -> None:
         """Execute the assignments of a block; some names are words with a meaning."""

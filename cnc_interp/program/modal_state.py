@@ -22,8 +22,12 @@ from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.settings.choices import Settings
 
 FARTHEST = 1e5 * MM
+#: The word that tool-tip programming has while the tool stands on a tilted plane.
+ORIENTED = 'G53.1'
 #: A larger turn of a rotary axis in one cutting block gives a notice [rad].
 LONG_WAY = 180.0 * DEG + 1e-9
+#: A smaller tilt is none, where a plane is told in words [rad].
+UPRIGHT = 1e-9
 LENGTH_WITH_TCP = (
     'with tool-tip programming the tool length belongs in the machine file '
     '(tip_to_secondary_pivot_mm); set the length in the setup to 0'
@@ -35,8 +39,8 @@ _NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); writ
 #: The modal attributes of codes.SETTINGS, the motion first, and those that other words set.
 _SETTINGS = ('motion', 'plane', 'unit', 'incremental', 'centre_absolute', 'feed_mode',
              'retract_to_start', 'stop_always')  # fmt: skip
-_VALUES = ('great_circle', 'tcp', 'feedrate', 'turn_rate', 'blocks_per_minute', 'feed_changed',
-           'spindle_speed', 'contour', 'orientation')  # fmt: skip
+_VALUES = ('great_circle', 'tcp', 'oriented', 'feedrate', 'turn_rate', 'blocks_per_minute',
+           'feed_changed', 'spindle_speed', 'contour', 'orientation')  # fmt: skip
 _COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 'orientation')
 
 
@@ -52,7 +56,7 @@ def modal_words(state: ModalState) -> list[str]:
     tolerance = state.contour / state.unit
     if words.get('stop_always') == 'G64' and state.contour != state.settings.contour_tolerance:
         words['stop_always'] = f'G64 P{tolerance:.9g}'
-    found = [*words.values(), state.setup.active, state.tcp]
+    found = [*words.values(), state.setup.active, *frame_words(frames, state.unit), state.tcp]
     if state.rotary_letters:
         found.append('ORIVECT' if state.great_circle else 'ORIAXES')
     if frames.length:
@@ -62,6 +66,27 @@ def modal_words(state: ModalState) -> list[str]:
     if feed is not None:
         found.append(f'F{feed * MINUTE / state.unit:g}')
     return [word for word in found if word]
+
+
+def frame_words(frames: Frames, unit: float) -> list[str]:
+    """Return the words that would set the programmed shift and turn, in units [m]."""
+    if not frames.rotated and not frames.shift.any():
+        return []
+    places = ' '.join(
+        f'{letter}{value / unit:.9g}' for letter, value in zip('XYZ', frames.shift, strict=True)
+    )
+    if not frames.rotated:
+        return [f'TRANS {places}']
+    turn = frames.turn
+    tilt = np.arccos(np.clip(turn[2, 2], -1.0, 1.0))
+    if tilt > UPRIGHT:
+        first = np.arctan2(turn[0, 2], -turn[1, 2]), tilt, np.arctan2(turn[2, 0], turn[2, 1])
+    else:
+        first = np.arctan2(turn[1, 0], turn[0, 0]), 0.0, 0.0
+    angles = ' '.join(
+        f'{letter}{angle / DEG:.9g}' for letter, angle in zip('IJK', first, strict=True)
+    )
+    return [f'G68.2 {places} {angles}']
 
 
 class ModalState:
@@ -104,6 +129,7 @@ class ModalState:
         self.stop_always = self.stop_once = False
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
         self.tcp = ''
+        self.oriented = False  # whether the tool was turned to a tilted plane, until that ends
         self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
         self.blocks_per_minute: float | None = None
@@ -210,7 +236,12 @@ class ModalState:
         return np.concatenate([self.frames.program(self.point), rotary])
 
     def switch_tcp(self, word: str) -> None:
-        """Switch tool-tip programming on (by a word) or off (empty); the axes do not move."""
+        """
+        Switch tool-tip programming on (by a word) or off (empty); the axes do not move.
+
+        On a tilted plane X Y Z stay positions of the tool tip.
+        """
+        word = word or (ORIENTED if self.oriented else '')
         if bool(word) == bool(self.tcp):
             self.tcp = word
             return
@@ -222,13 +253,19 @@ class ModalState:
                 q = np.concatenate([stands, self.rotary])[None]
                 self.point = self.geometry.forward(q)[0][0]
         else:
-            self._rotary_of_vector()
+            self.rotary_of_vector()
             if self.rotary.any() or self.extra.any():
                 linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
                 self.point = linear - self.zero - self.extra @ self._along
         self.tcp = word
 
-    def _rotary_of_vector(self) -> None:
+    def set_oriented(self, oriented: bool) -> None:
+        """Take X Y Z as positions of the tool tip on a tilted plane, or no longer."""
+        self.oriented = oriented and bool(self.rotary_letters)
+        if self.tcp in ('', ORIENTED):
+            self.switch_tcp('')
+
+    def rotary_of_vector(self) -> None:
         """Compute the rotary positions after direction words, nearest to the last rotary words."""
         if self.vector is None:
             return

@@ -37,7 +37,7 @@ class Modes:
                 raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
             self.switch_tcp(code)
             return
-        if mover.tcp in codes.TCP_BY_LENGTH or (mover.tcp and code == 'G49'):
+        if mover.tcp in codes.TCP_BY_LENGTH:
             mover.switch_tcp('')
         length = 0.0
         if code == 'G43.1':

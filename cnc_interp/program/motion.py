@@ -87,6 +87,26 @@ class Mover(ModalState):
         self.named = float(bool(self.rotary_letters))
         self.go(point, rotary, rapid=True)
 
+    def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
+        """
+        Add a rapid to a point and to rotary positions, as if words had named them.
+
+        Before the first motion of the program they are where it starts.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Target point [m].
+        rotary : ndarray, shape (2,)
+            Target of the rotary axes [rad].
+
+        """
+        self.named = float(bool(self.rotary_letters))
+        if self.targets.empty:
+            self.point, self.rotary = point, rotary
+        else:
+            self.go(point, rotary, rapid=True)
+
     def _has_axes(self, words: BlockWords) -> bool:
         """Tell whether the block has axis words; raise for an axis that does not exist."""
         for letter in 'ABC':
@@ -309,7 +329,7 @@ class Mover(ModalState):
         given = self._take_vector(words)
         if given is None:
             if any(letter in words.values for letter in self.rotary_letters):
-                self._rotary_of_vector()
+                self.rotary_of_vector()
             return None
         if not self.tcp:
             raise self.fault(

@@ -23,6 +23,18 @@ class RotaryGeometry(Protocol):
         """Unit vectors in M along which the extra axes move the tool, shape (k, 3)."""
 
     @property
+    def outer(self) -> int:
+        """Index of the rotary axis that is undefined at the pole: 0 primary, 1 secondary."""
+
+    @property
+    def pole(self) -> FloatArray:
+        """Direction in W at which that axis is undefined, shape (3,)."""
+
+    @property
+    def rotary_travel(self) -> FloatArray:
+        """Lowest and highest positions of the rotary axes, shape (2, 2) [rad]."""
+
+    @property
     def pole_cone(self) -> float:
         """Angle around the pole in which a direction does not give rotary positions [rad]."""
 

@@ -1,0 +1,332 @@
+"""
+Tilted working planes: a frame in space, and the tool turned to stand upright on it.
+
+G68.2 to G68.4 and CYCLE800 define a feature coordinate system in the workpiece,
+
+    point in W = origin + turn @ point in the plane.
+
+G53.1, G53.3, G53.6 and CYCLE800 turn the rotary axes until the tool axis is that of the plane, its
+Z. From then on X Y Z are positions of the tool tip in the plane, also while the rotary axes turn,
+until G69 or CYCLE800(). ``docs/how_it_works/tilted_planes.md`` has the forms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG
+from cnc_interp.program.frames import rotation
+from cnc_interp.program.motion import Mover
+from cnc_interp.program.words import BlockWords
+
+#: Codes that define a plane, and those that turn the tool to it.
+PLANES, TURNS = {'G68', 'G68.2', 'G68.3', 'G68.4'}, {'G53.1', 'G53.3', 'G53.6'}
+#: Orders of rotations: about turned axes (Euler), and about axes at rest.
+EULER = (313, 323, 121, 131, 212, 232)
+FIXED = (123, 132, 213, 231, 312, 321)
+#: Below this two directions count as parallel, or as at right angles [-].
+SMALL = 1e-6
+#: Where CYCLE800 has its arguments: after retract and name of the swivel data come these.
+STATE, MODE, BEFORE, ANGLES, AFTER, DIRECTION = 2, 3, slice(4, 7), slice(7, 10), slice(10, 13), 13
+
+
+class TiltedPlane:
+    """
+    The tilted working plane of a program.
+
+    Parameters
+    ----------
+    mover : Mover
+        Position, frames and modal settings of the program.
+
+    """
+
+    def __init__(self, mover: Mover):
+        self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
+        #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
+        self._parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
+
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether a plane by points or directions lacks some of them."""
+        return bool(self._parts)
+
+    def takes(self, codes: Sequence[str]) -> bool:
+        """Tell whether one of the codes of a block belongs here."""
+        if self._parts and not PLANES & set(codes):
+            raise self.fault('the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
+                             'Q3, P3 two directions')  # fmt: skip
+        return bool((PLANES | TURNS) & set(codes))
+
+    def execute(self, code: str, words: BlockWords) -> None:
+        """Execute a code and remove its words from the block."""
+        if code in PLANES:
+            self._define(code, words)
+        else:
+            self._orient(code, words)
+
+    # --- the plane -----------------------------------------------------------------------------
+
+    def _define(self, code: str, words: BlockWords) -> None:
+        """
+        Process G68, G68.2, G68.3 and G68.4.
+
+        Raises
+        ------
+        ProgramError
+            If the words do not give a plane.
+
+        """
+        if code == 'G68':
+            self._turn_in_plane(words)
+            return
+        named = {letter for letter in 'XYZ' if letter in words.values}
+        origin = self._take(words, 'XYZ', self._mover.unit)
+        if code == 'G68.3':
+            self._along_tool(origin, named, self._angle(words, 'R'))
+            return
+        form = words.values.pop('P', 0.0)
+        if form not in range(5):
+            raise self.fault('P must be a whole number, 0 to 4', words.texts['P'])
+        if form in (2, 3):
+            self._collect(int(form), code, origin, words)
+            return
+        order = words.values.pop('Q', 0.0)
+        turn = self._turn_of(int(form), order, words)
+        self._set(code, origin, turn, self._angle(words, 'R'))
+
+    def _turn_of(self, form: int, order: float, words: BlockWords) -> FloatArray:
+        """Return the rotation that I J K and the form P of G68.2 give, shape (3, 3)."""
+        angles = self._take(words, 'IJK', DEG)
+        if form == 4:
+            return self._projected(angles)
+        orders = FIXED if form else EULER
+        order = order or orders[0]
+        if order not in orders:
+            text = ' '.join(str(found) for found in orders)
+            raise self.fault(f'the order of rotations must be one of {text}', f'Q{order:g}')
+        axes = [int(digit) - 1 for digit in str(int(order))]
+        turn = np.eye(3)
+        for i, axis in enumerate(axes):
+            if form:  # I turns about X, J about Y, K about Z, which all stay where they are
+                turn = rotation(axis, angles[axis]) @ turn
+            else:  # I J K in the order of the rotations, about the axes as turned so far
+                turn = turn @ rotation(axis, angles[i])
+        return turn
+
+    def _projected(self, angles: FloatArray) -> FloatArray:
+        """Return the plane through X turned about Y by I and Y turned about X by J; K turns it."""
+        along, beside = rotation(1, angles[0])[:, 0], rotation(0, angles[1])[:, 1]
+        normal = np.cross(along, beside)
+        return self._plane(along, normal) @ rotation(2, angles[2])
+
+    def _collect(self, form: int, code: str, origin: FloatArray, words: BlockWords) -> None:
+        """Keep one block of a plane by three points (P2) or two directions (P3); define it."""
+        part = words.values.pop('Q', 0.0)
+        if part not in range(4 if form == 2 else 3):
+            raise self.fault('Q must be the number of the point or direction', f'Q{part:g}')
+        direction = self._take(words, 'IJK', 1.0)
+        if part in self._parts:
+            self._parts.clear()  # another definition begins
+        self._parts[int(part)] = origin, direction, self._angle(words, 'R')
+        if form == 2 and {1, 2, 3} <= self._parts.keys():
+            first, second, third = (self._parts[k][0] for k in (1, 2, 3))
+            # Q0 gives the origin, if it comes before; else that is the first point.
+            origin, _, angle = self._parts.get(0, self._parts[1])
+            along = second - first
+            turn = self._plane(along, np.cross(along, third - first))
+            self._set(code, origin, turn, angle)
+        elif form == 3 and len(self._parts) == 2:
+            (origin, along, angle), (_, normal, _) = (self._parts[k] for k in sorted(self._parts))
+            lengths = float(np.linalg.norm(along) * np.linalg.norm(normal))
+            if abs(along @ normal) > SMALL * lengths:
+                raise self.fault(
+                    'X and Z of the plane are not at right angles; correct I J K', code
+                )
+            self._set(code, origin, self._plane(along, normal), angle)
+
+    def _plane(self, along: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return the rotation to a plane by its X, roughly, and its Z, shape (3, 3)."""
+        z = self._unit(normal)
+        y = self._unit(np.cross(z, self._unit(along)))
+        return np.stack([np.cross(y, z), y, z], axis=1)
+
+    def _unit(self, direction: FloatArray) -> FloatArray:
+        """Return a direction as a unit vector; raise if it has none."""
+        length = float(np.linalg.norm(direction))
+        if not length > SMALL * self._mover.unit:
+            raise self.fault('these words give no plane; its points lie on one line, or a '
+                             'direction is zero')  # fmt: skip
+        return np.asarray(direction / length)
+
+    def _along_tool(self, origin: FloatArray, named: set[str], angle: float) -> None:
+        """Define the plane on which the tool stands now; its X is at right angles to Z."""
+        if named and len(named) < 3:
+            raise self.fault('give X, Y and Z of the origin, or none of them', 'G68.3')
+        mover = self._mover
+        self.cancel()
+        if mover.vector is not None:
+            normal = mover.vector
+        elif mover.rotary_letters:
+            normal = mover.geometry.tool_axis(mover.rotary[None])[0]
+        else:
+            normal = np.array([0.0, 0.0, 1.0])
+        up = np.array([0.0, 0.0, 1.0])
+        along = np.cross(up, normal)
+        if np.linalg.norm(along) < SMALL:
+            along = np.array([1.0, 0.0, 0.0])
+        if not named:
+            mover.set_oriented(True)
+            origin = mover.here()[:3]
+        self._set('G68.3', origin, self._plane(along, normal), angle)
+        mover.set_oriented(True)
+
+    def _set(self, code: str, origin: FloatArray, turn: FloatArray, angle: float) -> None:
+        """Use a frame, turned by an angle about its own Z; G68.4 counts from the frame so far."""
+        self._parts.clear()
+        frames = self._mover.frames
+        if code != 'G68.4':
+            frames.reset_frame()
+        frames.tilt(code, origin, turn @ rotation(2, angle))
+
+    def _turn_in_plane(self, words: BlockWords) -> None:
+        """Process G68: turn the program coordinates about a point, or about I J K in space."""
+        mover, frames = self._mover, self._mover.frames
+        if 'R' not in words.values:
+            raise self.fault('give the angle R', 'G68')
+        angle, here = self._angle(words, 'R'), mover.here()[:3]
+        normal = {'G17': 2, 'G18': 1, 'G19': 0}[mover.plane]
+        axis = np.eye(3)[normal]
+        if any(letter in words.values for letter in 'IJK'):
+            axis = self._unit(self._take(words, 'IJK', 1.0))
+        centre = here.copy()
+        for i, letter in enumerate('XYZ'):
+            if letter in words.values:
+                centre[i] = words.values.pop(letter) * mover.unit
+        turn = _about(axis, angle)
+        frames.tilt('G68', centre - turn @ centre, turn)
+
+    def cancel(self) -> None:
+        """Process G69 and CYCLE800(): end the plane and all rotations. Nothing moves."""
+        self._parts.clear()
+        self._mover.set_oriented(False)
+        self._mover.frames.reset_frame()
+        self._mover.frames.update()
+
+    # --- the tool ------------------------------------------------------------------------------
+
+    def _orient(self, code: str, words: BlockWords) -> None:
+        """
+        Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
+
+        P0 takes the nearest solution, P1 that with the tilting axis above zero, P2 below zero.
+        With G53.1 X Y Z of the machine stay, with G53.6 the tool tip stays, with G53.3 it moves to
+        the words of the block.
+        """
+        choice = words.values.pop('P', 0.0)
+        if choice not in (0.0, 1.0, 2.0):
+            raise self.fault('P must be 0, 1 or 2', words.texts['P'])
+        if not self._mover.frames.rotated and code != 'G53.3':
+            self.notice(code, 'the frame is not tilted')
+        self._stand_up(code, int(choice), words)
+
+    def _stand_up(self, code: str, choice: int, words: BlockWords) -> None:
+        """Turn the rotary axes; ``choice`` as P of G53.1, and ``code`` tells what stays."""
+        mover = self._mover
+        mover.rotary_of_vector()
+        rotary = self._solution(choice, code)
+        if code != 'G53.1':
+            mover.set_oriented(True)
+            stays = code == 'G53.6'
+            point = mover.point if stays else mover.frames.point(mover.target(words)[:3])
+            mover.turn_to(point, rotary)
+            return
+        tcp = mover.tcp
+        mover.set_oriented(False)
+        mover.switch_tcp('')
+        mover.turn_to(mover.point, rotary)
+        mover.set_oriented(True)
+        if tcp:
+            mover.switch_tcp(tcp)
+
+    def _solution(self, choice: int, code: str) -> FloatArray:
+        """Return the rotary positions of a tool that stands on the plane, shape (2,) [rad]."""
+        mover, normal = self._mover, self._mover.frames.turn[:, 2]
+        if not mover.rotary_letters:
+            if normal[2] < 1.0 - SMALL:
+                raise self.fault(
+                    'the tool cannot be turned; this machine has no rotary axes', code
+                )
+            return mover.rotary
+        geometry, low, high = mover.geometry, *mover.geometry.rotary_travel
+        tilting = 1 - geometry.outer
+        found = []
+        for pair in geometry.rotary_solutions(normal):
+            if np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0)) < geometry.pole_cone:
+                pair[geometry.outer] = mover.rotary[geometry.outer]  # any position does
+            near = pair + 2.0 * pi * np.round((mover.rotary - pair) / (2.0 * pi))
+            near = near - 2.0 * pi * np.ceil(np.maximum(near - high, 0.0) / (2.0 * pi) - SMALL)
+            near = near + 2.0 * pi * np.ceil(np.maximum(low - near, 0.0) / (2.0 * pi) - SMALL)
+            if np.all((near >= low - SMALL) & (near <= high + SMALL)):
+                found.append(np.clip(near, low, high))
+        if not found:
+            raise self.fault('the machine cannot reach the tool axis of the plane; choose another '
+                             'clamping', code)  # fmt: skip
+        sign = (0.0, 1.0, -1.0)[choice]
+        wanted = [pair for pair in found if sign * pair[tilting] >= -SMALL]
+        if not wanted:
+            self.notice(code, 'the wanted solution is beyond the travel; the other one is taken')
+        return min(wanted or found, key=lambda pair: float(np.abs(pair - mover.rotary).sum()))
+
+    def swivel(self, given: Sequence[float | None], words: BlockWords) -> None:
+        """
+        Process CYCLE800 with angles axis by axis: shift, turn, shift, and turn the tool.
+
+        Parameters
+        ----------
+        given : sequence of float or None
+            Arguments: retract, name, state, mode, three shifts, three angles, three shifts, and
+            the direction of the tilting axis.
+        words : BlockWords
+            The block.
+
+        """
+        values = [value or 0.0 for value in given] + [0.0] * (DIRECTION + 1)
+        state, mode, direction = int(values[STATE]), int(values[MODE]), values[DIRECTION]
+        if not 0 <= mode < 64 or sorted((mode & 3, mode >> 2 & 3, mode >> 4)) != [1, 2, 3]:
+            raise self.fault(
+                'give the angles axis by axis (mode 27, 30, 39, 45, 54 or 57)', 'CYCLE800'
+            )
+        if direction not in (-1.0, 1.0):
+            raise self.fault('the direction must be 1 or -1; a frame alone is ROT', 'CYCLE800')
+        if values[0]:
+            self.notice('CYCLE800', 'no retract; move the tool away in a block before')
+        turn = np.eye(3)
+        for angle, shift in zip(values[ANGLES], (0, 2, 4), strict=True):
+            turn = turn @ rotation((mode >> shift & 3) - 1, angle * DEG)
+        unit, frames = self._mover.unit, self._mover.frames
+        self._set('G68.4' if state % 10 else 'G68.2', np.array(values[BEFORE]) * unit, turn, 0.0)
+        frames.move(np.array(values[AFTER]) * unit)
+        tip_stays = state // 10 % 10 == 1
+        self._stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
+
+    # --- words ---------------------------------------------------------------------------------
+
+    def _take(self, words: BlockWords, letters: str, size: float) -> FloatArray:
+        """Remove three words of a block and return their values; missing ones are 0."""
+        return np.array([words.values.pop(letter, 0.0) * size for letter in letters])
+
+    def _angle(self, words: BlockWords, letter: str) -> float:
+        """Remove an angle from a block and return it [rad]."""
+        return words.values.pop(letter, 0.0) * DEG
+
+
+def _about(axis: FloatArray, angle: float) -> FloatArray:
+    """Return the rotation about a unit axis, shape (3, 3) (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

@@ -1,0 +1,278 @@
+"""Tilted working planes: forms, orientations on all machines, what stays, refusals."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import ProgramStream, read_text
+from cnc_interp.program.source import Source
+from cnc_interp.settings.choices import Settings
+
+FIVE_AXES = [
+    'xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzbc_trt', 'xyzacw',
+]  # fmt: skip
+START = 'G21 G90\nG0 X0 Y0 Z50\n'
+
+
+def endless(name):
+    """A machine without ends of travel."""
+    machine = Machine.load(name)
+    travel = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
+    return Transform.of(replace(machine, travel=travel))
+
+
+AC = endless('xyzac')
+
+
+def read(text, geometry=AC):
+    return read_text(START + text, 'part.ngc', geometry, Settings())
+
+
+def last(text, geometry=AC):
+    """Tool tip [mm] and tool axis in W, rotary positions [deg], of the last block."""
+    blocks = read(text, geometry).blocks
+    assert np.isfinite(blocks.rotary[-1]).all()
+    np.testing.assert_allclose(
+        geometry.tool_axis(blocks.rotary[-1:])[0], blocks.axis[-1], atol=1e-12
+    )
+    return blocks.tip[-1] / MM, blocks.axis[-1], blocks.rotary[-1] / DEG
+
+
+def turned(order, *angles):
+    """A rotation: capital letters turn about the turned axes, small ones about axes at rest."""
+    return Rotation.from_euler(order, angles, degrees=True).as_matrix()
+
+
+ORIGIN, POINT = np.array([10.0, 20.0, 30.0]), np.array([1.0, 2.0, 3.0])
+FORMS = {
+    'G68.2 X10 Y20 Z30 I30 J20 K10': turned('ZXZ', 30, 20, 10),
+    'G68.2 P0 Q323 X10 Y20 Z30 I30 J20 K10': turned('ZYZ', 30, 20, 10),
+    'G68.2 P1 X10 Y20 Z30 I30 J20 K10': turned('xyz', 30, 20, 10),
+    'G68.2 P1 Q321 X10 Y20 Z30 I30 J20 K10': turned('zyx', 10, 20, 30),
+    'G68.2 P0 X10 Y20 Z30 I30 J20 R10': turned('ZXZ', 30, 20, 10),
+    'G68.2 P2 Q1 X10 Y20 Z30\nG68.2 P2 Q2 X15 Y20 Z30\nG68.2 P2 Q3 X12 Y26 Z36': turned('X', 45),
+    'G68.2 P2 Q0 X10 Y20 Z30\nG68.2 P2 Q1\nG68.2 P2 Q2 Y5\nG68.2 P2 Q3 X-7 Z7': turned(
+        'ZX', 90, 45
+    ),
+    'G68.2 P3 Q1 X10 Y20 Z30 I0 J1 K0\nG68.2 P3 Q2 I1 J0 K1': turned('ZX', 90, 45),
+    'G68.2 P4 X10 Y20 Z30 I0 J25 K40': turned('XZ', 25, 40),
+    'G68.2 P4 X10 Y20 Z30 I-15 J0 K40': turned('YZ', -15, 40),
+    'G68.2 X10 Y20 Z30 I30 J20\nG68.4 K10': turned('ZXZ', 30, 20, 10),
+    'G68.2 X10 Y20 Z30 I30 J20\nG68 X0 Y0 R10': turned('ZXZ', 30, 20, 10),
+    'CYCLE800(0,"TC",0,57,10,20,30,30,20,10,0,0,0,1)': turned('XYZ', 30, 20, 10),
+    'CYCLE800(0,"TC",0,27,10,20,30,30,20,10,0,0,0,1)': turned('ZYX', 30, 20, 10),
+    'CYCLE800(0,"TC",0,39,10,20,30,30,20,10,0,0,0,-1)': turned('ZXY', 30, 20, 10),
+    'ROT X0\nTRANS X10 Y20 Z30\nAROT X20 Y0 Z10': turned('ZX', 10, 20),
+}
+
+
+@pytest.mark.parametrize('geometry', [AC, endless('head_table')], ids=['table', 'head and table'])
+@pytest.mark.parametrize('form', FORMS)
+def test_each_form_gives_its_frame_and_turns_the_tool_upright(form, geometry):
+    orient = '' if 'CYCLE800' in form else 'G53.1\n'
+    tip, axis, _ = last(f'{form}\n{orient}G0 X1 Y2 Z3', geometry)
+    np.testing.assert_allclose(tip, ORIGIN + FORMS[form] @ POINT, atol=1e-9)
+    np.testing.assert_allclose(axis, FORMS[form][:, 2], atol=1e-12)
+
+
+def test_a_second_shift_of_cycle800_is_along_the_turned_axes():
+    tip, *_ = last('CYCLE800(0,"",0,57,10,20,30,0,90,0,1,2,3,1)\nG0 X1 Y2 Z3')
+    np.testing.assert_allclose(tip, ORIGIN + turned('Y', 90) @ (2 * POINT), atol=1e-9)
+    tip, *_ = last('CYCLE800(0,"",0,57,10,20,30,30,0,0,0,0,0,1)\n'
+                   'CYCLE800(0,"",1,57,1,2,3,0,20,0,0,0,0,1)\nG0 X1 Y2 Z3')  # fmt: skip
+    first = turned('X', 30)
+    np.testing.assert_allclose(
+        tip, ORIGIN + first @ POINT + first @ turned('Y', 20) @ POINT, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize('name', FIVE_AXES)
+def test_orientations_all_round_are_reached_on_every_machine(name):
+    geometry, grid = endless(name), [(i, j) for i in range(0, 360, 15) for j in range(0, 360, 15)]
+    text = ''.join(
+        f'G69\nG68.2 X10 Y20 Z30 I{i} J{j} K10\nG53.1\nG0 X1 Y2 Z{3 + n}\n'
+        for n, (i, j) in enumerate(grid)
+    )
+    blocks = read(text, geometry).blocks
+    moves = {int(line): row for row, line in enumerate(blocks.line_number)}
+    rows = [moves[2 + 4 * (n + 1)] for n in range(len(grid))]
+    turn = Rotation.from_euler('ZXZ', [[i, j, 10] for i, j in grid], degrees=True).as_matrix()
+    points = np.array([[1.0, 2.0, 3.0 + n] for n in range(len(grid))])
+    tips = ORIGIN + np.einsum('nij,nj->ni', turn, points)
+    np.testing.assert_allclose(blocks.tip[rows] / MM, tips, atol=1e-9)
+    np.testing.assert_allclose(geometry.tool_axis(blocks.rotary[rows]), turn[:, :, 2], atol=1e-9)
+
+
+@pytest.mark.parametrize('form', FORMS)
+def test_a_start_at_a_line_tells_the_plane_in_words_that_set_it(form):
+    line = 4 + form.count('\n')
+    source = Source.of_text(f'{START}{form}\nG0 X1 Y2 Z3\n', 'part.ngc')
+    stream = ProgramStream(source, AC, Settings(from_line=line))
+    stream.read()
+    words = next(word for word in stream.start.found().words if word.startswith('G68.2'))
+    tip, axis, _ = last(f'{words}\nG53.1\nG0 X1 Y2 Z3')
+    np.testing.assert_allclose(tip, ORIGIN + FORMS[form] @ POINT, atol=1e-6)
+    np.testing.assert_allclose(axis, FORMS[form][:, 2], atol=1e-8)
+
+
+def test_what_stays_while_the_tool_turns():
+    plane = 'G68.2 X10 Y20 Z30 I30 J20\n'
+    before = read('G0 X3 A0 C0').blocks
+    stands = AC.linear(before.tip[-1:], before.rotary[-1:])
+    axes = read(f'G0 X3 A0 C0\n{plane}G53.1').blocks
+    np.testing.assert_allclose(AC.linear(axes.tip[-1:], axes.rotary[-1:]), stands, atol=1e-12)
+    tip = read(f'G0 X3\n{plane}G53.6').blocks
+    np.testing.assert_allclose(tip.tip[-1], before.tip[-1], atol=1e-12)
+    np.testing.assert_allclose(tip.axis[-1], axes.axis[-1], atol=1e-12)
+    assert tip.rapid[-1] and axes.rapid[-1]
+    to, axis, _ = last(f'G0 X3\n{plane}G53.3 X1 Y2 Z3')
+    np.testing.assert_allclose(to, ORIGIN + turned('ZX', 30, 20) @ POINT, atol=1e-9)
+    np.testing.assert_allclose(axis, axes.axis[-1], atol=1e-12)
+    followed = read('G0 X3\nCYCLE800(0,"",10,57,10,20,30,20,0,0,0,0,0,1)').blocks
+    np.testing.assert_allclose(followed.tip[-1], before.tip[-1], atol=1e-12)
+
+
+def test_the_solution_is_the_nearest_or_the_one_that_was_asked_for():
+    plane = 'G68.2 I30 J20\n'
+    for choice, sign in (('P1', 1.0), ('P2', -1.0)):
+        _, _, rotary = last(f'{plane}G53.1 {choice}\nG0 X1')
+        assert rotary[0] == pytest.approx(sign * 20.0)
+    for direction in (1, -1):
+        _, _, rotary = last(f'CYCLE800(0,"",0,27,0,0,0,30,0,20,0,0,0,{direction})\nG0 X1')
+        assert rotary[0] == pytest.approx(direction * 20.0)
+    _, _, rotary = last(f'G0 A18 C150\n{plane}G53.1\nG0 X1')
+    assert rotary == pytest.approx([20.0, 150.0])
+    _, _, rotary = last(f'G0 C725\n{plane}G53.1\nG0 X1')
+    assert abs(rotary[1] - 725.0) < 180.0
+    # Upright, C may stand anywhere, so it stays.
+    _, _, rotary = last('G0 C33\nG68.2 X5\nG53.1\nG0 X1')
+    assert rotary == pytest.approx([0.0, 33.0])
+
+
+def test_the_travel_decides_where_only_one_solution_is_within_it():
+    machine = Machine.load('xyzac')
+    travel = machine.travel.copy()
+    travel[3] = np.array([-5.0, 90.0]) * DEG
+    short = Transform.of(replace(machine, travel=travel))
+    for choice in ('', 'P2'):
+        program = read(f'G68.2 I30 J20\nG53.1 {choice}\nG0 X1', short)
+        assert program.blocks.rotary[-1, 0] == pytest.approx(20.0 * DEG)
+        assert any('beyond the travel' in notice for notice in program.notices) == bool(choice)
+    with pytest.raises(ProgramError, match=r'G53\.1: the machine cannot reach the tool axis'):
+        read('G68.2 J120\nG53.1\nG0 X1', short)
+
+
+def test_the_plane_of_the_tool():
+    tip, axis, _ = last('G0 A25 C40\nG68.3 X10 Y20 Z30\nG0 X1 Y2 Z3')
+    normal = AC.tool_axis(np.array([[25.0, 40.0]]) * DEG)[0]
+    along = np.cross([0, 0, 1], normal)
+    along /= np.linalg.norm(along)
+    frame = np.stack([along, np.cross(normal, along), normal], axis=1)
+    np.testing.assert_allclose(tip, ORIGIN + frame @ POINT, atol=1e-9)
+    np.testing.assert_allclose(axis, normal, atol=1e-12)
+    here = read('G0 X5 A25 C40').blocks
+    tip, *_ = last('G0 X5 A25 C40\nG68.3\nG0 X0 Y0 Z0')
+    np.testing.assert_allclose(tip, here.tip[-1] / MM, atol=1e-9)
+
+
+def test_the_plane_ends_and_nothing_moves_then():
+    ended = 'G68.2 X10 Y20 Z30 I30 J20\nG53.1\nG0 X1 Y2 Z3\n'
+    stands = read(ended).blocks
+    point = AC.linear(stands.tip[-1:], stands.rotary[-1:])[0]
+    for end in ('G69', 'CYCLE800()'):
+        blocks = read(f'{ended}{end}\nG91 G0 Z7').blocks
+        after = AC.linear(blocks.tip[-1:], blocks.rotary[-1:])[0]
+        np.testing.assert_allclose((after - point) / MM, [0, 0, 7], atol=1e-9)
+
+
+def test_3_plus_2_and_simultaneous_motion_follow_each_other():
+    plane = 'G68.2 X10 Y20 Z30 I30 J20\nG53.1\n'
+    frame = turned('ZX', 30, 20)
+    for on, off in (('TRAORI', 'TRAFOOF'), ('G43.4 H0', 'G49'), ('M128', 'M129')):
+        text = f'{plane}{on}\nG1 X1 Y2 Z3 A30 C10 F1000\n{off}\nG1 X4 Y2 Z3'
+        blocks = read(text).blocks
+        np.testing.assert_allclose(blocks.tip[-1] / MM, ORIGIN + frame @ [4, 2, 3], atol=1e-9)
+        # Rotary words have turned the tool away from the plane; it stays so.
+        assert blocks.rotary[-1] / DEG == pytest.approx([30.0, 10.0])
+    blocks = read(f'TRAORI\n{plane}G0 X1 Y2 Z3\nG69\nG0 X5 Y5 Z5').blocks
+    np.testing.assert_allclose(blocks.tip[-1] / MM, [5, 5, 5], atol=1e-9)
+
+
+def test_arcs_and_cycles_lie_in_the_plane():
+    plane = 'G68.2 X10 Y20 Z30 I30 J50\nG53.1\nG0 X0 Y0 Z5\n'
+    frame = turned('ZX', 30, 50)
+    arc = read(f'{plane}G1 Z0 F1000\nG2 X20 I10').blocks
+    there = (arc.tip / MM - ORIGIN) @ frame
+    rows = arc.line_number == 7
+    assert rows.sum() > 20
+    np.testing.assert_allclose(there[rows, 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.hypot(there[rows, 0] - 10, there[rows, 1]), 10.0, atol=1e-9)
+    holes = read(f'{plane}G81 X3 Y4 Z-6 R1 F500\nG80').blocks
+    there = (holes.tip / MM - ORIGIN) @ frame
+    assert there[:, 2].min() == pytest.approx(-6.0)
+    deepest = there[int(there[:, 2].argmin())]
+    np.testing.assert_allclose(deepest[:2], [3, 4], atol=1e-9)
+
+
+def test_many_plain_lines_are_read_in_the_plane():
+    lines = ''.join(f'X{n % 50} Y{n}\n' for n in range(300))
+    blocks = read(f'G68.2 X10 Y20 Z30 I30 J50\nG53.1\nG0 X0 Y0 Z0\nG1 F900\n{lines}').blocks
+    there = (blocks.tip[-1] / MM - ORIGIN) @ turned('ZX', 30, 50)
+    np.testing.assert_allclose(there, [299 % 50, 299, 0], atol=1e-9)
+
+
+def test_before_the_first_motion_the_tool_begins_upright_on_the_plane():
+    blocks = read_text(
+        'G68.2 X10 Y20 Z30 J20\nG53.1\nG0 X1 Y2 Z3\nG1 X2 F100', 'part.ngc', AC, Settings()
+    ).blocks
+    np.testing.assert_allclose(blocks.tip[0] / MM, ORIGIN + turned('X', 20) @ POINT, atol=1e-9)
+    assert len(blocks) == 2
+
+
+@pytest.mark.parametrize(
+    ('text', 'part'),
+    [
+        ('G68.2 P2 Q1 X1\nG68.2 P2 Q2 X2\nG53.1', 'the plane of G68.2 is not complete'),
+        ('G68.2 P2 Q1 X1\nG0 X1', 'the plane of G68.2 is not complete'),
+        ('G68.2 P2 Q1\nG68.2 P2 Q2 X2\nG68.2 P2 Q3 X3', 'these words give no plane'),
+        ('G68.2 P3 Q1 I1\nG68.2 P3 Q2 I1 K1', 'not at right angles'),
+        ('G68.2 P7', 'P7: P must be'),
+        ('G68.2 P0 Q311', 'Q311: the order of rotations'),
+        ('G68.2 P2 Q9', 'Q9: Q must be'),
+        ('G68 X0 Y0', 'G68: give the angle R'),
+        ('G68.3 X1', 'G68.3: give X, Y and Z'),
+        ('G68.2 J20\nG53.1 P4', 'P4: P must be 0, 1 or 2'),
+        ('CYCLE800(0,"",0,192,0,0,0,1,0,0,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),
+        ('CYCLE800(0,"",0,57,0,0,0,1,0,0,0,0,0,0)', 'CYCLE800: the direction must be'),
+        ('G68.2 J20\nG53.1\nG53 G0 Z0', 'machine coordinates'),
+    ],
+)
+def test_what_gives_no_plane_is_refused(text, part):
+    with pytest.raises(ProgramError, match=part):
+        read(f'{text}\nG0 X1')
+
+
+def test_a_machine_without_rotary_axes_takes_frames_that_stand_upright():
+    xyz = Transform.of(Machine.load('xyz'))
+    blocks = read('G68.2 X10 Y20 Z30 K90\nG53.1\nG0 X1 Y2 Z3', xyz).blocks
+    np.testing.assert_allclose(blocks.tip[-1] / MM, [8, 21, 33], atol=1e-9)
+    with pytest.raises(ProgramError, match='no rotary axes'):
+        read('G68.2 J20\nG53.1', xyz)
+
+
+@pytest.mark.parametrize('name', FIVE_AXES)
+def test_the_example_is_milled_upright_on_every_machine(name):
+    geometry = Transform.of(Machine.load(name))
+    path = Path(__file__).parents[2] / 'examples' / 'tilted_faces.ngc'
+    blocks = read_text(path.read_text(), path.name, geometry, Settings()).blocks
+    cuts = blocks.axis[~blocks.rapid.astype(bool)]
+    np.testing.assert_allclose(cuts[:, 2], np.cos(25.0 * DEG), atol=1e-12)
+    directions = np.round(np.degrees(np.arctan2(cuts[:, 1], cuts[:, 0])) % 360.0) % 360.0
+    assert set(directions) == {0.0, 90.0, 180.0, 270.0}

@@ -16,6 +16,7 @@ from cnc_interp.commands.bags import add_bag_commands
 from cnc_interp.commands.check import add_check_command, add_report_command
 from cnc_interp.commands.convert import add_convert_command
 from cnc_interp.commands.home import add_home_command
+from cnc_interp.commands.identify import add_identify_commands
 from cnc_interp.commands.jog import add_jog_command
 from cnc_interp.commands.mdi import add_mdi_command
 from cnc_interp.commands.plan import add_plan_command
@@ -84,6 +85,7 @@ def parser() -> argparse.ArgumentParser:
     add_mdi_command(commands)
     add_urdf_command(commands)
     add_bag_commands(commands)
+    add_identify_commands(commands)
     add_cam_commands(commands)
     return top
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from cnc_interp_msgs.msg import (
+    AxisFeedback,
     G1Block,
     G1BlockBatch,
     LoadedProgram,
@@ -51,6 +52,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'segments': (PathSegmentBatch, qos.STREAM),
     'setpoints': (SetpointChunk, qos.SETPOINTS),
     'executed_setpoints': (SetpointChunk, qos.STREAM),
+    'axis_feedback': (AxisFeedback, qos.STREAM),
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
     'joint_states': (JointState, qos.JOINTS),

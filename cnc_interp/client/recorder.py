@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from cnc_interp_msgs.msg import MachineState
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
@@ -36,6 +36,8 @@ from cnc_interp.nodes.qos import listening_to
 NEEDED = (
     'loaded_program', 'blocks', 'block_batches', 'segments', 'executed_setpoints', 'machine_state',
 )  # fmt: skip
+#: Topics of which the bag must hold every executed setpoint.
+COUNTED = {'executed_setpoints', 'axis_feedback'}
 #: Longest wait for the last messages [s].
 LAST_WAIT = 5.0
 
@@ -76,7 +78,8 @@ class Recorder:
         }
         self._known: set[str] = set()
         self._flushed: set[str] = set()
-        self._executed = 0
+        #: Executed setpoints that the bag holds, by topic.
+        self._counts = dict.fromkeys(COUNTED & set(topics), 0)
         self._state = b''  # the last one of the machine, serialised
         self._ended: Time | None = None  # when the nodes were asked first
         #: Number of executed setpoints that the bag must hold.
@@ -90,13 +93,16 @@ class Recorder:
 
         def count(data: bytes) -> None:
             write(data)
-            self._executed += len(deserialize_message(data, SetpointChunk).sequences)
+            message = deserialize_message(data, TOPICS[topic][0])
+            self._counts[topic] += len(message.positions) // message.axis_count
 
         def keep(data: bytes) -> None:
             write(data)
             self._state = data
 
-        return {'executed_setpoints': count, 'machine_state': keep}.get(topic, write)
+        if topic in COUNTED:
+            return count
+        return keep if topic == 'machine_state' else write
 
     @property
     def count(self) -> int:
@@ -120,7 +126,8 @@ class Recorder:
         for node in self._missing():
             if self._flush[node].answer() is not None:
                 self._flushed.add(node)
-        return not self._missing() and self._executed >= self.wanted and self._has_last_state()
+        counted = min(self._counts.values(), default=0) >= self.wanted
+        return not self._missing() and counted and self._has_last_state()
 
     def _has_last_state(self) -> bool:
         """Tell whether a state of the machine after the end is recorded; states come in order."""

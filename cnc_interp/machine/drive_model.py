@@ -58,13 +58,18 @@ def words_of(machine: Machine, period: float, position: FloatArray) -> FloatArra
 
     """
     drives = [machine.drives.get(j, IDEAL) for j in range(len(machine.axis_names))]
-    ring = max(int(drive.delay / period) for drive in drives) + 3
-    words = np.zeros((len(drives), kernels.RING + 2 * ring))
+    longest = max(drive.delay for drive in drives)
+    words = np.zeros((len(drives), room_of_delay(longest, period)))
     for j, drive in enumerate(drives):
         load = machine.loads.get(j) if j in machine.drives else None
         axis_words(words[j], drive, load, period)
         place(words[j], float(position[j]))
     return words
+
+
+def room_of_delay(delay: float, period: float) -> int:
+    """Return the number of words of an axis for a dead time up to ``delay`` [s]."""
+    return kernels.RING + 2 * (int(delay / period) + 3)
 
 
 def lag_of(machine: Machine) -> float:

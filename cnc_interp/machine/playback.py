@@ -64,11 +64,16 @@ SPARE_CHUNKS = 4096
 
 
 class Executed(NamedTuple):
-    """Consecutive executed setpoints: plan, number of the first in the run, end of the program."""
+    """
+    Consecutive executed setpoints, and where the axes were [m, rad].
+
+    Plan, number of the first in the run, and whether the program ends with them.
+    """
 
     run_id: RunId
     number: int
     rows: Rows
+    actual: FloatArray
     ends: bool
 
 
@@ -584,7 +589,8 @@ class Playback:
                 self.least_buffered = min(self.least_buffered, self.buffer.count + left)
             self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
         ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
-        self.executed.append(Executed(current.run_id, self.played, rows, ends))
+        actual = self.feedback.position[:followed]
+        self.executed.append(Executed(current.run_id, self.played, rows, actual, ends))
         self.played += len(rows)
         self.approach_samples += int(np.sum(samples.block == 0))
         self.played_of_plan += 0 if on_tail or self.state.by_hand else len(rows)

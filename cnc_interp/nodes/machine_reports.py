@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -53,6 +53,7 @@ class MachineReports:
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
+        self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
         if values['trajectory_topic']:
             self._trajectories = node.create_publisher(
                 JointTrajectory, values['trajectory_topic'], TRAJECTORY
@@ -81,11 +82,11 @@ class MachineReports:
         self._joints.publish(joint_state(feedback, machine, self._now()))
 
     def publish_executed(self) -> None:
-        """Publish the setpoints executed since the last call."""
+        """Publish the setpoints executed since the last call, and where the axes were."""
         self._playback.read()
-        messages = executed_setpoints(self._playback, self._period)
-        for message in messages:
-            self._executed.publish(message)
+        for setpoints, feedback in executed_setpoints(self._playback, self._period):
+            self._feedback.publish(feedback)
+            self._executed.publish(setpoints)
 
     def _publish_trajectory(self) -> None:
         self._playback.read()

@@ -11,7 +11,7 @@ Quality of service of every topic, in one table.
 | ``setup_table`` | reliable | transient local | last 1 | for those who join later |
 | ``modal_state``, ``active_modes`` | reliable | transient local | last 1 | for those who join later |
 | ``joint_states`` | reliable | volatile | last 10 | what RViz and recorders ask for |
-| ``executed_setpoints`` | reliable | volatile | last 4096 | the record of a run must be complete |
+| ``executed_setpoints``, ``axis_feedback`` | reliable | volatile | last 4096 | the record of a run must be complete |
 | ``feed_override``, ``rapid_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
 | ``jog`` | best effort | volatile | last 1 | a beat that is lost must not come late |
 | trajectories | reliable | volatile | last 1 | each replaces the one before |

@@ -6,7 +6,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.kinematics.machine import Machine
@@ -29,23 +29,31 @@ def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState
     return message
 
 
-def executed_setpoints(playback: Playback, period: float) -> list[SetpointChunk]:
-    """Return the setpoints executed since the last call, numbered through the run."""
+def executed_setpoints(
+    playback: Playback, period: float
+) -> list[tuple[SetpointChunk, AxisFeedback]]:
+    """Return the setpoints executed since the last call, and feedback; numbered through a run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     plans = groupby(stretches, key=lambda executed: executed.run_id)
     return [_executed_of_plan(list(executed), period) for _, executed in plans]
 
 
-def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
+def _executed_of_plan(
+    executed: list[Executed], period: float
+) -> tuple[SetpointChunk, AxisFeedback]:
     first = executed[0]
     samples = Setpoints.concatenate([stretch.rows.samples for stretch in executed])
-    return SetpointChunk(
-        program_id=first.run_id.program_id,
-        attempt=first.run_id.attempt,
-        plan=first.run_id.plan,
-        first_sample=first.number,
-        period=period,
-        axis_count=samples.position.shape[1],
+    common = {
+        'program_id': first.run_id.program_id,
+        'attempt': first.run_id.attempt,
+        'plan': first.run_id.plan,
+        'first_sample': first.number,
+        'period': period,
+        'axis_count': samples.position.shape[1],
+    }
+    actual = np.concatenate([stretch.actual for stretch in executed])
+    setpoints = SetpointChunk(
+        **common,
         positions=packed(samples.position),
         velocities=packed(samples.velocity),
         accelerations=packed(samples.acceleration),
@@ -55,6 +63,7 @@ def _executed_of_plan(executed: list[Executed], period: float) -> SetpointChunk:
         path_positions=packed(samples.s),
         end_of_program=executed[-1].ends,
     )
+    return setpoints, AxisFeedback(**common, positions=packed(actual))
 
 
 def machine_state(playback: Playback, period: float) -> MachineState:

@@ -328,7 +328,7 @@ def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
     new = np.concatenate([chunk.samples.position for chunk in stop])
     assert np.array_equal(heard[: number + len(new)], np.concatenate([old[:number], new]))
     assert play.state.state is State.PAUSED and play.played_of_plan == number + len(new)
-    told = executed_setpoints(play, T)
+    told = [message for message, _ in executed_setpoints(play, T)]
     assert [(run_id_of(m), m.first_sample) for m in told] == [(P, 0), (P.next_plan(), number)]
 
 
@@ -382,7 +382,7 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     step_until(play, lambda: play.state.resting)
     played = play.played
     play.reset()
-    (told,) = executed_setpoints(play, T)  # what was executed before is still told
+    ((told, _),) = executed_setpoints(play, T)  # what was executed before is still told
     assert (run_id_of(told), told.first_sample, len(told.sequences)) == (P, 0, played)
     for late in (P.next_plan(), P.next_attempt()):  # they were on their way
         with pytest.raises(StreamError, match='given up by reset'):
@@ -399,7 +399,7 @@ def test_the_end_of_the_program_is_told_with_its_last_setpoint():
     ends = {}
     while play.played < count:
         play.step()
-        for message in executed_setpoints(play, T):
+        for message, _ in executed_setpoints(play, T):
             ends[message.first_sample] = message.end_of_program
     assert not play.state.completed  # the cycle rests only in the next period
     assert ends == {k: k == count - 1 for k in range(count)}

@@ -1,0 +1,88 @@
+"""`cnc-interp excite` and `identify`: the drives of a machine measured."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import FINE, command, machine_option
+from cnc_interp.core.errors import InterpError
+
+
+def add_identify_commands(commands: Any) -> None:
+    """Declare `excite` and `identify`."""
+    excite = command(
+        commands, 'excite', excite_command,
+        'write the part program that shows how the drives of a machine follow',
+        'cnc-interp excite --machine xyzac_tired --out out/excite.ngc',
+    )  # fmt: skip
+    machine_option(excite)
+    excite.add_argument('--out', type=Path, required=True, metavar='FILE', help='program to write')
+
+    identify = command(
+        commands, 'identify', identify_command,
+        'fit the model of each drive to a recorded run, and write it into a machine file',
+        'cnc-interp identify out/excited --out my_machine.yaml',
+    )  # fmt: skip
+    identify.add_argument('bag', type=Path, metavar='BAG', help='bag of a run of that program')
+    identify.add_argument('--machine', metavar='M', help='another machine than the bag names')
+    identify.add_argument(
+        '--out', type=Path, required=True, metavar='FILE', help='machine file to write'
+    )
+    identify.add_argument(
+        '--html', type=Path, metavar='FILE', help='page to write (default: FILE with .html)'
+    )
+
+
+def excite_command(options: Namespace) -> int:
+    """Write the program that excites all axes."""
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine.excitation import excitation
+
+    options.out.write_text(excitation(Machine.load(options.machine)), encoding='utf-8')
+    return FINE
+
+
+def identify_command(options: Namespace) -> int:
+    """Fit the drives of a recorded run."""
+    from cnc_interp.client.bag import Bag
+    from cnc_interp.client.recorded_feedback import recorded_feedback
+    from cnc_interp.kinematics.drive_text import with_drives
+    from cnc_interp.kinematics.machine import Machine, find_machine_file
+    from cnc_interp.machine.identification import identify_axis
+    from cnc_interp.report.identified import identified_lines, write_identified
+
+    with Bag(options.bag) as bag:
+        run = recorded_feedback(bag)
+        name = options.machine or str(bag.parameters.get('machine_node.machine', ''))
+    if not name:
+        raise InterpError(f'{options.bag}: does not name the machine; name it with --machine')
+    machine = Machine.load(name)
+    if run.setpoint.shape[1] != len(machine.axis_names):
+        raise InterpError(f'{options.bag}: was recorded on a machine with other axes than {name}')
+    found = {}
+    for axis, letter in enumerate(machine.axis_names):
+        print(f'fitting {letter}', flush=True)
+        model = identify_axis(machine, axis, run.period, run.setpoint, run.rate, run.feedback)
+        if model is not None:
+            found[axis] = model
+    if not found:
+        raise InterpError(f'{options.bag}: no axis moved')
+    for line in identified_lines(machine, found):
+        print(line)
+    text = with_drives(
+        find_machine_file(name).read_text(encoding='utf-8'),
+        machine,
+        {**machine.drives, **{axis: each.drive for axis, each in found.items()}},
+        {**machine.loads, **{axis: each.load for axis, each in found.items() if each.load}},
+        {axis: each.half_width for axis, each in found.items()},
+        options.bag.name,
+    )
+    options.out.write_text(text, encoding='utf-8')
+    Machine.load(options.out)
+    page = options.html or options.out.with_suffix('.html')
+    write_identified(machine, found, run.period, page)
+    print(f'machine file   {options.out}')
+    print(f'page           {page}')
+    return FINE

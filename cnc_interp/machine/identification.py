@@ -1,0 +1,321 @@
+"""
+The model of a drive from what it did: least squares over setpoints and feedback of one axis.
+
+The loops have the transfer function (f s + kv) / (tau s^2 + (1 + tau B) s + kv). Positions show
+its three ratios only, so viscous friction B is taken from the machine file; kv, f and tau follow.
+Forces are known up to the inertia, which is taken from the file, too. Without it an axis is fitted
+without friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_drives import AxisDrive
+from cnc_interp.kinematics.drive_loads import DriveLoad
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.drive_kernels import follow_all
+from cnc_interp.machine.drive_model import axis_words, place, room_of_delay
+
+#: A setpoint step below this is rest [m, rad].
+STILL = 1e-8
+#: Setpoints after the last motion of an axis that still count [s].
+SETTLING = 0.3
+#: Reversals after which what happened before the recording is forgotten.
+FORGOTTEN = 2
+#: Frequencies at which the search for the mode begins [Hz].
+MODES = (22.0, 32.0, 45.0, 65.0)
+#: Steps of a first search and of the last one.
+SEARCH, LAST = 6, 60
+#: A search that lowers the squares by less than this is the last one.
+GAIN = 1e-4
+#: Share of feedback positions that are whole steps of a measuring system's resolution.
+WHOLE = 0.98
+#: Two-sided 95 % of the normal distribution.
+SIGMAS = 1.96
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One number that is fitted.
+
+    Parameters
+    ----------
+    name : str
+        Field of ``AxisDrive``, or ``coulomb``.
+    start : float
+        Where the search begins; for rotary axes lengths are taken as angles.
+    low, high : float
+        Bounds.
+
+    """
+
+    name: str
+    start: float
+    low: float
+    high: float
+
+
+#: What is fitted, in SI; friction over the inertia.
+LOOPS = (
+    Parameter('position_gain', 50.0, 3.0, 900.0),
+    Parameter('feed_forward', 0.95, 0.0, 1.2),
+    Parameter('time_constant', 4e-3, 2e-4, 0.09),
+    Parameter('delay', 1e-3, 0.0, 0.03),
+)
+MECHANICS = (
+    Parameter('backlash', 5e-6, 0.0, 2e-3),
+    Parameter('mode_frequency', 40.0, 8.0, 300.0),
+    Parameter('mode_damping', 0.05, 1e-3, 0.9),
+)
+FRICTION = (
+    Parameter('coulomb', 0.2, 0.0, 50.0),
+    Parameter('static', 0.1, 0.0, 50.0),  # what it exceeds Coulomb friction by
+    Parameter('stribeck_velocity', 2e-3, 1e-4, 0.5),
+)
+
+
+@dataclass(frozen=True)
+class IdentifiedAxis:
+    """
+    The model of one axis and how well it fits.
+
+    Parameters
+    ----------
+    axis : int
+        The axis.
+    drive : AxisDrive
+        Its model.
+    load : DriveLoad or None
+        Inertia and friction.
+    half_width : mapping of str to float
+        Half of the 95 % confidence interval of each fitted number, named by field of ``drive``, or
+        ``coulomb`` [SI].
+    rows : ndarray of int, shape (K,)
+        Rows of the recording that were fitted.
+    setpoint, measured, modelled : ndarray, shape (K,)
+        Positions [m or rad].
+
+    """
+
+    axis: int
+    drive: AxisDrive
+    load: DriveLoad | None
+    half_width: Mapping[str, float]
+    rows: FloatArray
+    setpoint: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+
+
+def identify_axis(
+    machine: Machine,
+    axis: int,
+    period: float,
+    setpoints: FloatArray,
+    rates: FloatArray,
+    feedback: FloatArray,
+) -> IdentifiedAxis | None:
+    """
+    Fit the model of one axis; None where it did not move.
+
+    Parameters
+    ----------
+    machine : Machine
+        Gives inertia and viscous friction.
+    axis : int
+        The axis.
+    period : float
+        Interpolation period [s].
+    setpoints, rates, feedback : ndarray, shape (K, n_axes)
+        Positions and velocities of the setpoints, and measured positions [m, rad, per s].
+
+    Raises
+    ------
+    InterpError
+        If the axis turned too seldom to show its friction and backlash.
+
+    """
+    rows = _moving(setpoints[:, axis], period)
+    if not len(rows):
+        return None
+    r, f, y = (np.ascontiguousarray(each[rows, axis]) for each in (setpoints, rates, feedback))
+    counts = _after_reversals(r) & _near_motion(r, period)
+    if not counts.any():
+        raise InterpError(
+            f'{machine.axis_names[axis]} turned less than {FORGOTTEN + 1} times; record the '
+            'program of cnc-interp excite'
+        )
+    fit = _Fit(period, r, f, y, counts, machine.loads.get(axis))
+    drive, load, half_width = fit.solve()
+    drive = replace(drive, resolution=resolution_of(y))
+    return IdentifiedAxis(
+        axis, drive, load, half_width, rows[counts], r[counts], y[counts],
+        fit.answer(drive, load)[counts],
+    )  # fmt: skip
+
+
+def resolution_of(positions: FloatArray) -> float:
+    """Return the step of the measuring system; 0 where positions are no multiples of one."""
+    steps = np.diff(np.unique(positions))
+    steps = steps[steps > 1e-12]
+    if len(steps) < 10:
+        return 0.0
+    step = float(np.median(steps[steps < 1.5 * steps.min()]))
+    off = np.abs(positions / step - np.round(positions / step))
+    return step if np.mean(off < 0.05) > WHOLE else 0.0
+
+
+def _moving(setpoint: FloatArray, period: float) -> FloatArray:
+    """Return the rows from the first motion of an axis until it has settled."""
+    moves = np.flatnonzero(np.abs(np.diff(setpoint)) > STILL)
+    if not len(moves):
+        return np.zeros(0, dtype=int)
+    end = min(moves[-1] + 2 + round(SETTLING / period), len(setpoint))
+    return np.arange(moves[0], end)
+
+
+def _after_reversals(setpoint: FloatArray) -> BoolArray:
+    """Tell which rows come after so many reversals that the start does not matter."""
+    steps = np.diff(setpoint, prepend=setpoint[0])
+    moves = np.flatnonzero(np.abs(steps) > STILL)
+    turns = moves[1:][np.sign(steps[moves[1:]]) != np.sign(steps[moves[:-1]])]
+    counts = np.zeros(len(setpoint), dtype=np.bool_)
+    if len(turns) > FORGOTTEN:
+        counts[turns[FORGOTTEN] :] = True
+    return counts
+
+
+def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
+    """Tell where the axis moves or settles; a long rest shows one rounding many times."""
+    moves = np.abs(np.diff(setpoint, prepend=setpoint[0])) > STILL
+    last = np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -len(moves)))
+    near: BoolArray = np.arange(len(moves)) - last <= SETTLING / period
+    return near
+
+
+class _Fit:
+    """The fit of one axis."""
+
+    def __init__(
+        self,
+        period: float,
+        setpoint: FloatArray,
+        rate: FloatArray,
+        measured: FloatArray,
+        counts: BoolArray,
+        load: DriveLoad | None,
+    ):
+        self._period, self._counts, self._load = period, counts, load
+        self._setpoint, self._rate, self._measured = setpoint, rate, measured
+        self._largest = max(each.high for each in LOOPS if each.name == 'delay')
+
+    def answer(self, drive: AxisDrive, load: DriveLoad | None) -> FloatArray:
+        """Return the positions of the model [m or rad]."""
+        words = np.zeros((1, room_of_delay(self._largest, self._period)))
+        axis_words(words[0], replace(drive, resolution=0.0), load, self._period)
+        place(words[0], float(self._setpoint[0]))
+        position: FloatArray = follow_all(
+            words, self._setpoint[:, None], self._rate[:, None]
+        )[0][:, 0]  # fmt: skip
+        return position
+
+    def solve(self) -> tuple[AxisDrive, DriveLoad | None, dict[str, float]]:
+        """Return model, load and half widths of the intervals."""
+        friction = FRICTION if self._load is not None else ()
+        every = (*LOOPS, *friction, *MECHANICS)
+        loops = (*LOOPS, *friction[:1])
+        best = self._search(loops, {each.name: each.start for each in loops}, LAST)[0]
+        rest = {each.name: each.start for each in every if each.name not in best}
+        found = [
+            self._search(every, {**best, **rest, 'mode_frequency': mode}, SEARCH) for mode in MODES
+        ]
+        best = min(found, key=lambda each: each[1])[0]
+        cost = np.inf
+        while True:  # friction has corners: the search may stop before the bottom
+            best, least, jacobian, residual = self._search(every, best, LAST)
+            if least > (1.0 - GAIN) * cost:
+                break
+            cost = least
+        drive, load = self._model(best)
+        return drive, load, self._widths(every, best, jacobian, residual)
+
+    def _model(self, values: Mapping[str, float]) -> tuple[AxisDrive, DriveLoad | None]:
+        """Return drive and load of fitted values."""
+        named, load = dict(values), self._load
+        coulomb, excess = named.pop('coulomb', 0.0), named.pop('static', 0.0)
+        if load is not None:
+            load = replace(load, coulomb=coulomb * load.inertia)
+            named['static'] = (coulomb + excess) * load.inertia if excess else 0.0
+        return AxisDrive(**named), load
+
+    def _search(
+        self, parameters: tuple[Parameter, ...], start: Mapping[str, float], steps: int
+    ) -> tuple[dict[str, float], float, FloatArray, FloatArray]:
+        """Return fitted values, cost, Jacobian and residual; each value in units of its scale."""
+        from scipy.optimize import least_squares
+
+        scale = np.array([each.start for each in parameters])
+        low, high = (
+            np.array([getattr(each, end) for each in parameters]) / scale
+            for end in ('low', 'high')
+        )
+        names = [each.name for each in parameters]
+        spread = float(np.std(self._measured - self._setpoint)) or 1.0
+
+        def residual(values: FloatArray) -> FloatArray:
+            model = self._model(dict(zip(names, (values * scale).tolist(), strict=True)))
+            off = (self.answer(*model) - self._measured)[self._counts]
+            return np.asarray(off / spread)
+
+        first = np.clip([start[name] for name in names] / scale, low + 1e-6, high - 1e-6)
+        done = least_squares(
+            residual,
+            first,
+            bounds=(low, high),
+            max_nfev=steps,
+            x_scale='jac',
+            diff_step=1e-4,
+            ftol=1e-11,
+        )
+        values = dict(zip(names, (done.x * scale).tolist(), strict=True))
+        jacobian: FloatArray = done.jac * spread / scale
+        return values, float(done.cost), jacobian, done.fun * spread
+
+    def _widths(
+        self,
+        parameters: tuple[Parameter, ...],
+        values: Mapping[str, float],
+        jacobian: FloatArray,
+        residual: FloatArray,
+    ) -> dict[str, float]:
+        """
+        Return half widths of 95 % intervals: SIGMAS sqrt(diag(P^T S P)), P = (J^T J)^-1 J^T.
+
+        S is the covariance of the residual, of which the autocorrelation is taken.
+        """
+        weights = np.linalg.pinv(jacobian)
+        count = len(residual)
+        size = 1 << (2 * count - 1).bit_length()
+        power = np.abs(np.fft.rfft(residual, size)) ** 2
+        covariance = np.fft.irfft(power, size)[:count] / count
+        lags = min(count - 1, round(0.1 / self._period))
+        covariance[lags:] = 0.0
+        covariance[:lags] *= 1.0 - np.arange(lags) / lags  # so that no variance is negative
+        spectrum = np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]), size)
+        widths = {}
+        for parameter, row in zip(parameters, weights, strict=True):
+            spread = np.fft.irfft(np.fft.rfft(row, size) * np.abs(spectrum), size)[:count]
+            widths[parameter.name] = SIGMAS * float(np.sqrt(max(row @ spread, 0.0)))
+        if self._load is not None:
+            inertia = self._load.inertia
+            both = np.hypot(widths['coulomb'], widths['static'])
+            widths['coulomb'] *= inertia
+            widths['static'] = float(both) * inertia
+        return widths

@@ -1,0 +1,223 @@
+"""The page about identified drives: measured against modelled, residual, Bode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import ARCSEC, UM
+from cnc_interp.kinematics.axis_drives import ENTRIES, AxisDrive, key_and_unit
+from cnc_interp.kinematics.drive_loads import LINEAR_KEYS, ROTARY_KEYS
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.identification import IdentifiedAxis
+from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.plot_style import (
+    BLUE,
+    BUCKETS,
+    ORANGE,
+    RED,
+    base_layout,
+    rounded,
+    with_axes,
+)
+from cnc_interp.report.series import extremes
+
+#: Length of a window of the measured transfer function [s], and where it is believed.
+WINDOW, COHERENCE = 0.5, 0.8
+#: Range of the Bode plot [Hz].
+LOWEST, HIGHEST = 1.0, 120.0
+
+
+def values_of(
+    machine: Machine, found: IdentifiedAxis
+) -> Iterator[tuple[str, float, float | None]]:
+    """Yield key of the machine file, value and half of its 95 % interval, in the file's unit."""
+    linear = bool(machine.is_linear[found.axis])
+    if found.load is not None:
+        keys = LINEAR_KEYS if linear else ROTARY_KEYS
+        yield keys[2], found.load.coulomb, found.half_width.get('coulomb')
+    for entry in ENTRIES:
+        key, unit = key_and_unit(entry, linear)
+        width = found.half_width.get(entry.field)
+        yield (
+            key,
+            getattr(found.drive, entry.field) / unit,
+            None if width is None else width / unit,
+        )
+
+
+def identified_lines(machine: Machine, found: Mapping[int, IdentifiedAxis]) -> list[str]:
+    """Return the fitted values in words."""
+    lines = []
+    for axis, each in found.items():
+        lines.append(f'{machine.axis_names[axis]}: {_residual(machine, each)}')
+        for key, value, width in values_of(machine, each):
+            known = '' if width is None else f' +- {width:.2g}'
+            lines.append(f'  {key:22s} {value:.6g}{known}')
+        if each.load is None:
+            lines.append('  friction not fitted: give the axis under loads in the machine file')
+    return lines
+
+
+def _residual(machine: Machine, found: IdentifiedAxis) -> str:
+    """Say how far the model is from the measurement."""
+    unit, name = _unit(machine, found.axis)
+    off = (found.measured - found.modelled) / unit
+    follows = (found.setpoint - found.measured) / unit
+    return (
+        f'model off by {np.std(off):.3g} {name} (root mean square), {np.abs(off).max():.3g} '
+        f'{name} at most; following error up to {np.abs(follows).max():.3g} {name}'
+    )
+
+
+def _unit(machine: Machine, axis: int) -> tuple[float, str]:
+    """Return the unit of small ways of an axis in SI, and its name."""
+    return (UM, 'um') if machine.is_linear[axis] else (ARCSEC, 'arcsec')
+
+
+def write_identified(
+    machine: Machine, found: Mapping[int, IdentifiedAxis], period: float, out: Path
+) -> None:
+    """Write the page of plots."""
+    from plotly.offline import get_plotlyjs
+
+    sections = []
+    for axis, each in found.items():
+        rows = ''.join(
+            f'<tr><th>{escape(key)}</th><td>{value:.6g}</td>'
+            f'<td>{"" if width is None else f"&plusmn; {width:.2g}"}</td></tr>'
+            for key, value, width in values_of(machine, each)
+        )
+        table = f'<table><tbody>{rows}</tbody></table>'
+        figures = drawing(_time_figure(machine, each, period)) + drawing(_bode(each, period))
+        sections.append(
+            section(machine.axis_names[axis], escape(_residual(machine, each)), table + figures)
+        )
+    title = f'Drives of {escape(machine.name)}'
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        f'<title>{title}</title><style>{STYLE}</style><script>{get_plotlyjs()}</script></head>'
+        f'<body><main><h1>{title}</h1><p>Fitted to a recorded run; intervals of 95 %.</p>'
+        f'{"".join(sections)}</main></body></html>',
+        encoding='utf-8',
+    )
+
+
+def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
+    """Draw following errors, measured and modelled, and the residual, over time."""
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    unit, name = _unit(machine, found.axis)
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    time = found.rows * period
+    curves = (
+        (1, 'following error measured', found.setpoint - found.measured, BLUE),
+        (1, 'following error modelled', found.setpoint - found.modelled, ORANGE),
+        (2, 'measured minus modelled', found.measured - found.modelled, RED),
+    )
+    for row, title, curve, colour in curves:
+        kept = extremes(curve, BUCKETS)
+        dash = 'dot' if colour == ORANGE else 'solid'
+        figure.add_trace(
+            go.Scattergl(
+                x=rounded(time[kept]), y=rounded(curve[kept] / unit), name=title,
+                line={'color': colour, 'width': 1.2, 'dash': dash}, mode='lines',
+            ),
+            row=row, col=1,
+        )  # fmt: skip
+    figure.update_layout(**base_layout(420))
+    figure.update_xaxes(title_text='time [s]', row=2, col=1)
+    figure.update_yaxes(title_text=f'[{name}]')
+    return with_axes(figure)
+
+
+def transfer(drive: AxisDrive, viscous: float, frequency: FloatArray) -> FloatArray:
+    """
+    Return the linear answer of an axis to its setpoint, without backlash and friction.
+
+    Parameters
+    ----------
+    drive : AxisDrive
+        The drive.
+    viscous : float
+        Viscous friction over the inertia [1/s].
+    frequency : ndarray, shape (n,)
+        Frequencies [Hz].
+
+    Returns
+    -------
+    ndarray of complex, shape (n,)
+        X/R.
+
+    """
+    s = 2j * np.pi * frequency
+    kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant
+    answer = (f * s + kv) / (tau * s**2 + (1.0 + tau * viscous) * s + kv)
+    if drive.mode_frequency:
+        omega, zeta = 2.0 * np.pi * drive.mode_frequency, drive.mode_damping
+        answer *= (2 * zeta * omega * s + omega**2) / (s**2 + 2 * zeta * omega * s + omega**2)
+    linear: FloatArray = answer * np.exp(-drive.delay * s)
+    return linear
+
+
+def _measured_transfer(found: IdentifiedAxis, period: float) -> tuple[FloatArray, FloatArray]:
+    """
+    Return frequencies and the measured answer, where the spectra of setpoint and feedback cohere.
+
+    Windows in which the axis turns are left out: there friction and backlash rule.
+    """
+    # Differences, so that the drift of positions does not leak over all frequencies.
+    given, did = np.diff(found.setpoint), np.diff(found.measured)
+    size = round(WINDOW / period)
+    frequency, taper = np.fft.rfftfreq(size, period), np.hanning(size)
+    power, answer, across = np.zeros((3, len(frequency)), dtype=complex)
+    for first in range(0, len(given) - size, size // 4):
+        rows = slice(first, first + size)
+        whole = found.rows[first + size] - found.rows[first] == size
+        if whole and (np.all(given[rows] > 0.0) or np.all(given[rows] < 0.0)):
+            spectra = [
+                np.fft.rfft(taper * (each[rows] - np.mean(each[rows]))) for each in (given, did)
+            ]
+            power += np.abs(spectra[0]) ** 2
+            answer += np.abs(spectra[1]) ** 2
+            across += np.conj(spectra[0]) * spectra[1]
+    known = (power.real > 0.0) & (frequency >= LOWEST) & (frequency <= HIGHEST)
+    known[known] &= np.abs(across[known]) ** 2 > COHERENCE * (power * answer).real[known]
+    return frequency[known], across[known] / power[known]
+
+
+def _bode(found: IdentifiedAxis, period: float) -> Any:
+    """Draw the measured and the modelled transfer function."""
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    frequency, measured = _measured_transfer(found, period)
+    grid = np.geomspace(LOWEST, HIGHEST, 400)
+    viscous = found.load.row[2] if found.load is not None else 0.0
+    model = transfer(found.drive, float(viscous), grid)
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    phases = np.degrees(np.angle(measured)), np.degrees(np.angle(model))
+    for row, both in ((1, (np.abs(measured), np.abs(model))), (2, phases)):
+        figure.add_trace(
+            go.Scatter(x=frequency, y=both[0], mode='markers', name='measured',
+                       marker={'color': BLUE, 'size': 5}, showlegend=row == 1),
+            row=row, col=1,
+        )  # fmt: skip
+        figure.add_trace(
+            go.Scatter(x=grid, y=both[1], mode='lines', name='modelled, linear part',
+                       line={'color': ORANGE}, showlegend=row == 1),
+            row=row, col=1,
+        )  # fmt: skip
+    figure.update_layout(**base_layout(420))
+    figure.update_xaxes(type='log')
+    figure.update_xaxes(title_text='frequency [Hz]', row=2, col=1)
+    figure.update_yaxes(type='log', title_text='|X/R|', row=1, col=1)
+    figure.update_yaxes(title_text='phase [deg]', row=2, col=1)
+    return with_axes(figure)

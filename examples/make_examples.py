@@ -9,7 +9,7 @@ the programs need points at the corners only.
 from __future__ import annotations
 
 import json
-from math import atan2, cos, degrees, exp, hypot, radians, sin, sqrt, tan
+from math import atan2, cos, degrees, exp, hypot, pi, radians, sin, sqrt, tan
 from pathlib import Path
 
 Vector = tuple[float, float, float]
@@ -33,6 +33,30 @@ def pyramid() -> list[tuple[Vector, Vector]]:
     slope = tan(radians(15.0))
     corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]
     return [((30.0 * x, 30.0 * y, 0.0), unit((slope * x, slope * y, 1.0))) for x, y in corners]
+
+
+def s_path() -> list[tuple[Vector, Vector]]:
+    """
+    Tip [mm] and tool axis along an S-shaped wall that is milled by the flank.
+
+    It is of the kind of the S-shaped test part of ISO 10791-7: the wall bends to both sides and
+    its tilt changes sign on the way, so that all five axes turn back. For t from 0 to 1,
+
+        tip = (140 t - 70, 35 sin(2 pi t), 4 sin(2 pi t)),
+
+    and the axis is tilted by 12 + 8 cos(3 pi t) deg across the path, 6 sin(4 pi t) deg along it.
+    """
+    found, count = [], 240
+    for number in range(count + 1):
+        t = number / count
+        way = unit((140.0, 70.0 * pi * cos(2 * pi * t), 0.0))
+        across = -way[1], way[0]
+        side = tan(radians(12.0 + 8.0 * cos(3 * pi * t)))
+        lead = tan(radians(6.0 * sin(4 * pi * t)))
+        tip = 140.0 * t - 70.0, 35.0 * sin(2 * pi * t), 4.0 * sin(2 * pi * t)
+        slope = [side * a + lead * w for a, w in zip(across, way[:2], strict=True)]
+        found.append((tip, unit((slope[0], slope[1], 1.0))))
+    return found
 
 
 def pocket_corner() -> list[tuple[Vector, Vector]]:
@@ -104,6 +128,7 @@ def main() -> None:
     (HERE / 'pyramid.ngc').write_text(gcode('PYRAMID', pyramid()), encoding='ascii')
     corner = cl_data('POCKET CORNER', pocket_corner())
     (HERE / 'pocket_corner.apt').write_text(corner, encoding='ascii')
+    (HERE / 's_path.apt').write_text(cl_data('S PATH', s_path()), encoding='ascii')
     (HERE / 'hollow.json').write_text(json.dumps(hollow()) + '\n', encoding='ascii')
 
 

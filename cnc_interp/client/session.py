@@ -48,6 +48,8 @@ class RunRequest:
         Bag to record all messages into.
     quiet : bool
         Show no progress.
+    compensate : str
+        Machine whose drives are the model that is compensated; empty for none.
 
     """
 
@@ -58,6 +60,7 @@ class RunRequest:
     out: Path | None = None
     record: Path | None = None
     quiet: bool = False
+    compensate: str = ''
 
     @staticmethod
     def from_options(options: Namespace) -> RunRequest:
@@ -70,6 +73,7 @@ class RunRequest:
             out=options.out,
             record=options.record,
             quiet=options.json,
+            compensate=options.compensate or '',
         )
 
     @property
@@ -82,6 +86,8 @@ class RunRequest:
         from cnc_interp.nodes.parameters import NODES
 
         given: dict[str, object] = {'machine': f"'{self.machine}'"}
+        if self.compensate:
+            given['compensation'] = f"'{self.compensate}'"
         for choice in choices(self.settings, Stage.MOTION, Stage.APPROACH):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value

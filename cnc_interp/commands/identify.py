@@ -54,6 +54,8 @@ def identify_command(options: Namespace) -> int:
     from cnc_interp.report.identified import identified_lines, write_identified
 
     with Bag(options.bag) as bag:
+        if bag.parameters.get('machine_node.compensation'):
+            raise InterpError(f'{options.bag}: was recorded with compensation; record one without')
         run = recorded_feedback(bag)
         name = options.machine or str(bag.parameters.get('machine_node.machine', ''))
     if not name:

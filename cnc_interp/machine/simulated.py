@@ -7,6 +7,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.axis_motion import AxisMotion, Recording
+from cnc_interp.machine.compensation import Compensation, compensate_all
 from cnc_interp.machine.drive_kernels import RING, follow_all, follow_once
 from cnc_interp.machine.drive_model import lag_of, words_of
 
@@ -54,6 +55,7 @@ def simulate(
     period: float,
     positions: FloatArray,
     velocities: FloatArray | None = None,
+    model: Machine | None = None,
 ) -> Recording:
     """
     Run simulated drives through all setpoints, from rest at the first one.
@@ -70,10 +72,17 @@ def simulate(
         Setpoints [m, rad].
     velocities : ndarray, shape (K, n_axes), optional
         Their velocities; central differences when not given [m/s, rad/s].
+    model : Machine, optional
+        Compensate its drives. All axes are then later by ``Compensation.lead``.
 
     """
     r = np.ascontiguousarray(positions, dtype=float)
     rate = np.gradient(r, period, axis=0) if velocities is None else velocities
     rate = np.ascontiguousarray(rate, dtype=float)
-    x, v = follow_all(words_of(machine, period, r[0]), r, rate)
-    return AxisMotion(machine, period, lag_of(machine), r[0]).measure(r, x, v)
+    sent, lag = r, lag_of(machine)
+    if model is not None:
+        compensation = Compensation(model, period, r[0])
+        sent, rate = compensate_all(compensation.words, compensation.known, r)
+        lag = compensation.lead
+    x, v = follow_all(words_of(machine, period, r[0]), sent, rate)
+    return AxisMotion(machine, period, lag, r[0]).measure(r, x, v)

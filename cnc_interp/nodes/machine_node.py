@@ -10,8 +10,10 @@ from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core.errors import MachineError, Refusal, StreamError
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.compensation import CompensatedDrives
+from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine.simulated import SimulatedDrives
@@ -65,7 +67,7 @@ class MachineNode(LifecycleNode):
         # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
-        drives = SimulatedDrives(machine, self._period, np.zeros(len(machine.axis_names)))
+        drives = drives_of(machine, values['compensation'], self._period)
         window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)
@@ -194,6 +196,35 @@ class MachineNode(LifecycleNode):
         """Stop the clock; the drives hold the last setpoint."""
         if self._clock_of_drives is not None:
             self._clock_of_drives.stop()
+
+
+def drives_of(machine: Machine, model: str, period: float) -> CycleDrives:
+    """
+    Return the drives of a machine, standing at zero.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine.
+    model : str
+        Machine whose drives are the model that is compensated; empty for none.
+    period : float
+        Interpolation period [s].
+
+    Raises
+    ------
+    MachineError
+        If the model has other axes, or cannot be compensated.
+
+    """
+    drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
+    if not model:
+        return drives
+    known = Machine.load(model)
+    if known.axis_names != machine.axis_names:
+        axes = ' '.join(known.axis_names)
+        raise MachineError(f'{model} has other axes ({axes})', 'compensation')
+    return CompensatedDrives(drives, known, period)
 
 
 def first_of(chunk: SetpointChunk) -> FloatArray:

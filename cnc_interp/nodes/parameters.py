@@ -83,6 +83,7 @@ MACHINE_NODE = (
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
+    Declared('compensation', '', 'Machine whose drives are the model that is compensated'),
     Declared(
         'trajectory_topic', '', 'Where to publish the setpoints to come as JointTrajectory too'
     ),

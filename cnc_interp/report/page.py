@@ -115,6 +115,7 @@ def render(
         from cnc_interp.report.corner_figures import corner_section
         from cnc_interp.report.curves import curves_section
         from cnc_interp.report.figures import PLOTS
+        from cnc_interp.report.tool_error import tool_error_section
     except ImportError as fault:
         raise InterpError('the report needs plotly: pip install plotly') from fault
     proof, series = _examined(plan, machine)
@@ -136,6 +137,8 @@ def render(
         )
     for plot in PLOTS:
         body.append(section(plot.heading, plot.text(series), drawing(plot.draw(series))))
+    if machine.drives:
+        body.append(tool_error_section(plan, machine))
     if segments is not None:
         if views := views_of(plan, segments):
             body.append(corner_section(views))

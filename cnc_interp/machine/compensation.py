@@ -1,0 +1,298 @@
+"""
+Drives told more than their setpoints: the inverse of their model, in the velocity feed-forward.
+
+The table shall be at r. With the equations of ``drive_model.py`` the motor must then be at
+
+    m = r + r'' / omega^2 - 2 zeta / omega^3 r''' + (w / 2) sign,
+
+where the sign is that of the last motion. The loops get it there if kv (c - m) + f g = m' + tau u
+with u = m'' + B m' + F, for any position setpoint c and velocity feed-forward g. So the positions
+that are sent are the setpoints that were proven, bit for bit, some periods later. All of the
+inverse goes into g:
+
+    f g = kv (m - c) + (1 + tau B) m' + tau m'' + tau F.
+
+Derivatives are those of polynomials through some setpoints before and after. To know those after,
+all axes are delayed alike by ``lead``, which holds the dead times of the drives, too: what is left
+of them then is the same for all axes, and the path stays the path. The signs at a reversal are
+smoothed over a few milliseconds. Everything that is played is compensated: programs, stop tails,
+motion by hand.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import carray, cfunc, njit, types
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import MachineError
+from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
+from cnc_interp.kinematics.drive_loads import DriveLoad
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.drives import CycleDrives
+from cnc_interp.machine.native import call_drives, pointer
+
+#: Setpoints to each side of the one that is sent: time [s], and their least number.
+BESIDE, FEWEST = 8e-3, 5
+#: Degree of the polynomials.
+DEGREE = 5
+#: Half of the time over which the motor crosses the backlash, over which friction changes its
+#: sign [s], and of their least number of periods.
+CROSSING, TURNING, SMOOTH_PERIODS = 4e-3, 2e-3, 1.5
+#: Least share of feed-forward that a drive must take.
+LEAST = 0.2
+#: A step, and a velocity of the motor, below these are rest [m or rad, per s].
+STILL, SLOW = 1e-12, 1e-7
+
+#: Words before the rows of the axes: inner step, its memory, words of an axis, setpoints known.
+STEP, MEMORY, COUNT, KNOWN, HEAD = 0, 1, 2, 3, 4
+#: Words of an axis: periods by which its position is sent later; friction and its excess at rest
+#: over the inertia, velocity of Stribeck; sign of the last motion.
+LATER, COULOMB, EXCESS, STRIBECK, SIGN = 0, 1, 2, 3, 4
+#: Then columns over the last setpoints, the newest first: weights of r, sign and friction in g, of
+#: r and sign in m'; then r, sign and friction.
+IN_RATE, IN_MOTOR, STATE, COLUMNS, FIRST = 0, 3, 5, 8, 5
+
+
+@njit(cache=True, nogil=True)
+def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, float]:
+    """
+    Take the next setpoint of an axis; return what to send now.
+
+    Parameters
+    ----------
+    words : ndarray
+        Words of the axis; its state is changed.
+    known : int
+        Number of setpoints that are kept.
+    setpoint : float
+        Setpoint [m or rad].
+
+    Returns
+    -------
+    float, float
+        Position and velocity feed-forward [m or rad, per s].
+
+    """
+    weights, motors = FIRST + IN_RATE * known, FIRST + IN_MOTOR * known
+    r = FIRST + STATE * known
+    sign, force = r + known, r + 2 * known
+    step = setpoint - words[r]
+    for k in range(known - 1, 0, -1):
+        words[r + k] = words[r + k - 1]
+        words[sign + k] = words[sign + k - 1]
+        words[force + k] = words[force + k - 1]
+    words[r] = setpoint
+    if abs(step) > STILL:
+        words[SIGN] = math.copysign(1.0, step)
+    words[sign] = words[SIGN]
+    sent = words[r + int(words[LATER])]
+    rate = motor = 0.0
+    for k in range(known):
+        # Relative to what is sent, so that rounding does not depend on where the axis is.
+        away = words[r + k] - sent
+        rate += words[weights + k] * away + words[weights + known + k] * words[sign + k]
+        motor += words[motors + k] * away + words[motors + known + k] * words[sign + k]
+    words[force] = 0.0
+    if abs(motor) > SLOW:
+        level = words[COULOMB]
+        if words[EXCESS] > 0.0:
+            level += words[EXCESS] * math.exp(-((motor / words[STRIBECK]) ** 2))
+        words[force] = math.copysign(level, motor)
+    for k in range(known):
+        rate += words[weights + 2 * known + k] * words[force + k]
+    return sent, rate
+
+
+@cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
+def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
+    """Compensate all axes, then step the drives; see ``drives.CycleDrives``."""
+    head = carray(pointer(memory), HEAD)
+    count, known = int(head[COUNT]), int(head[KNOWN])
+    words = carray(pointer(memory + 8 * HEAD), (n, count))
+    told = carray(pointer(memory + 8 * (HEAD + n * count)), (2, n))
+    wanted = carray(pointer(setpoint), (2, n))
+    for j in range(n):
+        told[0, j], told[1, j] = compensate(words[j], known, wanted[0, j])
+    fault: int = call_drives(
+        np.uintp(head[STEP]), np.uintp(head[MEMORY]), told.ctypes.data, feedback, n
+    )  # fmt: skip
+    return fault
+
+
+@njit(cache=True, nogil=True)
+def compensate_all(
+    words: FloatArray, known: int, setpoints: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Compensate rows of setpoints, shape (K, n_axes); return positions and feed-forwards."""
+    sent, rates = np.empty_like(setpoints), np.empty_like(setpoints)
+    for j in range(setpoints.shape[1]):
+        for i in range(len(setpoints)):
+            sent[i, j], rates[i, j] = compensate(words[j], known, setpoints[i, j])
+    return sent, rates
+
+
+class Compensation:
+    """
+    What is computed once: the words of all axes.
+
+    Parameters
+    ----------
+    model : Machine
+        Its drives and loads are the model that is inverted.
+    period : float
+        Interpolation period [s].
+    position : ndarray, shape (n_axes,)
+        Where the axes stand [m, rad].
+
+    Raises
+    ------
+    MachineError
+        If a drive takes too little feed-forward of velocity.
+
+    """
+
+    def __init__(self, model: Machine, period: float, position: FloatArray):
+        drives = [model.drives.get(j, IDEAL) for j in range(len(model.axis_names))]
+        for name, drive in zip(model.axis_names, drives, strict=True):
+            if drive.feed_forward < LEAST:
+                raise MachineError(
+                    f'{drive.feed_forward:g} is too little to compensate by; at least {LEAST:g}',
+                    f'drives.{name}.feed_forward',
+                )
+        beside = max(math.ceil(BESIDE / period - 1e-9), FEWEST)
+        turning = math.ceil(max(TURNING / period, SMOOTH_PERIODS) - 1e-9)
+        latest = max(drive.delay for drive in drives)
+        #: Time by which all axes are behind their setpoints [s].
+        self.lead = (beside + turning) * period + latest
+        self.known = math.ceil(self.lead / period) + beside + 2
+        self.words = np.zeros((len(drives), FIRST + COLUMNS * self.known))
+        for j, drive in enumerate(drives):
+            load = model.loads.get(j) if j in model.drives else None
+            columns = self.words[j, FIRST:].reshape(COLUMNS, self.known)
+            self.words[j, LATER] = beside + turning
+            self.words[j, COULOMB : STRIBECK + 1] = _friction(drive, load)
+            later = (self.lead - drive.delay) / period
+            _write_weights(columns, drive, load, period, (later, beside, turning))
+            columns[STATE] = position[j]
+
+
+def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, float]:
+    """Return Coulomb friction and excess at rest over the inertia, and Stribeck's velocity."""
+    if load is None:
+        return 0.0, 0.0, 1.0
+    coulomb = load.coulomb / load.inertia
+    if not drive.static:
+        return coulomb, 0.0, 1.0
+    return coulomb, max(drive.static / load.inertia - coulomb, 0.0), drive.stribeck_velocity
+
+
+def _write_weights(
+    columns: FloatArray,
+    drive: AxisDrive,
+    load: DriveLoad | None,
+    period: float,
+    timing: tuple[float, int, int],
+) -> None:
+    """Write the weights of one axis; ``timing`` is that of ``Compensation`` in periods."""
+    later, beside, turning = timing
+    kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant
+    viscous = load.viscous / load.inertia if load is not None else 0.0
+    # m = (1 + soft d2 - slow d3) r
+    soft = slow = 0.0
+    if drive.mode_frequency:
+        omega = 2.0 * math.pi * drive.mode_frequency
+        soft, slow = 1.0 / omega**2, 2.0 * drive.mode_damping / omega**3
+    mode = np.array([1.0, 0.0, soft, -slow])
+    # Relative to the c that is sent: f g = (kv + (1 + tau B) d + tau d2) m
+    loops = np.array([kv, 1.0 + tau * viscous, tau]) / f
+    known, half = columns.shape[1], 0.5 * drive.backlash
+    crossing = max(CROSSING, SMOOTH_PERIODS * period) / period
+    # A sign belongs to the middle of a step.
+    ages = np.arange(known) + 0.5
+    columns[IN_RATE] = _polynomial(np.convolve(loops, mode), known, later, beside, period)
+    columns[IN_RATE + 1] = half * (loops @ _bump(ages - later, crossing, period))
+    # Friction is that of the motor's velocity, some periods before it is sent.
+    before = later - turning
+    columns[IN_MOTOR] = _polynomial(np.append(0.0, mode), known, before, beside, period)
+    columns[IN_MOTOR + 1] = half * _bump(ages - before, crossing, period)[1]
+    width = max(TURNING, SMOOTH_PERIODS * period) / period
+    columns[IN_RATE + 2] = tau / f * _bump(ages - 0.5 - turning, width, period)[0]
+
+
+def _polynomial(
+    operator: FloatArray, known: int, later: float, beside: int, period: float
+) -> FloatArray:
+    """Return weights of setpoints for the sum of operator[k] r^(k), ``later`` periods ago."""
+    near = np.flatnonzero(np.abs(np.arange(known) - later) <= beside)
+    scale = beside * period
+    powers = np.linalg.pinv(
+        np.vander((later - near) * period / scale, DEGREE + 1, increasing=True)
+    )
+    weights = np.zeros(known)
+    for order, factor in enumerate(operator):
+        weights[near] += factor * math.factorial(order) / scale**order * powers[order]
+    return weights
+
+
+def _bump(away: FloatArray, width: float, period: float) -> FloatArray:
+    """
+    Return weights of a smoothed column and of its two derivatives by time, shape (3, known).
+
+    The column is smoothed by (1 - (t / width)^2)^3; ``away`` (from a
+    setpoint to the moment) and ``width`` are in periods.
+    """
+    part = np.clip(away / width, -1.0, 1.0)
+    inside = 1.0 - part**2
+    bumps: FloatArray = np.stack(
+        [inside**3, -6.0 * part * inside**2, 24.0 * part**2 * inside - 6.0 * inside**2]
+    )
+    bumps /= bumps[0].sum() * (width * period) ** np.arange(3)[:, None]
+    # The derivatives of a constant are exactly zero.
+    bumps[1:] -= bumps[0] * bumps[1:].sum(axis=1, keepdims=True)
+    return bumps
+
+
+class CompensatedDrives:
+    """
+    Drives of the cycle behind their inverse model.
+
+    Parameters
+    ----------
+    inner : CycleDrives
+        The drives.
+    model : Machine
+        Its drives and loads are the model.
+    period : float
+        Interpolation period [s].
+
+    """
+
+    def __init__(self, inner: CycleDrives, model: Machine, period: float):
+        compensation = Compensation(model, period, inner.position)
+        self._inner, self._shape = inner, compensation.words.shape
+        self.lag, self.step = compensation.lead, int(compensate_once.address)
+        head = [inner.step, inner.memory.ctypes.data, self._shape[1], compensation.known]
+        told = np.zeros(2 * self._shape[0])
+        self.memory = np.concatenate([np.array(head, float), compensation.words.ravel(), told])
+        self._newest = HEAD + FIRST + STATE * compensation.known
+
+    @property
+    def position(self) -> FloatArray:
+        """The last setpoint, where the axes stand or settle [m, rad]."""
+        held: FloatArray = self.memory[self._newest :: self._shape[1]][: self._shape[0]].copy()
+        return held
+
+    def switch_on(self) -> None:
+        """Switch the drives on."""
+        self._inner.switch_on()
+
+    def switch_off(self) -> None:
+        """Switch the drives off."""
+        self._inner.switch_off()
+
+    def fault(self, number: int) -> str:
+        """Say what a fault number of the drives means."""
+        return self._inner.fault(number)

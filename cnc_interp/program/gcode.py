@@ -419,7 +419,7 @@ class GcodeReader:
         elif self._cycle is None and not self.splines.take(words, feed_given):
             mover.move(words, feed_given, machine)
         for letter in list(values):
-            if letter in 'STDH':
+            if letter in 'STDHE':
                 self.notice(letter, 'no effect, it does not move the tool')
             elif letter in 'ABCUVW':
                 raise self.fault(mover.why_not(letter), words.texts[letter])

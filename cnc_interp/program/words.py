@@ -35,6 +35,8 @@ _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
 #: Functions that tell how an axis word is meant: absolute, incremental, or direction of turn.
 WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
+# X1E-3 could be a small number, or X1 with a word of an extruder, which stands alone.
+_EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z]\s*=?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
 # A name of several letters before a parenthesis, but not a word with a number as in M6(TOOL 3).
 _GROUP_BEFORE = re.compile(r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])[A-Z_][A-Z_]\w*)$')
 
@@ -127,6 +129,8 @@ def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
         expression has no value.
 
     """
+    if 'E' in line and (exponent := _EXPONENT.search(line)):
+        raise fault('a number with an exponent; write all its digits', exponent[1])
     words = BlockWords()
     at = 0
     while at < len(line):

@@ -176,6 +176,14 @@ def test_harmless_codes_are_told_once_with_their_first_line():
     assert notices[0].startswith('line 1:') and notices[-1].startswith('line 10:')
 
 
+def test_the_extruder_of_a_printer_is_told_once():
+    program = read('G0 X1\nG1 X2 E0.5 F600\nG92 E0\nG1 X3 E1.5')
+    np.testing.assert_allclose(program.blocks.tip[:, 0] * 1e3, [1, 2, 3])
+    assert [notice for notice in program.notices if ' E' in notice] == [
+        'line 2: E: no effect, it does not move the tool'
+    ]
+
+
 def test_nothing_is_read_after_the_end():
     assert len(read('%\nG0 X0\nM30\nG2 nonsense').blocks) == 1
     assert len(read('%\nG0 X0\n%\nG2 nonsense').blocks) == 1

@@ -128,6 +128,10 @@ def _cutting(added: argparse.ArgumentParser) -> None:
     number(added, '--spacing', 0.1, 'distance of the needles')
     number(added, '--margin', 2.0, 'distance from the border for the figures')
     machine_option(added)
+    added.add_argument(
+        '--compensate', metavar='M',
+        help='machine whose drives are the model that is compensated in the executed motion',
+    )  # fmt: skip
 
 
 def _iso_scallop(options: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.simulated import simulate
+from cnc_interp.machine.tool_error import SETTLING
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
 
@@ -98,9 +99,13 @@ def planned(plan: PlanFiles, machine: Machine) -> Motion:
     return thinned(Motion('planned', *Transform.of(machine).forward(plan.position)))
 
 
-def executed(plan: PlanFiles, machine: Machine) -> Motion:
-    """Return the motion of the simulated machine's drives for the setpoints of a plan."""
-    recording = simulate(machine, plan.period, plan.position, plan.setpoints['velocity'])
+def executed(plan: PlanFiles, machine: Machine, model: Machine | None = None) -> Motion:
+    """Return the motion of simulated drives for a plan, with ``model`` compensated if given."""
+    velocity = np.asarray(plan.setpoints['velocity'])
+    rest = round(SETTLING / plan.period)
+    held = np.concatenate([plan.position, np.tile(plan.position[-1:], (rest, 1))])
+    rates = np.concatenate([velocity, np.zeros((rest, velocity.shape[1]))])
+    recording = simulate(machine, plan.period, held, rates, model)
     return thinned(Motion('executed', recording.tip, recording.axis))
 
 

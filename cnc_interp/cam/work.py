@@ -89,7 +89,7 @@ def make_program(options: argparse.Namespace) -> int:
             )['cycle_time']  # fmt: skip
             progress.end(complete=True)
             files = read_plan(out / 'plan').in_memory()
-            motions += [planned(files, machine), executed(files, machine)]
+            motions += [planned(files, machine), executed(files, machine, _model(options))]
     figures = _path_figures(paths)
     for motion in motions:
         heights, section = _cut(surface, cutter, motion, normal, options)
@@ -129,6 +129,11 @@ def _followed(
     return paths
 
 
+def _model(options: argparse.Namespace) -> Machine | None:
+    """Return the machine whose drives are compensated."""
+    return Machine.load(options.compensate) if options.compensate else None
+
+
 def simulate_motion(options: argparse.Namespace) -> int:
     """Cut a surface with the motion of a program or a plan."""
     surface = read_surface(options.surface, options.face, _note)
@@ -136,7 +141,9 @@ def simulate_motion(options: argparse.Namespace) -> int:
     machine = Machine.load(options.machine)
     if options.motion.is_dir():
         files = read_plan(options.motion).in_memory()
-        motion = (executed if options.executed else planned)(files, machine)
+        motion = planned(files, machine)
+        if options.executed:
+            motion = executed(files, machine, _model(options))
     else:
         reading = Settings(feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM)
         motion = programmed(read_program(options.motion, Transform.of(machine), reading))

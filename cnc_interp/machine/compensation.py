@@ -5,18 +5,17 @@ The table shall be at r. With the equations of ``drive_model.py`` the motor must
 
     m = r + r'' / omega^2 - 2 zeta / omega^3 r''' + (w / 2) sign,
 
-where the sign is that of the last motion. The loops get it there if kv (c - m) + f g = m' + tau u
-with u = m'' + B m' + F, for any position setpoint c and velocity feed-forward g. So the positions
+where the sign is that of the last motion. The loops get it there, for any position setpoint c and
+velocity feed-forward g, if kv (c - m) + f g = m' + tau u with u = m'' + B m' + F. So the positions
 that are sent are the setpoints that were proven, bit for bit, some periods later. All of the
 inverse goes into g:
 
     f g = kv (m - c) + (1 + tau B) m' + tau m'' + tau F.
 
-Derivatives are those of polynomials through some setpoints before and after. To know those after,
-all axes are delayed alike by ``lead``, which holds the dead times of the drives, too: what is left
-of them then is the same for all axes, and the path stays the path. The signs at a reversal are
-smoothed over a few milliseconds. Everything that is played is compensated: programs, stop tails,
-motion by hand.
+Derivatives are those of polynomials through some setpoints before and after. To know those
+after, all tables are later by the same ``lead``, so the path stays the path. The setpoints of a
+drive with a longer dead time are sent earlier. The signs at a reversal are smoothed over a few
+milliseconds. Everything that is played is compensated: programs, stop tails, motion by hand.
 """
 
 from __future__ import annotations
@@ -172,9 +171,9 @@ class Compensation:
         for j, drive in enumerate(drives):
             load = model.loads.get(j) if j in model.drives else None
             columns = self.words[j, FIRST:].reshape(COLUMNS, self.known)
-            self.words[j, LATER] = beside + turning
             self.words[j, COULOMB : STRIBECK + 1] = _friction(drive, load)
             later = (self.lead - drive.delay) / period
+            self.words[j, LATER] = round(later)
             _write_weights(columns, drive, load, period, (later, beside, turning))
             columns[STATE] = position[j]
 

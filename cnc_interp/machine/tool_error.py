@@ -15,6 +15,8 @@ from cnc_interp.machine.compensation import Compensation
 from cnc_interp.machine.drive_model import lag_of
 from cnc_interp.machine.simulated import simulate
 
+#: Distances that differ by less are equal [m].
+SAME = 1e-6
 #: Time after the last setpoint in which the axes settle [s].
 SETTLING = 0.1
 
@@ -78,26 +80,35 @@ def tool_error(
 def _errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
-    """Compare each pose with the nearest place on the last ``memory`` commanded chords."""
-    found = np.zeros((len(tip), 2))
+    """
+    Compare each pose with the last ``memory`` commanded chords; return errors of tip and axis.
+
+    Where the tip stands or goes back on its way, many chords are as near as the nearest one. The
+    axis is compared with the one on them that is most like it.
+    """
+    found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory + 1), np.zeros(memory + 1)
     for i in range(len(tip)):
-        nearest = least = np.inf
-        for k in range(max(i - memory, 0), max(i, 1)):
+        first, last = max(i - memory, 0), max(i, 1)
+        for k in range(first, last):
             along, length_sq = 0.0, 0.0
             for c in range(3):
                 chord = tips[k + 1, c] - tips[k, c]
                 along += (tip[i, c] - tips[k, c]) * chord
                 length_sq += chord * chord
-            part = min(1.0, max(0.0, along / length_sq)) if length_sq > 0.0 else 0.0
+            part = 0.0
+            if length_sq > 0.0:
+                part = min(1.0, max(0.0, along / length_sq))
             distance_sq = turn_sq = 0.0
             for c in range(3):
-                away = tip[i, c] - tips[k, c] - part * (tips[k + 1, c] - tips[k, c])
-                turn = axis[i, c] - axes[k, c] - part * (axes[k + 1, c] - axes[k, c])
-                distance_sq += away * away
-                turn_sq += turn * turn
-            if length_sq == 0.0 and distance_sq <= nearest:  # the tip stands and the axis turns
-                nearest, least = distance_sq, min(least, turn_sq)
-            elif distance_sq < nearest:
-                nearest, least = distance_sq, turn_sq
-        found[i, 0], found[i, 1] = np.sqrt(nearest), np.sqrt(least)
+                gap = tip[i, c] - tips[k, c] - part * (tips[k + 1, c] - tips[k, c])
+                lean = axis[i, c] - axes[k, c] - part * (axes[k + 1, c] - axes[k, c])
+                distance_sq += gap * gap
+                turn_sq += lean * lean
+            away[k - first], turn[k - first] = np.sqrt(distance_sq), np.sqrt(turn_sq)
+        nearest = away[: last - first].min()
+        least = np.inf
+        for k in range(last - first):
+            if away[k] <= nearest + SAME:
+                least = min(least, turn[k])
+        found[i, 0], found[i, 1] = nearest, least
     return found

@@ -54,6 +54,15 @@ def nodes_options(added: argparse.ArgumentParser) -> None:
     added.add_argument('--domain', type=int, metavar='N', help='ROS domain (ROS_DOMAIN_ID)')
 
 
+def drives_option(added: argparse.ArgumentParser) -> None:
+    """Add the option that names the drives of the nodes that are started."""
+    added.add_argument(
+        '--drives',
+        choices=('simulated', 'hal'),
+        help="drives of the machine: simulated, or those in LinuxCNC's HAL (simulated)",
+    )
+
+
 def page_options(added: argparse.ArgumentParser) -> None:
     """Add the options of the operator page."""
     added.add_argument(

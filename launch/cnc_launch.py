@@ -28,6 +28,7 @@ ARGUMENTS = (
     ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('program_folder', '', 'Programs below this folder may be run by their path.'),
+    ('drives', 'simulated', "Drives of the machine: simulated, or hal (those in LinuxCNC's HAL)."),
     ('setup', '', 'File in which offsets and tools of the machine are kept.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),
@@ -43,6 +44,8 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
         'machine': ParameterValue(LaunchConfiguration('machine'), value_type=str),
         'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool),
     }
+    if name == 'machine_node':
+        values['drives'] = ParameterValue(LaunchConfiguration('drives'), value_type=str)
     if name == 'program_node':
         folders = ["['", LaunchConfiguration('program_folder'), "']"]
         values['setup'] = ParameterValue(LaunchConfiguration('setup'), value_type=str)

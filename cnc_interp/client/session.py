@@ -50,6 +50,8 @@ class RunRequest:
         Show no progress.
     compensate : str
         Machine whose drives are the model that is compensated; empty for none.
+    drives : str
+        Drives of the machine; empty: as the parameters of the nodes say.
 
     """
 
@@ -61,6 +63,7 @@ class RunRequest:
     record: Path | None = None
     quiet: bool = False
     compensate: str = ''
+    drives: str = ''
 
     @staticmethod
     def from_options(options: Namespace) -> RunRequest:
@@ -74,6 +77,7 @@ class RunRequest:
             record=options.record,
             quiet=options.json,
             compensate=options.compensate or '',
+            drives=options.drives or '',
         )
 
     @property
@@ -91,6 +95,8 @@ class RunRequest:
         for choice in choices(self.settings, Stage.MOTION, Stage.APPROACH):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
+        if self.drives:
+            given['drives'] = self.drives
         given['program_folders'] = json.dumps([str(path.resolve()) for path in self.programs])
         return {
             node: {p.name: given[p.name] for p in declared if p.name in given}

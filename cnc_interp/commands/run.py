@@ -11,6 +11,7 @@ from cnc_interp.command_options import (
     FAILED,
     FINE,
     command,
+    drives_option,
     machine_option,
     nodes_options,
     page_options,
@@ -23,10 +24,11 @@ def add_run_command(commands: Any) -> None:
     """Declare `run`."""
     run = command(
         commands, 'run', run_command,
-        'stream a program through the ROS 2 nodes to the simulated machine',
+        'stream a program through the ROS 2 nodes to the machine',
         'cnc-interp run examples/pyramid.apt --out out/pyramid',
     )  # fmt: skip
     program_options(run, live=True)
+    drives_option(run)
     run.add_argument(
         '--then', type=Path, action='append', default=[], metavar='PROGRAM',
         help='a further program, which waits for the end of the one before; may be repeated',
@@ -58,6 +60,7 @@ def add_panel_command(commands: Any) -> None:
         'program', type=Path, nargs='?', metavar='PROGRAM', help='program to lay on the desk'
     )
     machine_option(panel)
+    drives_option(panel)
     panel.add_argument(
         '--setup', type=Path, metavar='FILE', help='YAML file in which offsets and tools are kept'
     )

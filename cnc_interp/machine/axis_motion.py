@@ -34,7 +34,8 @@ class Recording:
     Parameters
     ----------
     setpoint, position, velocity, following_error : ndarray, shape (K, n_axes)
-        Commanded and actual axes, and commanded minus actual position [m, rad, per s].
+        Commanded and actual axes, and commanded minus actual position [m, rad, per s]. Drives
+        behind a FIFO answer an earlier setpoint; their errors count from that one.
     tip, axis : ndarray, shape (K, 3)
         Actual tool tip [m] and tool axis [-] in W.
     tip_lag, contour_error : ndarray, shape (K,)
@@ -116,7 +117,13 @@ class AxisMotion:
         self._tips = np.tile(tips, (self._memory - 1, 1))
         self._tip = tips
 
-    def measure(self, setpoints: FloatArray, x: FloatArray, v: FloatArray) -> Recording:
+    def measure(
+        self,
+        setpoints: FloatArray,
+        x: FloatArray,
+        v: FloatArray,
+        answered: FloatArray | None = None,
+    ) -> Recording:
         """
         Compare what was asked for with what the drives did, in the periods that follow.
 
@@ -124,8 +131,11 @@ class AxisMotion:
         ----------
         setpoints, x, v : ndarray, shape (K, n_axes)
             Commanded position, actual position and velocity at the end of each period.
+        answered : ndarray, shape (K, n_axes), optional
+            Commanded position that the actual one is compared with, where it is an earlier one.
 
         """
+        answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
         shares = limit_shares(held, self.machine.limit_table, self.period)
         use = np.abs(shares).max(axis=1)
@@ -134,7 +144,7 @@ class AxisMotion:
         self.setpoints = held[-BEFORE:]
         self.largest_use = np.maximum(self.largest_use, use)
         self._recent_use = np.maximum(self._recent_use, use)
-        commanded = self._transform.forward(setpoints)[0]
+        commanded = self._transform.forward(answered)[0]
         tip, axis = self._transform.forward(x)
         trail = np.concatenate([self._tips, commanded])
         self._tips = trail[1 - self._memory :]
@@ -144,7 +154,7 @@ class AxisMotion:
             setpoint=setpoints,
             position=x,
             velocity=v,
-            following_error=setpoints - x,
+            following_error=answered - x,
             tip=tip,
             axis=axis,
             tip_lag=np.sqrt(np.sum((tip - commanded) ** 2, axis=1)),

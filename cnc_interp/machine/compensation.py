@@ -292,6 +292,10 @@ class CompensatedDrives:
         """Switch the drives off."""
         self._inner.switch_off()
 
+    def close(self) -> None:
+        """Let the drives go."""
+        self._inner.close()
+
     def fault(self, number: int) -> str:
         """Say what a fault number of the drives means."""
         return self._inner.fault(number)

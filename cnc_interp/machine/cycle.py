@@ -65,6 +65,9 @@ class Records(NamedTuple):
         Setpoint and what happened. The row of a FAILED record is the number of the fault.
     position, velocity : ndarray, shape (K, n_axes)
         What the drives did [m, rad, per s].
+    answered : ndarray, shape (K, n_axes)
+        The setpoint that the position answers; drives behind a FIFO answer an earlier one
+        [m, rad].
 
     """
 
@@ -74,12 +77,14 @@ class Records(NamedTuple):
     events: IntArray
     position: FloatArray
     velocity: FloatArray
+    answered: FloatArray
 
     def part(self, first: int, last: int) -> Records:
         """Return the periods from ``first`` to the one before ``last``."""
         return Records(
             self.source[first:last], self.serial[first:last], self.row[first:last],
             self.events[first:last], self.position[first:last], self.velocity[first:last],
+            self.answered[first:last],
         )  # fmt: skip
 
 
@@ -119,10 +124,10 @@ class Cycle:
             travel=np.ascontiguousarray(travel, dtype=float),
             jump=np.ascontiguousarray(jump, dtype=float),
             setpoint=np.zeros((2, n)),
-            feedback=np.zeros((2, n)),
+            feedback=np.zeros((4, n)),
             drives=drives,
             records=np.zeros((kept, 4), dtype=np.int64),
-            measured=np.zeros((kept, 2, n)),
+            measured=np.zeros((kept, 3, n)),
             late=np.zeros(RECORD, dtype=np.int64),
         )
         self._control = self._memory.control
@@ -134,7 +139,7 @@ class Cycle:
     def place(self, position: FloatArray) -> None:
         """Set the last setpoint to where the axes stand at rest."""
         self._memory.setpoint[0] = position
-        self._memory.feedback[0] = position
+        self._memory.feedback[0] = self._memory.feedback[2] = position
 
     def push(self, chunk: Chunk) -> int:
         """
@@ -212,7 +217,7 @@ class Cycle:
         while len(played) and self._kept and self._kept[0][0] < played[-1]:
             self._kept.popleft()
         source, serial, row, events = records.T
-        return Records(source, serial, row, events, measured[:, 0], measured[:, 1])
+        return Records(source, serial, row, events, *measured.transpose(1, 0, 2))
 
     def lateness(self) -> Lateness:
         """Return how late the clock woke up."""

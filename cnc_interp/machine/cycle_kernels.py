@@ -13,6 +13,7 @@ from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine.native import (
+    NANOSECONDS,
     call_drives,
     fence,
     pointer,
@@ -24,11 +25,13 @@ from cnc_interp.machine.realtime import note_catching_up, note_lateness
 #: What the cycle plays.
 REST, CHUNK, TAIL = 0, 1, 2
 #: What happened in a period: bits of a record.
-STARVED, ENDED, WAITED, REFUSED, FAILED = 1, 2, 4, 8, 16
+STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED = 1, 2, 4, 8, 16, 32
+#: The events of an ALARMED record have the number of the alarm above this bit.
+ALARM_SHIFT = 8
 #: Words that Python writes and the cycle reads ...
 QUIT, LEAVE, HALT, START, FIRST, READ, FORGET = range(7)
 #: ... and words that the cycle writes.
-HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, WORDS = range(7, 15)
+HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, ALARM, WORDS = range(7, 16)
 #: Columns of a descriptor: positions, velocities and count of a chunk, then of its stop tail;
 #: whether the machine rests after it; and the chunk that comes next.
 POSITIONS, VELOCITIES, COUNT, TAIL_COLUMNS, RESTS, NEXT, COLUMNS = 0, 1, 2, 3, 6, 7, 8
@@ -52,14 +55,17 @@ class Memory(NamedTuple):
         Smallest and largest setpoint [m, rad].
     jump : ndarray, shape (n_axes,)
         Largest step between two setpoints [m, rad].
-    setpoint, feedback : ndarray, shape (2, n_axes)
-        Position and velocity, commanded and actual [m, rad, per s].
+    setpoint : ndarray, shape (2, n_axes)
+        Commanded position and velocity [m, rad, per s].
+    feedback : ndarray, shape (4, n_axes)
+        Actual position and velocity, the setpoint that they answer, and the time by which the
+        drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
     drives : ndarray
         Memory of the drives.
     records : ndarray of int, shape (count, 4)
         Source, serial and row of the setpoint of a period, and what happened.
-    measured : ndarray, shape (count, 2, n_axes)
-        Feedback of the same periods [m, rad, per s].
+    measured : ndarray, shape (count, 3, n_axes)
+        Feedback of the same periods: actual position and velocity, and the setpoint answered.
     late : ndarray of int, shape (RECORD,)
         Histogram of the clock, see ``realtime.Lateness``.
 
@@ -139,27 +145,36 @@ def advance(memory: Memory, step: int) -> None:
         control[SOURCE] = REST
     if control[SOURCE] == REST:
         memory.setpoint[1] = 0.0
+    memory.feedback[2], memory.feedback[3] = memory.setpoint[0], 0.0
     fault = call_drives(
         np.uintp(step), memory.drives.ctypes.data, memory.setpoint.ctypes.data,
         memory.feedback.ctypes.data, memory.setpoint.shape[1],
     )  # fmt: skip
-    if fault and source != REST:
+    if fault > 0 and source != REST:
         events |= FAILED
         control[SOURCE], control[ROW] = REST, fault
+    if fault < 0 and (fault != control[ALARM] or source == CHUNK):
+        events |= ALARMED | (-fault << ALARM_SHIFT)
+        control[LEAVE] = 1  # takes the stop tail of this chunk
+    control[ALARM] = min(fault, 0)
     count = control[RECORDED]
     if source == REST and events == 0 and count - control[READ] >= len(records) - 1:
         return  # nobody reads, nothing moves
     slot = count % len(records)
     records[slot, 0], records[slot, 1] = source, control[SERIAL]
     records[slot, 2], records[slot, 3] = control[ROW], events
-    memory.measured[slot] = memory.feedback
+    memory.measured[slot] = memory.feedback[:3]
     fence()
     control[RECORDED] = count + 1
 
 
 @njit(cache=True, nogil=True)
 def run_periods(memory: Memory, step: int, period: int) -> None:
-    """Advance at absolute deadlines, ``period`` [ns] apart, until it is told to quit."""
+    """
+    Advance at absolute deadlines until it is told to quit.
+
+    They are ``period`` [ns] apart, but for the small shifts that drives with their own clock ask.
+    """
     control, spec = memory.control, np.zeros(2, dtype=np.int64)
     due = time_now(spec)
     while control[QUIT] == 0:
@@ -176,6 +191,7 @@ def run_periods(memory: Memory, step: int, period: int) -> None:
             if now - due > LONGEST_CATCH_UP:
                 due = now
         advance(memory, step)
+        due += np.int64(memory.feedback[3, 0] * NANOSECONDS)
 
 
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)

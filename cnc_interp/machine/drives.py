@@ -67,6 +67,10 @@ class Drives(Protocol):
         """Release the axes; the machine is at rest."""
         ...
 
+    def close(self) -> None:
+        """Let the drives go: the machine ends, and its clock has stopped."""
+        ...
+
 
 @runtime_checkable
 class CycleDrives(Drives, Protocol):
@@ -76,8 +80,14 @@ class CycleDrives(Drives, Protocol):
     The step is a C function ``int64 step(double *memory, const double *setpoint, double *feedback,
     int64 n_axes)``, made by ``numba.cfunc`` or by any other compiler. ``setpoint`` holds n_axes
     positions, then n_axes velocities, at the end of the period; at rest the velocities are 0.
-    ``feedback`` takes the actual positions and velocities in the same layout. It returns 0, or the
-    number of a fault; then the machine is told no further setpoints.
+    ``feedback`` takes the actual positions and velocities in the same layout. Two rows follow for
+    drives that answer later, from behind a FIFO: the setpoint that the positions answer (before
+    the call: ``setpoint``), and one number, the time by which the next period shall begin later
+    than by the clock of the machine [s] (before the call: 0).
+
+    It returns 0, or the number of a fault; then the machine is told no further setpoints and the
+    last one is held. The number of an alarm, less than 0, stops the machine on its path: the stop
+    tail is played to its end. Then the drives are switched off, until the operator's reset.
     """
 
     @property
@@ -91,7 +101,7 @@ class CycleDrives(Drives, Protocol):
         ...
 
     def fault(self, number: int) -> str:
-        """Say what a fault number of the step means, and what to do."""
+        """Say what a number of the step means, and what to do; that of an alarm without sign."""
         ...
 
 

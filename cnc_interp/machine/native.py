@@ -33,6 +33,31 @@ def pointer(_context: Any, _address: Any) -> Any:
 
 
 @intrinsic
+def word_pointer(_context: Any, _address: Any) -> Any:
+    """Turn an address into a pointer to int64, for ``numba.carray``."""
+    signature = types.CPointer(types.int64)(types.uintp)
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return builder.inttoptr(given[0], context.get_value_type(signature.return_type))
+
+    return signature, generate
+
+
+@intrinsic
+def call_c(_context: Any, _function: Any, _first: Any, _second: Any, _third: Any) -> Any:
+    """Call a C function ``int f(void *, void *, void *)``, or one of fewer, by its address."""
+    signature = types.int64(*[types.uintp] * 4)
+
+    def generate(_context: Any, builder: Any, _signature: Any, given: Any) -> Any:
+        word = ir.IntType(64)
+        kind = ir.FunctionType(ir.IntType(32), [word] * 3).as_pointer()
+        found = builder.call(builder.inttoptr(given[0], kind), given[1:])
+        return builder.sext(found, word)
+
+    return signature, generate
+
+
+@intrinsic
 def fence(_context: Any) -> Any:
     """Let everything written before be seen before anything that is written after."""
 

@@ -22,6 +22,8 @@ from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.buffer import Buffer, BufferedChunk, Rows
 from cnc_interp.machine.cycle import Cycle, Records
 from cnc_interp.machine.cycle_kernels import (
+    ALARM_SHIFT,
+    ALARMED,
     CHUNK,
     ENDED,
     FAILED,
@@ -110,6 +112,7 @@ class Playback:
             step, memory = drives.step, drives.memory
         self.cycle = Cycle(period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory)
         self.state = RunState()
+        self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
         self.executed: deque[Executed] = deque()  # until they are published
         self._place(drives.position)
@@ -126,16 +129,33 @@ class Playback:
         self.buffer = Buffer(row[0])
 
     def switch_on(self) -> None:
-        """Switch the drives on."""
-        self._drives.switch_on()
-        self._place(self._drives.position)
+        """Switch the drives on. Where they cannot be, the machine is in FAULT until a reset."""
         self.state = self.state.after(Event.ACTIVATE)
+        try:
+            self._power_on()
+        except StreamError as fault:
+            self._handle(Event.FAIL, Reason.DRIVE_FAULT, str(fault))
         self._empty()
+
+    def _power_on(self) -> None:
+        """Switch the power of the drives on; the axes stand where they are then."""
+        self._drives.switch_on()
+        self._powered = True
+        self._place(self._drives.position)
+
+    def _power_off(self) -> None:
+        """Switch the power of the drives off."""
+        self._powered = False
+        self._drives.switch_off()
 
     def switch_off(self) -> None:
         """Switch the drives off; at rest without a run, or in a fault."""
         self.state = self.state.after(Event.DEACTIVATE)
-        self._drives.switch_off()
+        self._power_off()
+
+    def close(self) -> None:
+        """Let the drives go, after the clock has stopped."""
+        self._drives.close()
 
     # Runs and plans -----------------------------------------------------------------------------
 
@@ -424,9 +444,20 @@ class Playback:
         self._handle(Event.REFUSE, detail=reason)
 
     def reset(self) -> None:
-        """Clear a fault, or give up what is left of a run, at rest only."""
+        """
+        Clear a fault, or give up what is left of a run, at rest only.
+
+        Raises
+        ------
+        StreamError
+            If the machine moves, or the drives cannot be switched on again after their fault.
+
+        """
         self.read()
-        self.state = self.state.after(Event.RESET)
+        cleared = self.state.after(Event.RESET)
+        if not self._powered:
+            self._power_on()
+        self.state = cleared
         self._given_up = self.run_id.program_id or self._given_up
         self._forget_run(NO_RUN)
 
@@ -455,6 +486,9 @@ class Playback:
             borders = [0, *(np.flatnonzero(changes) + 1).tolist(), count]
             for first, last in pairwise(borders):
                 self._take_over(records.part(first, last))
+        failed = self.state.state is State.FAULT and self.state.reason is Reason.DRIVE_FAULT
+        if failed and self._powered:
+            self._power_off()
         if self.state.may_start and self._has_enough():
             self.state = self.state.after(Event.START)
             self.cycle.start(self.buffer.chunks[0].serial)
@@ -472,6 +506,8 @@ class Playback:
             source = REST  # drives that Python feeds have failed in the meantime
         if source == CHUNK:
             self._find(int(records.serial[0]))
+        if events & ALARMED:
+            self._alarm(events >> ALARM_SHIFT)
         if events & STARVED:
             self._starve()
         if source == TAIL and not self._on_tail:
@@ -533,6 +569,12 @@ class Playback:
         fault = self.axes.fault_of(samples.position[row], samples.velocity[row])
         self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
 
+    def _alarm(self, number: int) -> None:
+        """Stop on the path, because of an alarm of the drives; at rest go to FAULT at once."""
+        assert isinstance(self._drives, CycleDrives)
+        if self.state.state is not State.INACTIVE and self.state.reason is not Reason.DRIVE_FAULT:
+            self._handle(Event.STOP, Reason.DRIVE_FAULT, self._drives.fault(number))
+
     def _measure(self, samples: Setpoints | None, records: Records) -> int:
         """
         Compare setpoints with what the drives did; without setpoints the last one is held.
@@ -540,13 +582,15 @@ class Playback:
         Returns how many of them the drives have followed.
         """
         x, v, followed = records.position, records.velocity, len(records.source)
+        answered: FloatArray | None = records.answered
         if isinstance(self._drives, FedDrives):
             x, v, followed = self._feed(self._drives, samples, followed)
+            answered = None
         wanted = np.tile(self.axes.setpoints[-1], (len(x), 1))
         if samples is not None:
             wanted[:followed] = samples.position[:followed]
             wanted[followed:] = wanted[followed - 1] if followed else self.axes.setpoints[-1]
-        self.feedback = self.axes.measure(wanted, x, v)
+        self.feedback = self.axes.measure(wanted, x, v, answered)
         return followed
 
     def _feed(

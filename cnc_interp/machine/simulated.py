@@ -45,6 +45,9 @@ class SimulatedDrives:
     def switch_off(self) -> None:
         """Do nothing: simulated axes stand still without power."""
 
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go."""
+
     def fault(self, number: int) -> str:
         """Say what a fault number means; simulated drives have no faults."""
         return f'fault {number}'

@@ -176,7 +176,10 @@ def warm_shared() -> None:
 
 def compile_kernels() -> None:
     """Compile the kernels of all nodes, and what planning without ROS needs in addition."""
+    from cnc_interp.machine import hal_step  # the import compiles; most nodes do without it
+
     period = Settings().interpolation_period
+    hal_step.block_at(np.zeros(hal_step.block_size(1)).ctypes.data, 1)
     warm_shared()
     warm_all(DEFAULT_MACHINE, period)
     warm_machine(DEFAULT_MACHINE, period)

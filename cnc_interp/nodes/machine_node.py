@@ -1,4 +1,4 @@
-"""The machine node: ``setpoints`` in, at absolute deadlines into the simulated drives."""
+"""The machine node: ``setpoints`` in, at absolute deadlines into the drives."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import MachineError, Refusal, StreamError
+from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.compensation import CompensatedDrives
-from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
-from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.chosen_drives import chosen_drives
 from cnc_interp.nodes.controls import Controls
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.jog_commands import JogCommands
@@ -44,7 +42,7 @@ LEVELS = {State.FAULT: ERROR, State.STARVING: WARN, State.STARVED: WARN}
 
 
 class MachineNode(LifecycleNode):
-    """A simulated machine tool."""
+    """A machine tool."""
 
     def __init__(self) -> None:
         super().__init__('machine_node')
@@ -67,7 +65,7 @@ class MachineNode(LifecycleNode):
         # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
-        drives = drives_of(machine, values['compensation'], self._period)
+        drives = chosen_drives(values, machine, self._period)
         window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)
@@ -89,20 +87,18 @@ class MachineNode(LifecycleNode):
         self.create_timer(CLOCK_PERIOD, self._report_clock)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
-        """Switch the drives on and start the clock."""
+        """Start the clock and switch the drives on."""
         assert self._clock_of_drives is not None
-        self._playback.switch_on()
         self._clock_of_drives.start()
-        return super().on_activate(state)
+        done = transition(self, self._playback.switch_on)
+        return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
-        """Stop the clock; only a machine at rest is switched off."""
-        self.close()
-        try:
-            self._playback.switch_off()
-        except StreamError as problem:
-            self.get_logger().error(str(problem))
-            return TransitionCallbackReturn.FAILURE
+        """Switch the drives off, at rest only, and stop the clock."""
+        done = transition(self, self._playback.switch_off)
+        if done != TransitionCallbackReturn.SUCCESS:
+            return done
+        self._stop_clock()
         self._jog.homing.forget()
         return super().on_deactivate(state)
 
@@ -192,39 +188,16 @@ class MachineNode(LifecycleNode):
         """Publish the executed setpoints that are not published yet."""
         self._reports.publish_executed()
 
-    def close(self) -> None:
-        """Stop the clock; the drives hold the last setpoint."""
+    def _stop_clock(self) -> None:
         if self._clock_of_drives is not None:
             self._clock_of_drives.stop()
 
-
-def drives_of(machine: Machine, model: str, period: float) -> CycleDrives:
-    """
-    Return the drives of a machine, standing at zero.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    model : str
-        Machine whose drives are the model that is compensated; empty for none.
-    period : float
-        Interpolation period [s].
-
-    Raises
-    ------
-    MachineError
-        If the model has other axes, or cannot be compensated.
-
-    """
-    drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
-    if not model:
-        return drives
-    known = Machine.load(model)
-    if known.axis_names != machine.axis_names:
-        axes = ' '.join(known.axis_names)
-        raise MachineError(f'{model} has other axes ({axes})', 'compensation')
-    return CompensatedDrives(drives, known, period)
+    def close(self) -> None:
+        """Stop the clock and let the drives go."""
+        if self._clock_of_drives is not None:
+            self._clock_of_drives.stop()
+            self._clock_of_drives = None
+            self._playback.close()
 
 
 def first_of(chunk: SetpointChunk) -> FloatArray:

@@ -119,13 +119,15 @@ def come_first() -> None:
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
     """Do the work of a lifecycle transition and log why it fails; rclpy would fail silently."""
+    node.problem = ''
     try:
         work()
     except InterpError as problem:
-        node.get_logger().error(str(problem))
-        return TransitionCallbackReturn.FAILURE
+        node.problem = str(problem)
     except Exception as problem:
-        node.get_logger().error(f'{type(problem).__name__}: {problem}')
+        node.problem = f'{type(problem).__name__}: {problem}'
+    if node.problem:
+        node.get_logger().error(node.problem)
         return TransitionCallbackReturn.FAILURE
     return TransitionCallbackReturn.SUCCESS
 
@@ -133,5 +135,5 @@ def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
 def start_lifecycle(node: Any) -> None:
     """Configure and activate a lifecycle node without waiting for a command."""
     if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-        raise InterpError(f'{node.get_name()} cannot be configured; see the message above')
+        raise InterpError(f'{node.get_name()} cannot be configured: {node.problem}')
     node.trigger_activate()

@@ -84,6 +84,14 @@ MACHINE_NODE = (
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     Declared('compensation', '', 'Machine whose drives are the model that is compensated'),
+    Declared('drives', 'simulated', 'Drives of the axes: simulated or hal'),
+    Declared('hal_depth', 8, "Setpoints that wait in the FIFO of LinuxCNC's HAL", 2, 1000),
+    Declared(
+        'following_error_limit', 1e-3, 'Largest following error of linear axes [m]', 1e-6, 1.0
+    ),
+    Declared(
+        'following_angle_limit', 0.02, 'Largest following error of rotary axes [rad]', 1e-6, 7.0
+    ),
     Declared(
         'trajectory_topic', '', 'Where to publish the setpoints to come as JointTrajectory too'
     ),

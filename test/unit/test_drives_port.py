@@ -36,6 +36,9 @@ class RecordingDrives:
     def switch_off(self):
         self.on = False
 
+    def close(self):
+        self.on = False
+
     def follow(self, position, velocity):
         assert self.on
         if len(self.told) == self.fails_at:

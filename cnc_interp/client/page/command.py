@@ -55,6 +55,8 @@ class PanelRequest:
         Machine of the nodes that are started.
     setup : Path, optional
         File in which they keep offsets and tools.
+    drives : str
+        Drives of their machine; empty: as the parameters of the nodes say.
     attach : bool
         Join nodes that run already instead.
     namespace, domain
@@ -69,6 +71,7 @@ class PanelRequest:
     program: Path | None = None
     machine: str = DEFAULT_MACHINE
     setup: Path | None = None
+    drives: str = ''
     attach: bool = False
     namespace: str = '/'
     domain: int | None = None
@@ -83,6 +86,7 @@ class PanelRequest:
             program=options.program,
             machine=options.machine,
             setup=options.setup,
+            drives=options.drives or '',
             attach=getattr(options, 'attach', False),
             namespace=getattr(options, 'namespace', '/'),
             domain=getattr(options, 'domain', None),
@@ -126,6 +130,8 @@ def run_panel(request: PanelRequest) -> None:
         name: {'machine': f"'{request.machine}'"}
         for name in ('program_node', 'lookahead_node', 'feedrate_node', 'machine_node')
     }
+    if request.drives:
+        parameters['machine_node']['drives'] = request.drives
     if request.setup is not None:
         parameters['program_node']['setup'] = f"'{request.setup.resolve()}'"
     with Children(request.namespace, domain, parameters, nodes_file()) as children:

@@ -1,0 +1,123 @@
+"""
+A session of LinuxCNC's HAL for benchmarks and tests: the bundled axes, and a witness.
+
+The witness is a second sampler. It takes all positions, commanded and actual, in every period,
+and is read here, apart from the nodes. HAL refuses root, so root starts it as user ``nobody``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from cnc_interp.machine.hal_library import (
+    HAL_KEY,
+    SAMPLER_KEY,
+    HalSession,
+    HalStream,
+    shared_memories,
+)
+
+FILE = Path(__file__).resolve().parents[1] / 'config' / 'hal' / 'simulated_axes.hal'
+NOBODY = 65534
+#: Longest wait for a command of HAL [s].
+WAIT = 60.0
+#: Axes of the file, and their units in HAL [m, rad].
+AXES, UNITS = 'xyzac', np.array([1e-3] * 3 + [np.pi / 180.0] * 2)
+#: Periods that the witness keeps until they are read.
+WITNESSED = 100_000
+
+
+def why_not() -> str:
+    """Say why no session can be started here; empty if one can."""
+    if not (shutil.which('halcmd') and shutil.which('rtapi_app')):
+        return 'LinuxCNC is not installed (Debian: linuxcnc-uspace)'
+    if HAL_KEY in shared_memories():
+        return 'a HAL session of somebody else runs on this computer'
+    return ''
+
+
+def witnessed_file() -> str:
+    """Return the bundled file with the second sampler."""
+    text, count = FILE.read_text(encoding='utf-8'), len(AXES)
+    depths = f'depth=4000,{WITNESSED}'
+    text = re.sub(r'depth=4000 cfg=(\w+)', rf'{depths} cfg=\1,{"f" * 2 * count}b', text)
+    signals = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
+    nets = [f'net {signal} => sampler.1.pin.{k}' for k, signal in enumerate(signals)]
+    added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])
+    return re.sub(r'^start$', added, text, flags=re.MULTILINE)
+
+
+class Session:
+    """Starts HAL, reads what its pins had in every period, and ends it; use it in ``with``."""
+
+    def __enter__(self) -> Session:
+        self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_hal_')
+        if os.geteuid() == 0:
+            os.chown(self._folder.name, NOBODY, NOBODY)
+        path = Path(self._folder.name) / 'witnessed.hal'
+        path.write_text(witnessed_file(), encoding='utf-8')
+        path.chmod(0o644)  # read by the other user
+        self._run('halcmd', '-f', str(path))
+        self._session = HalSession()
+        columns = 'f' * 2 * len(AXES) + 'b'
+        self._witness = HalStream(self._session, SAMPLER_KEY + 1, columns, 'sampler.1')
+        return self
+
+    def _run(self, *command: str) -> str:
+        """Run a command of LinuxCNC as an ordinary user; what it leaves running has no pipe."""
+        user = {'user': NOBODY, 'group': NOBODY, 'extra_groups': []} if os.geteuid() == 0 else {}
+        told = Path(self._folder.name) / 'told.txt'
+        with told.open('w') as output:
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, timeout=WAIT,
+                env=os.environ | {'HOME': self._folder.name}, cwd='/', check=False, **user,
+            )  # fmt: skip
+        text = told.read_text(errors='replace')
+        assert done.returncode == 0, f'{" ".join(command)}: {text}'
+        return text
+
+    def tell(self, *command: str) -> str:
+        """Run a command of halcmd, such as ``sets SIGNAL VALUE``; return what it prints."""
+        return self._run('halcmd', '-s', *command)
+
+    def periods(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Read the periods since the last call.
+
+        Returns
+        -------
+        commanded, actual : ndarray, shape (K, n_axes)
+            Positions at the pins, in HAL's units [mm, deg].
+        empty : ndarray of bool, shape (K,)
+            Periods in which the FIFO was empty.
+
+        """
+        library, width = self._session.library, 2 * len(AXES)
+        row, found = np.zeros(width + 1), []
+        number, place = ctypes.c_uint(), row.ctypes.data_as(ctypes.c_void_p)
+        while library.hal_stream_read(self._witness.reference, place, ctypes.byref(number)) == 0:
+            found.append(row.copy())
+        rows = np.array(found).reshape(-1, width + 1)
+        assert library.hal_stream_num_overruns(self._witness.reference) == 0
+        empty = np.ascontiguousarray(rows[:, width]).view(np.int64) & 1
+        return rows[:, : len(AXES)], rows[:, len(AXES) : width], empty.astype(bool)
+
+    def __exit__(self, *_: object) -> None:
+        self._witness.detach()
+        self._session.end()
+        self._run('halcmd', 'stop')
+        self._run('halcmd', 'unload', 'all')
+        self._run('rtapi_app', 'exit')
+        deadline = time.monotonic() + WAIT
+        while HAL_KEY in shared_memories() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        self._folder.cleanup()

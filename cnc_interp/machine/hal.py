@@ -1,0 +1,246 @@
+"""
+Drives in LinuxCNC's HAL: real machines, and what LinuxCNC can simulate.
+
+The cycle of the machine writes each setpoint into the FIFO of HAL's ``streamer``, a few periods
+ahead of HAL's thread. ``sampler`` brings back what the drives did. ``config/hal`` has a HAL file
+that shows the wiring, and ``docs/linuxcnc_machine.md`` describes it.
+
+HAL counts in millimetres and degrees, as LinuxCNC does by default.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine import hal_step
+from cnc_interp.machine.drives import DriveFaultError
+from cnc_interp.machine.hal_library import (
+    SAMPLER_KEY,
+    STREAMER_KEY,
+    HalSession,
+    HalStream,
+    thread_period,
+)
+from cnc_interp.machine.native import publish
+
+STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
+#: HAL's period may differ by so much from the interpolation period [-].
+PERIOD_SLACK = 0.01
+#: Longest wait for HAL and for the power of the drives [s].
+POWER_UP = 5.0
+
+CAUSES = {
+    hal_step.SWITCHED_OFF: 'the drives have no power; is an emergency stop pressed?',
+    hal_step.EMPTY: (
+        "HAL's thread found no setpoint in time (underrun); raise hal_depth, or see the lateness "
+        'of the clock on /diagnostics'
+    ),
+    hal_step.CHANGED: 'HAL does not play the setpoints that it was sent; does another program '
+    'write into its streamer, or is a pin of the sampler wired to another signal?',
+    hal_step.UNSEEN: 'samples of HAL were lost, because they were not read in time',
+    hal_step.FULL: 'HAL takes no more setpoints; its thread is too slow or stands',
+    hal_step.STOPPED: "HAL's thread has stopped; start it again: halcmd start",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class HalOptions:
+    """
+    How drives in HAL are used.
+
+    Parameters
+    ----------
+    depth : int
+        Setpoints that wait in HAL's FIFO.
+    following_error : float
+        Largest following error of a linear axis [m].
+    following_angle : float
+        Largest following error of a rotary axis [rad].
+
+    """
+
+    depth: int = 8
+    following_error: float = 1.0 * MM
+    following_angle: float = 1.0 * DEG
+
+
+class HalDrives:
+    """
+    Drives behind a running session of HAL; see ``drives.CycleDrives``.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its axes, in the order of the columns.
+    period : float
+        Interpolation period, that of HAL's thread [s].
+    options : HalOptions
+        Depth of the FIFO and limits of the following error.
+
+    Raises
+    ------
+    DriveFaultError
+        If no session runs, if the wiring is wrong, or if HAL's thread stands or has another
+        period.
+
+    """
+
+    #: What drives with a following error of about that lag by [s].
+    lag = 0.02
+
+    def __init__(self, machine: Machine, period: float, options: HalOptions):
+        self._names = machine.axis_names
+        n = len(self._names)
+        self._session = HalSession()
+        self._streams: list[HalStream] = []
+        try:
+            found = thread_period((STREAMER, SAMPLER))
+            if abs(found - period) > PERIOD_SLACK * period:
+                raise DriveFaultError(
+                    f"HAL's thread has a period of {found * 1e3:g} ms, the interpolation period "
+                    f'is {period * 1e3:g} ms; make them equal'
+                )
+            stream = self._attach(STREAMER_KEY, 'f' * (2 * n) + 'b', 'streamer')
+            samples = self._attach(SAMPLER_KEY, 'f' * (2 * n) + 'b' * (n + 2), 'sampler')
+            self._check_depth(options.depth, stream, samples)
+            self.memory = np.zeros(hal_step.block_size(n))
+            self._block = hal_step.block_at(self.memory.ctypes.data, n)
+            self._fill(machine, period, options, stream, samples)
+            self.step = int(hal_step.step_hal.address)
+            self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
+            self._await_answer()
+        except BaseException:
+            self._leave()
+            raise
+
+    def _attach(self, key: int, columns: str, name: str) -> HalStream:
+        stream = HalStream(self._session, key, columns, name)
+        self._streams.append(stream)
+        return stream
+
+    def _check_depth(self, depth: int, stream: HalStream, samples: HalStream) -> None:
+        """Refuse FIFOs that are too short for what waits in them."""
+        if stream.capacity < 2 * depth:
+            raise DriveFaultError(
+                f'the FIFO of {STREAMER} holds {stream.capacity} rows, it needs {2 * depth} '
+                'or more'
+            )
+        if stream.capacity + samples.capacity >= hal_step.KEPT:
+            raise DriveFaultError(
+                f'the FIFOs of {STREAMER} and {SAMPLER} must not hold more than '
+                f'{hal_step.KEPT - 1} rows together'
+            )
+
+    def _fill(
+        self, machine: Machine, period: float, options: HalOptions, stream: HalStream,
+        samples: HalStream,
+    ) -> None:  # fmt: skip
+        """Fill the memory of the step."""
+        block, words, session = self._block, self._block.words, self._session
+        linear = machine.is_linear
+        block.units[:] = np.where(linear, MM, DEG)
+        block.limits[:] = np.where(linear, options.following_error, options.following_angle)
+        for word, function in (
+            (hal_step.WRITE, 'hal_stream_write'),
+            (hal_step.READ, 'hal_stream_read'),
+            (hal_step.DEPTH, 'hal_stream_depth'),
+            (hal_step.OVERRUNS, 'hal_stream_num_overruns'),
+        ):
+            words[word] = session.address_of(function)
+        words[hal_step.STREAM], words[hal_step.SAMPLES] = stream.address, samples.address
+        words[hal_step.WANTED], words[hal_step.PERIOD] = options.depth, round(period * 1e9)
+        words[hal_step.LEAST] = options.depth
+
+    def _await_answer(self) -> None:
+        """Step until HAL has answered; the clock of the machine does not run yet."""
+        words = self._block.words
+
+        def answered() -> bool:
+            self._step_once()
+            return bool(words[hal_step.COUNTED])
+
+        self._wait(answered)
+        if not words[hal_step.COUNTED]:
+            raise DriveFaultError("HAL's thread does not run; start it: halcmd start")
+
+    def _step_once(self) -> None:
+        """Let one period pass in place of the clock, which does not run."""
+        n = len(self._names)
+        setpoint, feedback = np.zeros((2, n)), np.zeros((4, n))
+        self._step_alone(self.memory.ctypes.data, setpoint.ctypes.data, feedback.ctypes.data, n)
+
+    @property
+    def position(self) -> FloatArray:
+        """Where the axes stand, or are held after ``switch_on`` [m, rad]."""
+        held = self._block.words[hal_step.POWER] == hal_step.HOLD
+        found: FloatArray = (self._block.held if held else self._block.actual[1]).copy()
+        return found
+
+    def switch_on(self) -> None:
+        """
+        Ask for power and wait until the drives confirm it; the clock of the machine runs.
+
+        Raises
+        ------
+        DriveFaultError
+            If they do not confirm it, or report a fault.
+
+        """
+        words = self._block.words
+        self._wait(lambda: bool(words[hal_step.POWER_BEFORE] == hal_step.OFF))
+        publish(words, hal_step.POWER, hal_step.HOLD)
+        self._wait(lambda: bool(words[hal_step.POWERED]))
+        alarm = int(words[hal_step.ALARM])
+        if alarm or not words[hal_step.POWERED]:
+            self.switch_off()
+            raise DriveFaultError(self.fault(alarm or hal_step.SWITCHED_OFF))
+
+    def _wait(self, done: Callable[[], bool]) -> None:
+        """Wait until the step has done something, but not for ever."""
+        deadline = time.monotonic() + POWER_UP
+        while not done() and time.monotonic() < deadline:
+            time.sleep(1e-9 * self._block.words[hal_step.PERIOD])
+
+    def switch_off(self) -> None:
+        """
+        Take the power away, as soon as HAL has played the last setpoint.
+
+        Without power the commanded positions are the actual ones.
+        """
+        publish(self._block.words, hal_step.POWER, hal_step.OFF)
+
+    def close(self) -> None:
+        """Take the power away and leave the session."""
+        self.switch_off()
+        words = self._block.words
+
+        def off() -> bool:
+            self._step_once()
+            return bool(words[hal_step.POWER_BEFORE] == hal_step.OFF)
+
+        self._wait(off)
+        self._leave()
+
+    def _leave(self) -> None:
+        for stream in self._streams:
+            stream.detach()
+        self._session.end()
+
+    def fault(self, number: int) -> str:
+        """Say what the number of a fault or an alarm means, and what to do."""
+        if number >= hal_step.AMPLIFIER:
+            return f'{self._names[number - hal_step.AMPLIFIER]}: the amplifier reports a fault'
+        if number >= hal_step.BEHIND:
+            k = number - hal_step.BEHIND
+            limit = self._block.limits[k] / self._block.units[k]
+            unit = 'deg' if self._block.units[k] == DEG else 'mm'
+            return f'{self._names[k]}: following error over {limit:g} {unit}'
+        return CAUSES[number]

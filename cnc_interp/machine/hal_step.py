@@ -1,0 +1,286 @@
+"""
+One period of drives in LinuxCNC's HAL, compiled: a row into the stream, samples out of it.
+
+HAL's ``streamer`` takes one row a period from a FIFO and sets its pins by it. ``sampler`` takes a
+row of pins into another FIFO in the same period. Rows are counted on both sides. So each sample
+is compared with the very row that HAL has played, however deep the FIFO is.
+
+The number of rows in the FIFO tells how fast HAL's clock runs. In motion the clock of the machine
+is shifted a little until the wanted number of rows waits, so the two clocks may drift. At rest a
+row is repeated or left out instead.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray, cfunc, njit, types
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.machine.native import NANOSECONDS, call_c, pointer, word_pointer
+
+#: Words of the memory: addresses of HAL's functions and streams, ...
+WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)
+#: ... what Python writes: wanted rows in the FIFO, period [ns], power; ...
+WANTED, PERIOD, POWER = range(6, 9)
+#: ... and what the step writes: whether rows are counted, rows pushed and played, power before
+#: and as the drives confirm it, the alarm, underruns in motion, fewest rows in the FIFO in motion,
+#: periods with too many (> 0) or too few rows at rest, time since the last sample [ns], samples
+#: lost before the count, and whether there was a sample at all.
+COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
+LEAST, UNEVEN, SILENT, LOST, SEEN, WORDS = range(16, 22)
+#: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
+OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
+#: Rows that are kept for comparison; more than wait between push and sample.
+KEPT = 8192
+#: Columns of a kept row after setpoints and values of HAL: power is on, axes move.
+FLAGS = 2
+#: Numbers of alarms, of faults, and of alarms of an axis, to which its number is added.
+SWITCHED_OFF, EMPTY, CHANGED, UNSEEN = 1, 2, 3, 4
+FULL, STOPPED = 11, 12
+BEHIND, AMPLIFIER = 100, 200
+#: Without a sample for so long HAL's thread counts as stopped [ns].
+LONGEST_SILENCE = 500_000_000
+#: Shift of the clock for each row too many or too few, and at most [periods].
+SHIFT, LARGEST_SHIFT = 2e-4, 1e-3
+#: Periods at rest with too many or too few rows, before one is left out or repeated.
+PATIENCE = 20
+
+
+class Block(NamedTuple):
+    """
+    The memory of the step in parts; ``n`` axes.
+
+    Parameters
+    ----------
+    words : ndarray of int, shape (WORDS,)
+        Addresses and counts.
+    units : ndarray, shape (n,)
+        HAL's unit of each axis [m or rad].
+    limits : ndarray, shape (n,)
+        Largest following error [m, rad].
+    held : ndarray, shape (n,)
+        Where the axes are held after the power came [m, rad].
+    actual : ndarray, shape (2, n)
+        Position in the last two samples [m, rad].
+    kept : ndarray, shape (KEPT, 2n + FLAGS)
+        Rows that were pushed: setpoint [m, rad], the same in HAL's units, flags.
+    row : ndarray, shape (2n + 1,)
+        A row of the stream: positions, velocities, power.
+    sample : ndarray, shape (3n + 2,)
+        A row of the sampler: positions commanded and actual; then bits: amplifier faults, power
+        is on, FIFO was empty.
+    number : ndarray, shape (1,)
+        Where HAL writes the number of the sample.
+
+    """
+
+    words: IntArray
+    units: FloatArray
+    limits: FloatArray
+    held: FloatArray
+    actual: FloatArray
+    kept: FloatArray
+    row: FloatArray
+    sample: FloatArray
+    number: FloatArray
+
+
+def block_size(n: int) -> int:
+    """Return how many words of 8 bytes the memory has for ``n`` axes."""
+    return WORDS + 5 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1
+
+
+@njit(cache=True, nogil=True)
+def block_at(address: int, n: int) -> Block:
+    """Return the parts of the memory that begins at an address."""
+    columns, at = 2 * n + FLAGS, address + 8 * WORDS
+    rows = at + 8 * 5 * n
+    row = rows + 8 * KEPT * columns
+    sample = row + 8 * (2 * n + 1)
+    return Block(
+        carray(word_pointer(np.uintp(address)), (WORDS,)),
+        carray(pointer(np.uintp(at)), (n,)),
+        carray(pointer(np.uintp(at + 8 * n)), (n,)),
+        carray(pointer(np.uintp(at + 16 * n)), (n,)),
+        carray(pointer(np.uintp(at + 24 * n)), (2, n)),
+        carray(pointer(np.uintp(rows)), (KEPT, columns)),
+        carray(pointer(np.uintp(row)), (2 * n + 1,)),
+        carray(pointer(np.uintp(sample)), (3 * n + 2,)),
+        carray(pointer(np.uintp(sample + 8 * (3 * n + 2))), (1,)),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _call(words: IntArray, function: int, stream: int, row: int = 0, number: int = 0) -> int:
+    """Call a function of HAL's streams."""
+    return call_c(  # type: ignore[no-any-return]
+        np.uintp(words[function]), np.uintp(words[stream]), np.uintp(row), np.uintp(number)
+    )
+
+
+@njit(cache=True, nogil=True)
+def _push(block: Block, wanted: FloatArray, velocity: FloatArray, on: bool, moves: bool) -> bool:
+    """Push a row into the stream and keep it; False where the FIFO is full."""
+    words, n = block.words, len(block.units)
+    kept = block.kept[words[PUSHED] % KEPT]
+    for i in range(n):
+        kept[i], kept[n + i] = wanted[i], wanted[i] / block.units[i]
+        block.row[i], block.row[n + i] = kept[n + i], velocity[i] / block.units[i]
+    kept[2 * n], kept[2 * n + 1] = on, moves
+    block.row[2 * n :].view(np.int64)[0] = on
+    if _call(words, WRITE, STREAM, block.row.ctypes.data) < 0:
+        return False
+    words[PUSHED] += 1
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _judge(block: Block) -> int:
+    """Compare a sample with the row that it answers; return the number of an alarm, or 0."""
+    words, n, sample = block.words, len(block.units), block.sample
+    bits = sample[2 * n :].view(np.int64)
+    on, empty = (bits[n] & 1) == 1, (bits[n + 1] & 1) == 1
+    for i in range(n):
+        block.actual[0, i] = block.actual[1, i]
+        block.actual[1, i] = sample[n + i] * block.units[i]
+    if words[COUNTED] == 0:
+        return 0
+    words[PLAYED] += 0 if empty else 1
+    if words[PLAYED] == 0:
+        return 0
+    kept = block.kept[(words[PLAYED] - 1) % KEPT]
+    if empty and kept[2 * n + 1] != 0.0:
+        words[UNDERRUNS] += 1
+        return EMPTY
+    for i in range(n):
+        if sample[i] != kept[n + i]:
+            return CHANGED
+    if kept[2 * n] == 0.0 or not (on or words[POWERED]):
+        return 0
+    if not on:
+        return SWITCHED_OFF
+    words[POWERED] = 1
+    for i in range(n):
+        if bits[i] & 1:
+            return AMPLIFIER + i
+    for i in range(n):
+        if not abs(kept[i] - block.actual[1, i]) <= block.limits[i]:
+            return BEHIND + i
+    return 0
+
+
+@njit(cache=True, nogil=True)
+def _read_samples(block: Block) -> int:
+    """Read what HAL has sampled; return the number of the first alarm, or 0."""
+    words, alarm = block.words, 0
+    words[SILENT] += words[PERIOD]
+    while _call(words, READ, SAMPLES, block.sample.ctypes.data, block.number.ctypes.data) == 0:
+        words[SILENT] = 0
+        found = _judge(block)
+        alarm = alarm or found
+        if words[SEEN] == 0:
+            block.actual[0] = block.actual[1]
+            words[SEEN] = 1
+    lost = _call(words, OVERRUNS, SAMPLES)
+    if words[COUNTED] and lost != words[LOST]:
+        alarm = UNSEEN
+    words[LOST] = lost
+    return alarm
+
+
+@njit(cache=True, nogil=True)
+def _begin_count(block: Block) -> bool:
+    """Begin to count rows, where the FIFO is empty and HAL has seen that."""
+    words, n = block.words, len(block.units)
+    drained = _call(words, DEPTH, STREAM) == 0
+    _read_samples(block)
+    empty = block.sample[2 * n :].view(np.int64)[n + 1] & 1
+    if not (drained and words[SEEN] and empty):
+        return False
+    words[COUNTED], words[PUSHED], words[PLAYED], words[SILENT] = 1, 0, 0, 0
+    still = np.zeros(n)
+    for _ in range(words[WANTED]):
+        _push(block, block.actual[1], still, False, False)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _rows_to_push(words: IntArray, waiting: int, moves: bool) -> int:
+    """Return how many times the row is pushed: once, or to have the wanted rows at rest."""
+    excess = waiting + 1 - words[WANTED]
+    if moves:
+        words[LEAST] = min(words[LEAST], waiting)
+    if moves or excess * words[UNEVEN] < 0 or excess == 0:
+        words[UNEVEN] = 0
+    if moves or excess == 0:
+        return 1
+    words[UNEVEN] += 1 if excess > 0 else -1
+    if abs(words[UNEVEN]) < PATIENCE:
+        return 1
+    words[UNEVEN] = 0
+    return 0 if excess > 0 else 2
+
+
+@njit(cache=True, nogil=True)
+def _power(block: Block, setpoint: FloatArray) -> int:
+    """
+    Return the power of this row.
+
+    HOLD becomes FOLLOW when the setpoints begin there. The power stays until HAL has played the
+    last setpoint, because the axes still move until then.
+    """
+    words, n = block.words, len(block.units)
+    power, before = words[POWER], words[POWER_BEFORE]
+    if power == OFF and before != OFF and words[SILENT] < LONGEST_SILENCE:
+        last, played = (words[PUSHED] - 1) % KEPT, (words[PLAYED] - 1) % KEPT
+        if np.any(block.kept[last, :n] != block.kept[played, :n]):
+            return LEAVE
+    if power == OFF:
+        words[POWERED] = 0
+    elif before == OFF:
+        block.held[:] = block.actual[1]
+    elif power == HOLD and np.all(setpoint == block.held):
+        power = words[POWER] = FOLLOW
+    words[POWER_BEFORE] = power
+    return int(power)
+
+
+@cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
+def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
+    """Send one setpoint to HAL and take what it has sampled; see ``drives.CycleDrives``."""
+    block = block_at(memory, n)
+    told, words = carray(pointer(feedback), (4, n)), block.words
+    asked, rate = carray(pointer(setpoint), (2, n))[0], carray(pointer(setpoint), (2, n))[1]
+    if not (words[COUNTED] or _begin_count(block)):
+        told[0], told[1] = block.actual[1], 0.0
+        return 0
+    power, wanted, velocity = _power(block, asked), asked, rate
+    if power == HOLD:
+        wanted = block.held
+    elif power == OFF:
+        wanted = block.actual[1]
+    elif power == LEAVE:
+        wanted = block.kept[(words[PUSHED] - 1) % KEPT, :n].copy()
+    if power != FOLLOW:
+        velocity = np.zeros(n)
+    moves, fault = bool(np.any(velocity != 0.0)), 0
+    waiting = _call(words, DEPTH, STREAM)
+    for _ in range(_rows_to_push(words, waiting, moves)):
+        if not _push(block, wanted, velocity, power != OFF, moves):
+            fault = FULL
+    alarm = _read_samples(block)
+    if words[SILENT] > LONGEST_SILENCE:
+        fault = STOPPED
+    words[ALARM] = fault or alarm
+    told[0] = block.actual[1]
+    told[1] = (block.actual[1] - block.actual[0]) * (NANOSECONDS / words[PERIOD])
+    if words[PLAYED]:
+        told[2] = block.kept[(words[PLAYED] - 1) % KEPT, :n]
+    if moves:
+        shift = SHIFT * (waiting + 1 - words[WANTED])
+        told[3, 0] = min(max(shift, -LARGEST_SHIFT), LARGEST_SHIFT) * words[PERIOD] / NANOSECONDS
+    if power == OFF and alarm in (CHANGED, UNSEEN):
+        words[COUNTED] = 0
+    return fault if fault or words[POWERED] == 0 else -alarm

@@ -1,0 +1,92 @@
+"""The drives of the machine node, by its parameter ``drives``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.errors import InterpError, MachineError
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.compensation import CompensatedDrives
+from cnc_interp.machine.drives import CycleDrives, Drives
+from cnc_interp.machine.simulated import SimulatedDrives
+
+
+def chosen_drives(values: dict[str, Any], machine: Machine, period: float) -> Drives:
+    """
+    Make the drives that the parameters name.
+
+    Parameters
+    ----------
+    values : dict
+        Parameters of the machine node.
+    machine : Machine
+        Axes and limits.
+    period : float
+        Interpolation period [s].
+
+    Raises
+    ------
+    InterpError
+        If there are no such drives, or if they cannot be used.
+
+    """
+    kind, model = values['drives'], values['compensation']
+    if kind == 'simulated':
+        drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
+        return compensated(drives, machine, model, period) if model else drives
+    if kind == 'hal':
+        from cnc_interp.machine.hal import HalDrives, HalOptions
+
+        if model:
+            raise InterpError('drives of HAL are not compensated so far; leave compensation out')
+        refuse_switches(machine)
+        return HalDrives(
+            machine,
+            period,
+            HalOptions(
+                values['hal_depth'], values['following_error_limit'],
+                values['following_angle_limit'],
+            ),
+        )  # fmt: skip
+    raise InterpError(f'drives: {kind!r} is unknown; choose simulated or hal')
+
+
+def compensated(
+    drives: CycleDrives, machine: Machine, model: str, period: float
+) -> CompensatedDrives:
+    """
+    Put drives behind the inverse of a model.
+
+    Parameters
+    ----------
+    drives : CycleDrives
+        The drives.
+    machine : Machine
+        Their machine.
+    model : str
+        Machine whose drives are the model.
+    period : float
+        Interpolation period [s].
+
+    Raises
+    ------
+    MachineError
+        If the model has other axes, or cannot be compensated.
+
+    """
+    known = Machine.load(model)
+    if known.axis_names != machine.axis_names:
+        axes = ' '.join(known.axis_names)
+        raise MachineError(f'{model} has other axes ({axes})', 'compensation')
+    return CompensatedDrives(drives, known, period)
+
+
+def refuse_switches(machine: Machine) -> None:
+    """Refuse real drives on a machine whose reference switches are only simulated."""
+    if machine.homing.switches:
+        raise InterpError(
+            'the machine file has reference switches (homing), which only simulated drives have; '
+            'real drives must know their positions: remove homing from the machine file'
+        )

@@ -37,9 +37,11 @@ from cnc_interp.machine.native import call_drives, pointer
 BESIDE, FEWEST = 8e-3, 5
 #: Degree of the polynomials.
 DEGREE = 5
-#: Half of the time over which the motor crosses the backlash, over which friction changes its
-#: sign [s], and of their least number of periods.
-CROSSING, TURNING, SMOOTH_PERIODS = 4e-3, 2e-3, 1.5
+#: Half of the time over which the motor crosses the backlash [s]: least, where the largest torque
+#: is not known, and the share of that torque that the crossing may take.
+QUICKEST, CROSSING, CROSSING_TORQUE = 2e-3, 4e-3, 0.6
+#: Half of the time over which friction changes its sign [s]; least number of periods of both.
+TURNING, SMOOTH_PERIODS = 2e-3, 1.5
 #: Least share of feed-forward that a drive must take.
 LEAST = 0.2
 #: A step, and a velocity of the motor, below these are rest [m or rad, per s].
@@ -188,6 +190,18 @@ def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, f
     return coulomb, max(drive.static / load.inertia - coulomb, 0.0), drive.stribeck_velocity
 
 
+def _crossing(drive: AxisDrive, load: DriveLoad | None) -> float:
+    """
+    Return half of the time in which the motor crosses the backlash [s].
+
+    Its largest acceleration is 1.88 w / time^2, see ``_bump``.
+    """
+    if load is None:
+        return CROSSING
+    most = CROSSING_TORQUE * load.torque / load.inertia
+    return min(max(math.sqrt(1.88 * drive.backlash / most), QUICKEST), BESIDE)
+
+
 def _write_weights(
     columns: FloatArray,
     drive: AxisDrive,
@@ -208,17 +222,17 @@ def _write_weights(
     # Relative to the c that is sent: f g = (kv + (1 + tau B) d + tau d2) m
     loops = np.array([kv, 1.0 + tau * viscous, tau]) / f
     known, half = columns.shape[1], 0.5 * drive.backlash
-    crossing = max(CROSSING, SMOOTH_PERIODS * period) / period
-    # A sign belongs to the middle of a step.
-    ages = np.arange(known) + 0.5
+    crossing = max(_crossing(drive, load), SMOOTH_PERIODS * period) / period
+    # A sign holds from one setpoint to the next.
+    edges = np.arange(known + 1.0)
     columns[IN_RATE] = _polynomial(np.convolve(loops, mode), known, later, beside, period)
-    columns[IN_RATE + 1] = half * (loops @ _bump(ages - later, crossing, period))
+    columns[IN_RATE + 1] = half * (loops @ _bump(edges - later, crossing, period))
     # Friction is that of the motor's velocity, some periods before it is sent.
     before = later - turning
     columns[IN_MOTOR] = _polynomial(np.append(0.0, mode), known, before, beside, period)
-    columns[IN_MOTOR + 1] = half * _bump(ages - before, crossing, period)[1]
+    columns[IN_MOTOR + 1] = half * _bump(edges - before, crossing, period)[1]
     width = max(TURNING, SMOOTH_PERIODS * period) / period
-    columns[IN_RATE + 2] = tau / f * _bump(ages - 0.5 - turning, width, period)[0]
+    columns[IN_RATE + 2] = tau / f * _bump(edges - 0.5 - turning, width, period)[0]
 
 
 def _polynomial(
@@ -236,22 +250,29 @@ def _polynomial(
     return weights
 
 
-def _bump(away: FloatArray, width: float, period: float) -> FloatArray:
+def _bump(edges: FloatArray, width: float, period: float) -> FloatArray:
     """
     Return weights of a smoothed column and of its two derivatives by time, shape (3, known).
 
-    The column is smoothed by (1 - (t / width)^2)^3; ``away`` (from a
-    setpoint to the moment) and ``width`` are in periods.
+    A value of the column holds between two ``edges``. It is smoothed by
+    35 / 32 (1 - (t / width)^2)^3, whose integral over the value is exact.
+
+    Parameters
+    ----------
+    edges : ndarray, shape (known + 1,)
+        Time from an edge to the moment, increasing [periods].
+    width : float
+        Half of the smoothing time [periods].
+    period : float
+        Interpolation period [s].
+
     """
-    part = np.clip(away / width, -1.0, 1.0)
-    inside = 1.0 - part**2
-    bumps: FloatArray = np.stack(
-        [inside**3, -6.0 * part * inside**2, 24.0 * part**2 * inside - 6.0 * inside**2]
-    )
-    bumps /= bumps[0].sum() * (width * period) ** np.arange(3)[:, None]
-    # The derivatives of a constant are exactly zero.
-    bumps[1:] -= bumps[0] * bumps[1:].sum(axis=1, keepdims=True)
-    return bumps
+    u = np.clip(edges / width, -1.0, 1.0)
+    inside = 1.0 - u**2
+    whole = u - u**3 + 0.6 * u**5 - u**7 / 7.0
+    curves: FloatArray = np.stack([whole, inside**3, -6.0 * u * inside**2]) * 35.0 / 32.0
+    steps: FloatArray = np.diff(curves, axis=1)
+    return np.asarray(steps / (width * period) ** np.arange(3)[:, None])
 
 
 class CompensatedDrives:

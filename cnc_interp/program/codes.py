@@ -44,12 +44,12 @@ TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
     'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
 }  # fmt: skip
+RADIUS = {'G40', 'G41', 'G41.1', 'G42', 'G42.1'}
 CYCLES = {'G73', 'G74', 'G81', 'G82', 'G83', 'G84', 'G85', 'G86', 'G89'}
 
 _OFF = 'nothing to switch off'
 HARMLESS_G: dict[str, str] = {
     'G15': _OFF,
-    'G40': _OFF,
     'G50': _OFF,
     'G97': 'no effect',
     'G255': _OFF,
@@ -58,13 +58,18 @@ HARMLESS_G: dict[str, str] = {
     'G603': 'every exact stop is exact',
 }
 
+#: What moves the program coordinates or the tool beside the contour: not with G41 and G42.
+NOT_BESIDE_CONTOUR = (
+    (TAKE_AXES - {'G4', 'G65'}) | WORK_OFFSETS | CYCLES | LENGTH | TCP_ON | TCP_OFF
+    | {'G53', 'G69', 'TRANS', 'ATRANS', 'ROT', 'AROT', 'CYCLE800', 'BSPLINE', 'SUPA', 'G153'}
+)  # fmt: skip
 #: Switches of a control's look-ahead, and their words: G05 P10000, G05.1 Q1, G08 P1.
 LOOK_AHEAD = {'G5': 'P', 'G5.1': 'QR', 'G8': 'P'}
 #: With these letters, a code of ``LOOK_AHEAD`` is a spline.
 SPLINE_LETTERS = frozenset('XYZIJ')
 
 _LINEAR = 'post the program with linear moves'
-_RADIUS = 'cutter radius compensation is not supported; post the path of the tool centre'
+_RADIUS = 'compensation in space is not supported; post the path of the tool centre'
 _FRAME = 'changing the coordinate system is not supported this way; post in one workpiece frame'
 REFUSED_G: dict[str, str] = {
     'G5': f'spline moves are not supported; {_LINEAR}',
@@ -76,10 +81,8 @@ REFUSED_G: dict[str, str] = {
     'G33': 'thread cutting is not supported',
     'G33.1': 'thread cutting is not supported',
     'G38.2': 'probing is not supported',
-    'G41': _RADIUS,
-    'G41.1': _RADIUS,
-    'G42': _RADIUS,
-    'G42.1': _RADIUS,
+    'G41.2': _RADIUS,
+    'G42.2': _RADIUS,
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
     'G51': 'scaling is not supported; post at full size',
     'G54.1': _FRAME,

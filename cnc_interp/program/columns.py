@@ -29,6 +29,7 @@ from cnc_interp.program.blocks import (
     STOP,
     Blocks,
 )
+from cnc_interp.program.cutter_radius import CutterRadius
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import (
     AXIS,
@@ -44,6 +45,7 @@ from cnc_interp.program.moves import (
     NAMED,
     ORIENTATION,
     PASSES,
+    POINT,
     RAPID,
     ROTARY,
     SAME,
@@ -117,6 +119,7 @@ class TargetColumns:
     def __init__(self, geometry: RotaryGeometry, settings: Settings, source: str):
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
+        self._radius: CutterRadius | None = None
         self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
         self._changed = 0  # changes of the setup so far
         self._coming: deque[tuple[int, SetupChange, int]] = deque()  # block not yet known
@@ -151,11 +154,35 @@ class TargetColumns:
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)
-        self._append(row)
+        whole = (*row, self.start.passes, self._changed, *self.state)
+        if self._radius is None:
+            self._rows.extend(whole)
+            return
+        for ready in self._radius.push(np.array(whole)):
+            self._rows.extend(ready)
 
-    def _append(self, row: tuple[float, ...]) -> None:
-        self._rows.extend(row)
-        self._rows.extend((self.start.passes, self._changed, *self.state))
+    def begin_radius(self, distance: float, frame: FloatArray) -> None:
+        """
+        Take the targets from here on as a contour beside which the tool runs.
+
+        Parameters
+        ----------
+        distance : float
+            Radius of the cutter, positive to the left of the contour [m].
+        frame : ndarray, shape (3, 3)
+            Two directions in the plane and its normal, as columns.
+
+        """
+        before = np.array(self._rows[-WIDTH:])
+        self._radius = CutterRadius(distance, frame, before, self._source)
+
+    def end_radius(self) -> FloatArray:
+        """End the contour; return the point at which the tool stands, shape (3,) [m]."""
+        if self._radius is not None:
+            for ready in self._radius.end():
+                self._rows.extend(ready)
+            self._radius = None
+        return np.array(self._rows[-WIDTH:])[POINT]
 
     def change(self, change: SetupChange, line_number: int) -> None:
         """Record a change of the setup after the last target."""
@@ -191,7 +218,9 @@ class TargetColumns:
 
     def stop_here(self, kind: float = 1.0) -> None:
         """Stop at the end of the last target; AT_M0 and AT_M1 also wait for the operator."""
-        if self._rows:
+        if self._radius is not None and self._radius.waits:
+            self._radius.stop_here(kind)
+        elif self._rows:
             at = EXACT_STOP - WIDTH
             self._rows[at] = max(self._rows[at], kind)
 
@@ -252,6 +281,7 @@ class TargetColumns:
         """End the program with a stop, and return the last blocks."""
         if self.empty:
             raise ProgramError('no motion found; is this a part program?', self._source)
+        self.end_radius()
         self.stop_here()
         self._convert(last=True)
         self._place_changes(self._changed, self._emitted)

@@ -82,6 +82,7 @@ class GcodeReader:
         self._tool = self._chosen_tool = setup.tool
         self._outputs: dict[str, str] = {}  # the last M code of each output
         self._percent_seen = False
+        self.whole = True  # whether more lines can follow, so that it can look ahead
         self.finished = False  # whether M2 or M30 was read
         self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
         self._plane = TiltedPlane(self.mover)
@@ -185,7 +186,12 @@ class GcodeReader:
         window = self.flow.window
         rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
         in_main = self.flow.source is self.flow.main
-        free = self._cycle is None and not self.splines.open and not self._plane.is_incomplete
+        free = (
+            self._cycle is None
+            and not self.mover.radius_code
+            and not self.splines.open
+            and not self._plane.is_incomplete
+        )
         if len(rows) >= SHORTEST and in_main and free:
             lines = window.start.line + rows
             if move_along(self.mover, window.code[rows], window.values[rows], lines):
@@ -244,6 +250,8 @@ class GcodeReader:
         if f is not None:
             mover.set_feed(f, words.texts['F'])
         mover.targets.state = self._state()
+        if mover.radius_code:
+            self._modes.stay_beside_contour(words)
         taking = [code for code in words.g if code in codes.TAKE_AXES]
         if len(taking) > 1:
             raise self.fault(f'{taking[0]} is in the same block; keep one of them', taking[1])
@@ -297,6 +305,10 @@ class GcodeReader:
                 self._modes.choose_work_offset(code)
             elif code in codes.LENGTH or code in codes.TCP_ON or code in codes.TCP_OFF:
                 self._modes.tool_length(code, words, self._tool)
+            elif code in codes.RADIUS:
+                if not self.whole and code != 'G40':
+                    raise self.fault('looks ahead; run it in a program', code)
+                self._modes.cutter_radius(code, words, self._tool)
             elif code in codes.CYCLES:
                 if self._cycle is None:
                     self._cycle = CannedCycle(code, self._level())

@@ -94,7 +94,9 @@ class MdiReader:
 
     def _reader(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
         source = Source.of_text(text, MDI)
-        return GcodeReader(self._geometry, self._settings, setup, source, notices)
+        reader = GcodeReader(self._geometry, self._settings, setup, source, notices)
+        reader.whole = False
+        return reader
 
     def modes(self, setup: JobSetup) -> ActiveModes:
         """Return the modal state with which the next line starts, with these offsets and tools."""

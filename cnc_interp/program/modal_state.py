@@ -56,7 +56,8 @@ def modal_words(state: ModalState) -> list[str]:
     tolerance = state.contour / state.unit
     if words.get('stop_always') == 'G64' and state.contour != state.settings.contour_tolerance:
         words['stop_always'] = f'G64 P{tolerance:.9g}'
-    found = [*words.values(), state.setup.active, *frame_words(frames, state.unit), state.tcp]
+    found = [*words.values(), state.setup.active, *frame_words(frames, state.unit)]
+    found += [state.tcp, state.radius_code]
     if state.rotary_letters:
         found.append('ORIVECT' if state.great_circle else 'ORIAXES')
     if frames.length:
@@ -129,6 +130,8 @@ class ModalState:
         self.stop_always = self.stop_once = False
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
         self.tcp = ''
+        #: G41 or G42, and the plane in which that counts; empty without.
+        self.radius_code = self.radius_plane = ''
         self.oriented = False  # whether the tool was turned to a tilted plane, until that ends
         self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
@@ -164,15 +167,15 @@ class ModalState:
         """Return all that the codes, the spindle speed and the tolerances tell, to compare it."""
         frames = self.frames
         values = (getattr(self, name) for name in _COMPARED)
-        return (*values, self.setup.offset, bool(frames.length), *frames.shifts)
+        return (*values, self.radius_code, self.setup.offset, bool(frames.length), *frames.shifts)
 
     def modes(self, cycle: str, offset: str, tool: int, outputs: Mapping[str, str]) -> ActiveModes:
         """Return the modal state without motion code and feed; what is not kept here is given."""
         length = 'G43' if self.frames.length else 'G49'
         turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
         found = (
-            cycle, *self.codes_of_settings(), offset, *self.frames.shifts, self.tcp or length,
-            turning, *outputs.values(),
+            cycle, self.radius_code, *self.codes_of_settings(), offset, *self.frames.shifts,
+            self.tcp or length, turning, *outputs.values(),
         )  # fmt: skip
         codes = tuple(code for code in found if code)
         return modes_without_motion(

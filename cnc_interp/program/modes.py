@@ -58,6 +58,43 @@ class Modes:
         frames.length = length
         frames.update()
 
+    def cutter_radius(self, code: str, words: BlockWords, tool: int) -> None:
+        """Process G40, and G41, G42, G41.1 and G42.1 with D: the tool runs beside the contour."""
+        mover = self._mover
+        if code == 'G40':
+            if not mover.radius_code:
+                self.notice(code, 'nothing to switch off')
+            mover.end_radius()
+            return
+        if mover.radius_code:
+            raise self.fault(f'{mover.radius_code} is on; write G40 before', code)
+        named = words.values.pop('D', None)
+        if code in ('G41.1', 'G42.1'):
+            if named is None:
+                raise self.fault('give the diameter of the cutter as D', code)
+            radius = 0.5 * named * mover.unit
+        else:
+            number = tool if named is None else round(min(abs(named), 1e6))
+            tools = mover.setup.tools
+            if number and number not in tools:
+                why = 'the setup has no radius of this tool; add it (--setup)'
+                raise self.fault(why, f'D{number}')
+            mover.used.add(f'tool {number}')
+            radius = tools[number].radius if number else 0.0
+        if not 0.0 <= abs(radius) < FARTHEST:
+            raise self.fault('a radius beyond 100,000 mm; correct it', words.texts.get('D', code))
+        mover.begin_radius(code, radius if code.startswith('G41') else -radius)
+
+    def stay_beside_contour(self, words: BlockWords) -> None:
+        """Raise for words that cannot stand between G41 or G42 and G40."""
+        mover = self._mover
+        named = {*words.g, *words.m, *(key for key, _ in words.keys)}
+        if other := sorted(named & codes.NOT_BESIDE_CONTOUR):
+            raise self.fault(f'{mover.radius_code} is on; write G40 before', other[0])
+        if mover.plane != mover.radius_plane:
+            raise self.fault(f'another plane while {mover.radius_code} is on; write G40 before',
+                             mover.plane)  # fmt: skip
+
     def switch_tcp(self, word: str) -> None:
         """Switch tool-tip programming on, by a word of any dialect."""
         if not self._mover.rotary_letters:

@@ -20,6 +20,8 @@ from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.words import BlockWords
 
+#: Two directions agree if their cosine is 1 within this [-].
+SAME_AXIS = 1e-9
 MOST_TURN = 1e3 * 360.0 * DEG
 
 
@@ -86,6 +88,36 @@ class Mover(ModalState):
             point = self.geometry.forward(stands[None])[0][0]
         self.named = float(bool(self.rotary_letters))
         self.go(point, rotary, rapid=True)
+
+    def begin_radius(self, code: str, distance: float) -> None:
+        """
+        Take the motion from here on as a contour beside which the tool runs, by G41 or G42.
+
+        Parameters
+        ----------
+        code : str
+            The code.
+        distance : float
+            Radius of the cutter, positive to the left of the contour [m].
+
+        """
+        if self.targets.empty:
+            raise self.fault('move to a place beside the contour before', code)
+        frame = self.frames.turn[:, list(PLANES[self.plane])]
+        axis = self.vector
+        if axis is None and self.rotary_letters and self.tcp:
+            axis = self.geometry.tool_axis(self.rotary[None])[0]
+        if axis is not None and abs(axis @ frame[:, 2]) < 1.0 - SAME_AXIS:
+            raise self.fault('the tool does not stand upright on the plane of the contour', code)
+        self.radius_code, self.radius_plane = code, self.plane
+        if distance:
+            self.targets.begin_radius(distance, frame)
+
+    def end_radius(self) -> None:
+        """End the compensation; the tool stays where it is."""
+        if self.radius_code:
+            self.radius_code = self.radius_plane = ''
+            self.point = self.targets.end_radius()
 
     def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
         """

@@ -48,6 +48,10 @@ _NUMBER = re.compile(r'-?\d+\.?\d*')
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
 
 
+#: A program with cutter radius compensation, anywhere outside of a comment.
+_COMPENSATED = re.compile(r'(?mi)^[^;(]*G0*4[12]\b')
+
+
 class LinuxCNCError(InterpError):
     """LinuxCNC is not installed, or does not read the program to its end."""
 
@@ -98,6 +102,8 @@ def read_by_linuxcnc(
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
     if len(axis_names) > 5:
         raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
+    if _COMPENSATED.search(text):
+        raise LinuxCNCError('LinuxCNC begins a compensated contour at another place')
     setup = setup or Setup()
     text = _prepared(text, skip, setup.tool)
     most = BESIDE + EACH * (rows + text.count('\n'))

@@ -1,0 +1,187 @@
+"""Cutter radius compensation: the distance of the path from the contour, corners, refusals."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.settings.choices import Settings
+
+XYZ, AC = Transform.of(Machine.load('xyz')), Transform.of(Machine.load('xyzac'))
+SETUP = JobSetup(tools={1: Tool(0.0, 5.0 * MM), 2: Tool(0.0, 2.0 * MM)})
+#: Chords leave an arc by a tenth of this tolerance [mm].
+FINE = Settings(contour_tolerance=1e-3 * MM)
+CHORD = 2e-4
+PART = """G1 X0 Y20 F1000
+Z-1
+G1 Y40
+G2 X10 Y50 I10
+G1 X30
+Y40
+G3 X40 Y30 I10
+G1 X60
+X50 Y10
+X60 Y0
+X0
+Y20
+"""
+
+
+def read(text, geometry=XYZ):
+    return read_text(text, 'part.ngc', geometry, FINE, SETUP)
+
+
+def path(text, lines=None, head='G21 G90 G17\nG0 X-20 Y-20 Z5\n'):
+    """Points of the tool centre [mm], shape (n, 3); of some lines only, if they are given."""
+    blocks = read(head + text).blocks
+    wanted = np.isin(blocks.line_number, lines) if lines else np.ones(len(blocks), dtype=bool)
+    return blocks.tip[wanted] / MM
+
+
+def dense(points):
+    """Points on the chords between points, shape (m, 3)."""
+    share = np.linspace(0.0, 1.0, 20)[:, None]
+    return np.concatenate([a + share * (b - a) for a, b in pairwise(points)])
+
+
+def distances(points, contour):
+    """Distance of each point from the chords of a contour [mm], in X and Y."""
+    a, b = contour[:-1, None, :2], contour[1:, None, :2]
+    along = b - a
+    share = ((points[None, :, :2] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
+    foot = a + np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.linalg.norm(points[None, :, :2] - foot, axis=-1).min(axis=0)
+
+
+@pytest.mark.parametrize(
+    ('code', 'radius', 'side'),
+    [('G41 D1', 5.0, 1.0), ('G42 D2', 2.0, -1.0), ('G42.1 D5', 2.5, -1.0), ('G41.1 D-4', 2.0, -1)],
+)
+def test_the_tool_keeps_its_radius_from_the_contour(code, radius, side):
+    contour = path(PART)[1:]
+    blocks = read(f'G21 G90 G17\nG0 X-20 Y-20 Z5\n{code}\n{PART}G40 G1 X-20\n').blocks
+    points = blocks.tip[(blocks.line_number >= 6) & (blocks.line_number <= 15)] / MM
+    away = distances(dense(points), contour)
+    assert away.min() > radius - CHORD and away.max() < radius + CHORD
+    # On the left of a clockwise contour the tool is outside of it.
+    assert (points[:, 1].max() > 50.0) == (side > 0)
+    np.testing.assert_allclose(blocks.tip[-1] / MM, [-20, 20, -1], atol=1e-9)
+
+
+def test_an_outer_corner_is_an_arc_and_an_inner_one_a_point():
+    outer = path('G41 D1\nG1 X0 Y0 F900\nX40\nY-40\nG40 G1 X60', [5, 6])
+    about = np.hypot(outer[:, 0] - 40.0, outer[:, 1])
+    rolls = (outer[:, 0] >= 40.0) & (outer[:, 1] >= 0.0)
+    assert rolls.sum() > 10
+    np.testing.assert_allclose(about[rolls], 5.0, atol=CHORD)
+    inner = path('G41 D1\nG1 X0 Y0 F900\nX40\nY40\nG40 G1 X60', [4, 5, 6])
+    np.testing.assert_allclose(inner[:, :2], [[0, 5], [35, 5], [35, 40]], atol=1e-9)
+
+
+def test_a_helix_rises_as_programmed_and_a_plunge_stays_in_place():
+    text = 'G41 D2\nG1 X10 Y0 F900\nZ0\nG3 X-10 Y0 Z4 I-10\nG3 X10 Y0 Z8 I10\nG40 G1 X0\n'
+    points = path(text, [4, 5, 6, 7])
+    np.testing.assert_allclose(points[0], [8, 0, 5], atol=1e-9)
+    np.testing.assert_allclose(points[1], [8, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(np.hypot(*points[:, :2].T), 8.0, atol=CHORD)
+    turned = np.unwrap(np.arctan2(points[1:, 1], points[1:, 0]))
+    np.testing.assert_allclose(points[1:, 2], 4.0 * turned / np.pi, atol=1e-9)
+
+
+def test_the_other_planes_and_tilted_planes_have_their_own_left():
+    flat = path('G41 D2\nG1 X0 Y0 F900\nX10\nY-10\nX0\nG40 G1 X-20', head='G0 X-20 Y-20 Z0\n')
+    for plane, to in (('G18', 'ZXY'), ('G19', 'YZX')):
+        words = str.maketrans('XYZ', to)
+        text = 'G0 X-20 Y-20 Z0\nG41 D2\nG1 X0 Y0 F900\nX10\nY-10\nX0\nG40 G1 X-20'
+        turned = path(text.translate(words), head=f'{plane}\n')
+        order = ['XYZ'.index(letter) for letter in to]
+        np.testing.assert_allclose(turned[:, order], flat, atol=1e-9)
+    plane = 'G0 X0 Y0 Z50\nG68.2 X10 Y20 Z30 I30 J20\nG53.1\n'
+    text = 'G0 X-20 Y-20 Z0\nG41 D2\nG1 X0 Y0 F900\nX10\nY-10\nX0\nG40 G1 X-20'
+    blocks = read(plane + text, AC).blocks
+    c, s = np.cos([30 * DEG, 20 * DEG]), np.sin([30 * DEG, 20 * DEG])
+    turn = np.array([[c[0], -s[0] * c[1], s[0] * s[1]], [s[0], c[0] * c[1], -c[0] * s[1]],
+                     [0.0, s[1], c[1]]])  # fmt: skip
+    there = (blocks.tip[blocks.line_number >= 4] / MM - [10, 20, 30]) @ turn
+    np.testing.assert_allclose(there, flat, atol=1e-9)
+
+
+def test_stops_are_kept_and_nobody_waits_on_the_arc_about_a_vertex():
+    text = 'G41 D1\nG1 X0 Y0 F900\nX40\nM0\nY-40\nG40 G1 X60'
+    blocks = read(f'G0 X-20 Y-20\n{text}').blocks
+    waits = np.flatnonzero(blocks.program_stop)
+    assert len(waits) == 1
+    np.testing.assert_allclose(blocks.tip[waits[0], :2] / MM, [40, 5], atol=1e-9)
+
+
+def test_a_program_that_ends_without_g40_ends_beside_its_contour():
+    points = path('G41 D1\nG1 X0 Y0 F900\nX40\nM30')
+    np.testing.assert_allclose(points[-1], [40, 5, 5], atol=1e-9)
+
+
+def test_after_g40_the_tool_is_where_it_is():
+    points = path('G41 D1\nG1 X0 Y0 F900\nX40\nG40\nZ9\nG91 G0 X1')
+    np.testing.assert_allclose(points[-2:], [[40, 5, 9], [41, 5, 9]], atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(12.0, 40.0), min_size=5, max_size=12),
+    st.floats(0.5, 3.0),
+    st.booleans(),
+    st.floats(0.0, 360.0),
+)
+def test_random_contours_are_followed_at_the_radius_or_refused(radii, radius, left, start):
+    angles = np.linspace(0.0, 2.0 * np.pi, len(radii) + 1)[:-1] + start * DEG
+    corners = np.array(radii)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    middle = 0.5 * (corners[0] + corners[-1])
+    contour = np.vstack([middle, corners, middle]).round(4)
+    code = 'G41.1' if left else 'G42.1'
+    text = f'G0 X90 Y90 Z0\n{code} D{2 * radius:.4f}\nG1 F900\n'
+    text += ''.join(f'G1 X{x:.4f} Y{y:.4f}\n' for x, y in contour) + 'G40 G0 Z20\n'
+    try:
+        blocks = read(text).blocks
+    except ProgramError as problem:
+        assert 'does not fit' in str(problem)
+        return
+    points = blocks.tip[(blocks.line_number >= 4) & (blocks.line_number < 5 + len(radii))] / MM
+    away = distances(dense(points), np.c_[contour, np.zeros(len(contour))])
+    assert away.min() > radius - CHORD - 1e-3  # the tolerance of the path
+    assert away.max() < radius / np.sin(0.04) + CHORD
+
+
+@pytest.mark.parametrize(
+    ('text', 'part'),
+    [
+        ('G41 D7\nG1 X0', r'D7: the setup has no radius'),
+        ('G41 D1\nG42 D1', 'G42: G41 is on; write G40'),
+        ('G41.1\nG1 X0', r'G41\.1: give the diameter'),
+        ('G41 D1\nG2 X0 I10', 'begin with a line'),
+        ('G41 D1\nG1 X0 Y0\nG92 X0', 'G92: G41 is on; write G40'),
+        ('G41 D1\nG1 X0 Y0\nG18', 'G18: another plane while G41 is on'),
+        ('G41 D1\nG1 X0 Y0\nTRANS X1', 'TRANS: G41 is on'),
+        ('G41 D1\nG1 X0 Y0\nX40\nG3 X44 I2\nX50', r'part\.ngc:5: the cutter does not fit'),
+        ('G41 D1\nG1 X0 Y0\nX20\nX23 Y-4\nX26 Y0\nX40\nG40 X50', 'does not fit'),
+        ('G41 D1\nG1 X0 Y0\nX40\nY8\nX0\nG40 X-9', 'the cutter does not fit'),
+        ('G41.2 D1\nG1 X0', 'compensation in space'),
+    ],
+)
+def test_what_cannot_be_compensated_is_refused_with_its_line(text, part):
+    with pytest.raises(ProgramError, match=part):
+        read(f'G0 X-20 Y0 F900\n{text}')
+
+
+def test_rotary_motion_is_refused_beside_a_contour():
+    with pytest.raises(ProgramError, match='rotary motion'):
+        read('G0 X-20 Y0 A0 C0\nG41 D1\nG1 X0 Y0 F900\nX40 A5', AC)
+    with pytest.raises(ProgramError, match='move to a place beside the contour'):
+        read('G41 D1\nG0 X0')
+    with pytest.raises(ProgramError, match='upright'):
+        read('TRAORI\nG0 X-20 Y0 A20 C0\nG41 D1\nG1 X0 Y0 F900\nX40', AC)

@@ -52,8 +52,8 @@ def _largest(error: ToolError) -> str:
     """Return the largest and the mean errors in words."""
     tip, axis = error.tip / UM, error.axis / ARCSEC
     return (
-        f'tip {tip.max():.3g} &#181;m at most, {tip.mean():.3g} &#181;m in the mean, '
-        f'axis {axis.max():.3g}&Prime; at most, {axis.mean():.3g}&Prime; in the mean'
+        f'tip {tip.max():.1f} &#181;m at most, {tip.mean():.2f} &#181;m in the mean, '
+        f'axis {axis.max():.1f}&Prime; at most, {axis.mean():.2f}&Prime; in the mean'
     )
 
 

@@ -52,6 +52,16 @@ def test_what_is_not_proven_stands_at_the_head(tmp_path):
     assert 'a&lt;b&gt;.ngc' in page and 'a<b>' not in page
 
 
+def test_errors_at_the_tool_are_told_for_drives_that_are_not_ideal(tmp_path):
+    content = line_x(Machine.load('xyzac_tired'))
+    content['summary']['machine'] = 'xyzac_tired'
+    page = page_of(tmp_path, content)
+    told = page[page.index('As they are: tip') :]
+    plain, compensated = (float(x) for x in re.findall(r'axis ([0-9.]+)&Prime; at most', told)[:2])
+    assert plain >= compensated
+    assert 'Error at the tool' not in page_of(tmp_path / 'ideal', line_x(MACHINE))
+
+
 @pytest.mark.thorough
 def test_a_long_program_stays_small(tmp_path):
     page = page_of(tmp_path, line_x(MACHINE, feed=20 * MM_PER_MIN))

@@ -39,7 +39,6 @@ PROGRAMS = (
 SURFACES = (
     ('bumps', EXAMPLES / 'bumps.json', ['--stepover', '2']),
     ('hollow', EXAMPLES / 'hollow.json', ['--stepover', '3']),
-    ('bump', SHARED / 'cases' / 'surfaces' / 'bump.json', ['--stepover', '2']),
 )
 #: What a wrong model does not change: the step of the encoder, and what is no value.
 RIGHT = ('resolution', 'feed_forward')

@@ -18,7 +18,7 @@ import numpy as np
 from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.machine.native import NANOSECONDS, call_c, pointer, word_pointer
+from cnc_interp.machine.native import NANOSECONDS, call_c, pointer, publish, word_pointer
 
 #: Words of the memory: addresses of HAL's functions and streams, ...
 WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)
@@ -27,9 +27,9 @@ WANTED, PERIOD, POWER = range(6, 9)
 #: ... and what the step writes: whether rows are counted, rows pushed and played, power before
 #: and as the drives confirm it, the alarm, underruns in motion, fewest rows in the FIFO in motion,
 #: periods with too many (> 0) or too few rows at rest, time since the last sample [ns], samples
-#: lost before the count, and whether there was a sample at all.
+#: lost before the count, whether there was a sample at all, and whether one confirmed the power.
 COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
-LEAST, UNEVEN, SILENT, LOST, SEEN, WORDS = range(16, 22)
+LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, WORDS = range(16, 23)
 #: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
 OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
 #: Rows that are kept for comparison; more than wait between push and sample.
@@ -157,11 +157,11 @@ def _judge(block: Block) -> int:
     for i in range(n):
         if sample[i] != kept[n + i]:
             return CHANGED
-    if kept[2 * n] == 0.0 or not (on or words[POWERED]):
+    if kept[2 * n] == 0.0 or not (on or words[CONFIRMED]):
         return 0
     if not on:
         return SWITCHED_OFF
-    words[POWERED] = 1
+    words[CONFIRMED] = 1
     for i in range(n):
         if bits[i] & 1:
             return AMPLIFIER + i
@@ -238,7 +238,7 @@ def _power(block: Block, setpoint: FloatArray) -> int:
         if np.any(block.kept[last, :n] != block.kept[played, :n]):
             return LEAVE
     if power == OFF:
-        words[POWERED] = 0
+        words[POWERED] = words[CONFIRMED] = 0
     elif before == OFF:
         block.held[:] = block.actual[1]
     elif power == HOLD and np.all(setpoint == block.held):
@@ -274,6 +274,8 @@ def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
     if words[SILENT] > LONGEST_SILENCE:
         fault = STOPPED
     words[ALARM] = fault or alarm
+    if power != OFF:
+        publish(words, POWERED, words[CONFIRMED])  # after the alarm, for who waits for it
     told[0] = block.actual[1]
     told[1] = (block.actual[1] - block.actual[0]) * (NANOSECONDS / words[PERIOD])
     if words[PLAYED]:

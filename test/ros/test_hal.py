@@ -162,4 +162,4 @@ def test_the_power_is_taken_when_the_node_ends(hal, bench):
     bench.watching = False
     os.kill(bench.children.process_ids['machine_node'], signal.SIGTERM)
     bench.spin_until(lambda: bench.children.exit_codes['machine_node'] == 0)
-    assert 'FALSE' in hal.tell('getp', 'streamer.0.pin.10')
+    bench.spin_until(lambda: 'FALSE' in hal.tell('getp', 'streamer.0.pin.10'))

@@ -19,6 +19,7 @@ from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.client.page.gate import Gate
 from cnc_interp.client.page.scripts import scripts
 from cnc_interp.client.page.tab import Page
+from cnc_interp.client.stop_signals import stops_later
 from cnc_interp.core.errors import InterpError
 
 STYLE = Path(__file__).with_name('style.css')
@@ -68,9 +69,18 @@ class Served:
 
 def serve(served: Served, namespace: str, domain: int) -> None:
     """Serve the page until the process is asked to end."""
-    text = served.text
     access = Access(served.token)
-    desk = Desk(namespace, domain)
+    with stops_later():  # half a desk could not be closed
+        desk = Desk(namespace, domain)
+    try:
+        _serve(served, access, desk)
+    finally:
+        desk.close()
+
+
+def _serve(served: Served, access: Access, desk: Desk) -> None:
+    """Serve the page of a desk."""
+    text = served.text
 
     async def watch() -> None:
         nonlocal text
@@ -109,7 +119,6 @@ def serve(served: Served, namespace: str, domain: int) -> None:
     app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)
     app.on_startup(lambda: announce(served.host, served.port, access.token))
-    app.on_shutdown(desk.close)
     ui.run(
         host=served.host, port=served.port, title='cnc_interp', dark=True, reload=False,
         show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,

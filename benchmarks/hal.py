@@ -79,6 +79,8 @@ def run(program: Path, depth: int, session: Session) -> tuple[str, RunResult]:
             done.set()
             witness.join()
         found.append(session.periods())
+        if not result.ok:
+            return 'not executed to the end', result
         setpoints = np.load(Path(folder) / 'setpoints.npz')['position'] / UNITS
     seen, _, empty = (np.concatenate(parts) for parts in zip(*found, strict=True))
     last = np.flatnonzero((seen == setpoints[-1]).all(axis=1))

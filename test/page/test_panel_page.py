@@ -311,8 +311,8 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
 
     # What a page without the token sends by other means is refused by the server.
     assert (stranger.run(UPLOAD), second.run(UPLOAD)) == (403, 200)
-    second.wait(lambda: second.text('program') == 'sent.ngc')
     second.show()
+    second.wait(lambda: second.text('program') == 'sent.ngc')
     panel.load(second, short_program)
     panel.begin(second)
     stranger.show()

@@ -1,5 +1,6 @@
 """Cutter radius compensation: the distance of the path from the contour, corners, refusals."""
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.proof import linuxcnc_reader
 from cnc_interp.settings.choices import Settings
 
 XYZ, AC = Transform.of(Machine.load('xyz')), Transform.of(Machine.load('xyzac'))
@@ -73,6 +75,20 @@ def test_the_tool_keeps_its_radius_from_the_contour(code, radius, side):
     # On the left of a clockwise contour the tool is outside of it.
     assert (points[:, 1].max() > 50.0) == (side > 0)
     np.testing.assert_allclose(blocks.tip[-1] / MM, [-20, 20, -1], atol=1e-9)
+
+
+@pytest.mark.skipif(not linuxcnc_reader.interpreter(), reason="needs LinuxCNC's rs274")
+@pytest.mark.parametrize('code', ['G41.1 D10', 'G42.1 D4', 'G41.1 D1', 'G42.1 D9'])
+def test_linuxcnc_goes_through_the_same_points_after_the_way_to_the_contour(code, monkeypatch):
+    monkeypatch.setattr(linuxcnc_reader, '_COMPENSATED', re.compile('(?!)'))
+    text = f'G21 G90 G17\nG0 X-20 Y-20 Z5\n{code}\n{PART}G40 G1 X-20\nZ5\nM2\n'
+    moves = list(linuxcnc_reader.read_by_linuxcnc(text, ('X', 'Y', 'Z'), False, 1000))
+    theirs = np.array([move.end[:3] for move in moves]) / MM
+    ours = read(text).blocks.tip / MM
+    after = theirs[np.flatnonzero(theirs[:, 1] == 40.0)[0] :]  # the end of the first line
+    assert len(after) >= 13
+    for point in after:
+        assert np.abs(ours - point).max(axis=1).min() < 1e-4
 
 
 def test_an_outer_corner_is_an_arc_and_an_inner_one_a_point():

@@ -432,8 +432,13 @@ class Desk:
             self.switched[name] = on
         return answer
 
-    def close(self) -> None:
-        """Close. The machine continues."""
+    def end_planning(self) -> None:
+        """End what is planned, while the loop of the page runs still."""
         if self._planner is not None:
             self._planner.close()
+        self._planner = None
+
+    def close(self) -> None:
+        """Close. The machine continues."""
+        self.end_planning()
         self.nodes.close()

@@ -8,6 +8,7 @@ nodes, and their one line of complaint is what the operator reads.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import re
@@ -258,7 +259,8 @@ class Planner:
     def stop(self) -> None:
         """End what is running."""
         if self._process is not None and self._process.returncode is None:
-            self._process.kill()
+            with contextlib.suppress(ProcessLookupError):  # it has ended just now
+                self._process.kill()
         self._process = None
 
     def close(self) -> None:

@@ -118,6 +118,7 @@ def _serve(served: Served, access: Access, desk: Desk) -> None:
 
     app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)
+    app.on_shutdown(desk.end_planning)
     app.on_startup(lambda: announce(served.host, served.port, access.token))
     ui.run(
         host=served.host, port=served.port, title='cnc_interp', dark=True, reload=False,

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import ARCSEC, DEG, MM, UM
 from cnc_interp.kinematics.drive_loads import DriveLoad
-from cnc_interp.kinematics.machine_entries import numbers
+from cnc_interp.kinematics.machine_entries import entries_by_axis, numbers
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class AxisDrive:
 
     @property
     def lag(self) -> float:
-        """How far the axis follows behind its setpoint, about [s]."""
+        """How much later than its setpoint the axis is there, about [s]."""
         return 1.0 / self.position_gain + self.time_constant + self.delay
 
 
@@ -138,17 +138,8 @@ def axis_drives(
         If an entry is wrong; the message names the key.
 
     """
-    given = content.get('drives') or {}
-    if not isinstance(given, dict):
-        raise MachineError('must hold axes with the values of their drives', 'drives')
-    found = {}
-    for name, values in given.items():
-        where = f'drives.{name}'
-        if name not in names:
-            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', where)
-        j = names.index(name)
-        found[j] = _drive(values, where, linear[j], loads.get(j))
-    return found
+    given = entries_by_axis(content, 'drives', names, 'the values of its drive')
+    return {j: _drive(values, where, linear[j], loads.get(j)) for j, where, values in given}
 
 
 def _drive(values: Any, where: str, linear: bool, load: DriveLoad | None) -> AxisDrive:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
-from cnc_interp.kinematics.machine_entries import number, numbers
+from cnc_interp.kinematics.machine_entries import entries_by_axis, number, numbers
 
 #: Keys of a drive: inertia, largest torque, Coulomb and viscous friction, all in SI.
 LINEAR_KEYS = ('mass_kg', 'force_N', 'coulomb_N', 'viscous_N_s_per_m')
@@ -76,15 +76,9 @@ def drive_loads(
         message names the key.
 
     """
-    given = content.get('loads') or {}
-    if not isinstance(given, dict):
-        raise MachineError('must hold axes with inertia, torque and friction', 'loads')
     found = {}
-    for name, values in given.items():
-        where = f'loads.{name}'
-        if name not in names:
-            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', where)
-        j = names.index(name)
+    given = entries_by_axis(content, 'loads', names, 'inertia, torque and friction')
+    for j, where, values in given:
         keys = LINEAR_KEYS if linear[j] else ROTARY_KEYS
         if not isinstance(values, dict) or not set(keys[:2]) <= set(values) <= set(keys):
             raise MachineError(f'give {keys[0]} and {keys[1]}; {", ".join(keys[2:])}', where)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -229,16 +229,50 @@ def limits_by_position(
         Limits of an axis, and in the last row the k positions [m or rad, per s, s2, s3].
 
     """
-    given, where = content.get('limits_by_position') or {}, 'limits_by_position'
+    given = entries_by_axis(content, 'limits_by_position', names, 'positions and limits')
+    return {i: _places(values, where, linear[i], *rows[i]) for i, where, values in given}
+
+
+def entries_by_axis(
+    content: dict[str, Any], section: str, names: list[str], holds: str
+) -> Iterator[tuple[int, str, Any]]:
+    """
+    Yield what a section of a machine file gives for each axis it names.
+
+    Parameters
+    ----------
+    content : dict
+        The machine file.
+    section : str
+        Key of the section, which may be missing.
+    names : list of str
+        All axes.
+    holds : str
+        What an entry of the section holds, for error messages.
+
+    Yields
+    ------
+    axis : int
+        Index of the axis.
+    where : str
+        Key of its entry, for error messages.
+    values : object
+        The entry, unchecked.
+
+    Raises
+    ------
+    MachineError
+        If the section names no axes, or one that the machine has not.
+
+    """
+    given = content.get(section) or {}
     if not isinstance(given, dict):
-        raise MachineError('must name axes, each with positions and limits', where)
-    found = {}
+        raise MachineError(f'must name axes, each with {holds}', section)
     for name, values in given.items():
+        where = f'{section}.{name}'
         if name not in names:
-            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
-        i = names.index(name)
-        found[i] = _places(values, f'{where}.{name}', linear[i], *rows[i])
-    return found
+            raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', where)
+        yield names.index(name), where, values
 
 
 def _places(

@@ -35,7 +35,7 @@ class Recording:
     ----------
     setpoint, position, velocity, following_error : ndarray, shape (K, n_axes)
         Commanded and actual axes, and commanded minus actual position [m, rad, per s]. Drives
-        behind a FIFO answer an earlier setpoint; their errors count from that one.
+        with a FIFO answer an earlier setpoint; their errors count from that one.
     tip, axis : ndarray, shape (K, 3)
         Actual tool tip [m] and tool axis [-] in W.
     tip_lag, contour_error : ndarray, shape (K,)
@@ -78,7 +78,7 @@ class AxisMotion:
     period : float
         Interpolation period [s].
     lag : float
-        How far the axes follow behind their setpoints, about [s].
+        How much later than their setpoints the axes are there, about [s].
     position : ndarray, shape (n_axes,)
         Where the axes stand at rest [m, rad].
 

@@ -166,7 +166,7 @@ class Compensation:
         beside = max(math.ceil(BESIDE / period - 1e-9), FEWEST)
         turning = math.ceil(max(TURNING / period, SMOOTH_PERIODS) - 1e-9)
         latest = max(drive.delay for drive in drives)
-        #: Time by which all axes are behind their setpoints [s].
+        #: Time by which all axes are later than their setpoints [s].
         self.lead = (beside + turning) * period + latest
         self.known = math.ceil(self.lead / period) + beside + 2
         self.words = np.zeros((len(drives), FIRST + COLUMNS * self.known))
@@ -277,7 +277,7 @@ def _bump(edges: FloatArray, width: float, period: float) -> FloatArray:
 
 class CompensatedDrives:
     """
-    Drives of the cycle behind their inverse model.
+    Drives of the cycle that are sent the inverse of their model.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class Records(NamedTuple):
     position, velocity : ndarray, shape (K, n_axes)
         What the drives did [m, rad, per s].
     answered : ndarray, shape (K, n_axes)
-        The setpoint that the position answers; drives behind a FIFO answer an earlier one
+        The setpoint that the position answers; drives with a FIFO answer an earlier one
         [m, rad].
 
     """

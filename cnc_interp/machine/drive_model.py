@@ -73,7 +73,7 @@ def room_of_delay(delay: float, period: float) -> int:
 
 
 def lag_of(machine: Machine) -> float:
-    """Return how far the axes follow behind their setpoints, about [s]."""
+    """Return how much later than their setpoints the axes are there, about [s]."""
     return max(machine.drives.get(j, IDEAL).lag for j in range(len(machine.axis_names)))
 
 

@@ -43,7 +43,7 @@ class Drives(Protocol):
 
     @property
     def lag(self) -> float:
-        """How far the axes follow behind their setpoints, about [s]."""
+        """How much later than their setpoints the axes are there, about [s]."""
         ...
 
     @property
@@ -81,7 +81,7 @@ class CycleDrives(Drives, Protocol):
     int64 n_axes)``, made by ``numba.cfunc`` or by any other compiler. ``setpoint`` holds n_axes
     positions, then n_axes velocities, at the end of the period; at rest the velocities are 0.
     ``feedback`` takes the actual positions and velocities in the same layout. Two rows follow for
-    drives that answer later, from behind a FIFO: the setpoint that the positions answer (before
+    drives that answer later, because of a FIFO: the setpoint that the positions answer (before
     the call: ``setpoint``), and one number, the time by which the next period shall begin later
     than by the clock of the machine [s] (before the call: 0).
 

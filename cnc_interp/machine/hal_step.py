@@ -18,7 +18,7 @@ import numpy as np
 from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.machine.native import NANOSECONDS, call_c, pointer, publish, word_pointer
+from cnc_interp.machine.native import NANOSECONDS, call_c, pointer, publish, time_now
 
 #: Words of the memory: addresses of HAL's functions and streams, ...
 WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)
@@ -27,9 +27,11 @@ WANTED, PERIOD, POWER = range(6, 9)
 #: ... and what the step writes: whether rows are counted, rows pushed and played, power before
 #: and as the drives confirm it, the alarm, underruns in motion, fewest rows in the FIFO in motion,
 #: periods with too many (> 0) or too few rows at rest, time since the last sample [ns], samples
-#: lost before the count, whether there was a sample at all, and whether one confirmed the power.
+#: lost before the count, whether there was a sample at all, whether one confirmed the power, the
+#: time at which samples were looked for last [ns], and the memory of a ``timespec``.
 COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
-LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, WORDS = range(16, 23)
+LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, LOOKED, TIME = range(16, 24)
+WORDS = TIME + 2
 #: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
 OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
 #: Rows that are kept for comparison; more than wait between push and sample.
@@ -100,7 +102,7 @@ def block_at(address: int, n: int) -> Block:
     row = rows + 8 * KEPT * columns
     sample = row + 8 * (2 * n + 1)
     return Block(
-        carray(word_pointer(np.uintp(address)), (WORDS,)),
+        carray(pointer(np.uintp(address)), (WORDS,)).view(np.int64),
         carray(pointer(np.uintp(at)), (n,)),
         carray(pointer(np.uintp(at + 8 * n)), (n,)),
         carray(pointer(np.uintp(at + 16 * n)), (n,)),
@@ -175,7 +177,10 @@ def _judge(block: Block) -> int:
 def _read_samples(block: Block) -> int:
     """Read what HAL has sampled; return the number of the first alarm, or 0."""
     words, alarm = block.words, 0
-    words[SILENT] += words[PERIOD]
+    now = time_now(words[TIME:])
+    # Steps that catch up follow each other at once; a step that came late saw nothing meanwhile.
+    words[SILENT] += min(now - words[LOOKED], 2 * words[PERIOD])
+    words[LOOKED] = now
     while _call(words, READ, SAMPLES, block.sample.ctypes.data, block.number.ctypes.data) == 0:
         words[SILENT] = 0
         found = _judge(block)

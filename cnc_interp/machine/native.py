@@ -33,17 +33,6 @@ def pointer(_context: Any, _address: Any) -> Any:
 
 
 @intrinsic
-def word_pointer(_context: Any, _address: Any) -> Any:
-    """Turn an address into a pointer to int64, for ``numba.carray``."""
-    signature = types.CPointer(types.int64)(types.uintp)
-
-    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        return builder.inttoptr(given[0], context.get_value_type(signature.return_type))
-
-    return signature, generate
-
-
-@intrinsic
 def call_c(_context: Any, _function: Any, _first: Any, _second: Any, _third: Any) -> Any:
     """Call a C function ``int f(void *, void *, void *)``, or one of fewer, by its address."""
     signature = types.int64(*[types.uintp] * 4)

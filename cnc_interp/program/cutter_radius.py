@@ -174,13 +174,10 @@ class CutterRadius:
         self._distance, self._frame, self._source = distance, frame, source
         self._rotary = before[ROTARY].copy()
         self._here = self._flat(before[POINT])
-        self._leads = True  # whether no element of the contour is known yet
         self._last: Element | None = None  # offset, from where the one before it ends
-        self._contour: Element | None = None  # as programmed
-        self._rows: list[
-            FloatArray
-        ] = []  # the row of the last element, and moves along the normal
-        self._parts: deque[Element] = deque(maxlen=COMPARED)
+        # The row of the last element, and moves along the normal.
+        self._rows: list[FloatArray] = []
+        self._parts: deque[Element] = deque(maxlen=COMPARED)  # of the contour, as programmed
         self._path: deque[Element] = deque(maxlen=COMPARED)
 
     def _flat(self, point: FloatArray) -> complex:
@@ -236,7 +233,7 @@ class CutterRadius:
                 return []
             return [row]
         self._here = element.end
-        if self._leads and not self._rows:
+        if not (self._parts or self._rows):
             if element.is_arc:
                 raise self._fault('G41 and G42 begin with a line; write one before the arc', row)
             self._rows = [row]
@@ -246,7 +243,7 @@ class CutterRadius:
             raise self._fault(_NO_FIT, row)
         ready = self._corner(element, offset, row)
         self._compare(element, row)
-        self._leads, self._contour, self._rows = False, element, [row]
+        self._rows = [row]
         return ready
 
     def _element(self, row: FloatArray) -> Element | None:
@@ -262,11 +259,11 @@ class CutterRadius:
 
     def _corner(self, element: Element, offset: Element, row: FloatArray) -> list[FloatArray]:
         """Join the last element with the next; return the rows up to there."""
-        if self._last is None or self._contour is None:
+        if self._last is None:
             # The line to the contour ends beside its first element.
             self._last = offset
             return [self._moved(waiting, offset.start) for waiting in self._rows]
-        leaves = self._contour.direction(self._contour.end)
+        leaves = self._parts[-1].direction(self._parts[-1].end)
         turn = float(np.angle(element.direction(element.start) / leaves))
         if abs(abs(turn) - pi) < SMOOTH:
             turn = -float(np.copysign(pi, self._distance))  # back along itself: about its end

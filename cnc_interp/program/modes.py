@@ -6,6 +6,7 @@ import numpy as np
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
+from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
@@ -148,7 +149,6 @@ class Modes:
             frames.move(np.array([taken[letter] * mover.unit for letter in 'XYZ']))
         else:
             if 'RPL' in dict(words.sets):
-                normal = {'G17': 'Z', 'G18': 'Y', 'G19': 'X'}[mover.plane]
-                taken[normal] = dict(words.sets)['RPL']
+                taken['XYZ'[PLANES[mover.plane][2]]] = dict(words.sets)['RPL']
             frames.rotate({letter: angle * DEG for letter, angle in taken.items() if angle})
         frames.update()

@@ -19,12 +19,14 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
+from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.frames import rotation
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
 
-#: Codes that define a plane, and those that turn the tool to it.
-PLANES, TURNS = {'G68', 'G68.2', 'G68.3', 'G68.4'}, {'G53.1', 'G53.3', 'G53.6'}
+#: Codes that define a plane, and these with those that turn the tool to it.
+DEFINING = {'G68', 'G68.2', 'G68.3', 'G68.4'}
+CODES = DEFINING | {'G53.1', 'G53.3', 'G53.6'}
 #: Orders of rotations: about turned axes (Euler), and about axes at rest.
 EULER = (313, 323, 121, 131, 212, 232)
 FIXED = (123, 132, 213, 231, 312, 321)
@@ -57,14 +59,14 @@ class TiltedPlane:
 
     def takes(self, codes: Sequence[str]) -> bool:
         """Tell whether one of the codes of a block belongs here."""
-        if self._parts and not PLANES & set(codes):
+        if self._parts and not DEFINING & set(codes):
             raise self.fault('the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
                              'Q3, P3 two directions')  # fmt: skip
-        return bool((PLANES | TURNS) & set(codes))
+        return not CODES.isdisjoint(codes)
 
     def execute(self, code: str, words: BlockWords) -> None:
         """Execute a code and remove its words from the block."""
-        if code in PLANES:
+        if code in DEFINING:
             self._define(code, words)
         else:
             self._orient(code, words)
@@ -199,8 +201,7 @@ class TiltedPlane:
         if 'R' not in words.values:
             raise self.fault('give the angle R', 'G68')
         angle, here = self._angle(words, 'R'), mover.here()[:3]
-        normal = {'G17': 2, 'G18': 1, 'G19': 0}[mover.plane]
-        axis = np.eye(3)[normal]
+        axis = np.eye(3)[PLANES[mover.plane][2]]
         if any(letter in words.values for letter in 'IJK'):
             axis = self._unit(self._take(words, 'IJK', 1.0))
         centre = here.copy()

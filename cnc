@@ -27,7 +27,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test | panel | step) set -- "requirements/$part.txt" ;;
+      test | panel | step | batch) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -101,7 +101,7 @@ main() {
   case ${1-} in
     test)
       shift
-      ensure "${parts[@]}" test panel step
+      ensure "${parts[@]}" test panel step batch
       cd "$root"
       case " $* " in *' --all '*) try_everything_else ;; esac
       exec "$venv/bin/python" -m pytest "$@"
@@ -125,6 +125,7 @@ main() {
       [ "$*" != run ] || set -- run "$root/examples/pyramid.ngc"
       [ "$*" != panel ] || set -- panel "$root/examples/pyramid.ngc"
       case " $* " in ' panel '* | *' --panel '*) parts+=(panel) ;; esac
+      [ "$1" != batch ] || parts+=(batch)
       case " ${*,,} " in ' cam '*.step' '* | ' cam '*.stp' '* | ' cam '*.p21' '*) parts+=(step) ;; esac
       ensure "${parts[@]}"
       exec "$venv/bin/cnc-interp" "$@"

@@ -13,6 +13,7 @@ from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
 from cnc_interp.command_options import BAD_INPUT, FINE
 from cnc_interp.commands.bags import add_bag_commands
+from cnc_interp.commands.batch import add_batch_command
 from cnc_interp.commands.check import add_check_command, add_report_command
 from cnc_interp.commands.convert import add_convert_command
 from cnc_interp.commands.home import add_home_command
@@ -75,6 +76,7 @@ def parser() -> argparse.ArgumentParser:
 
     add_run_command(commands)
     add_plan_command(commands)
+    add_batch_command(commands)
     add_convert_command(commands)
     add_check_command(commands)
     add_report_command(commands)

@@ -17,7 +17,7 @@ from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.kinematics.axes import error_text
-from cnc_interp.nodes.node_processes import Children, begin_loading
+from cnc_interp.nodes.node_processes import Children, load_nodes
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.declaration import Stage, choices
@@ -254,7 +254,7 @@ def run_session(
         raise InterpError('--out takes the motion of one program; leave out --then, or --record')
     namespace = f'/run_{uuid.uuid4().hex[:8]}'
     domain = chosen_domain()
-    begin_loading()
+    load_nodes()
     # The rest is imported, and this end of ROS made, while another process loads the nodes.
     from cnc_interp.client.operator_client import OperatorClient
     from cnc_interp.client.recorded_runs import run_recorded

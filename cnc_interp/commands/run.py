@@ -73,9 +73,9 @@ def add_panel_command(commands: Any) -> None:
 
 def run_command(options: argparse.Namespace) -> int:
     """Stream one or more programs through the nodes."""
-    from cnc_interp.nodes.node_processes import begin_loading
+    from cnc_interp.nodes.node_processes import load_nodes
 
-    begin_loading()  # in another process, while this one imports the rest
+    load_nodes()  # in another process, while this one imports the rest
     from cnc_interp.client.session import RunRequest, run_session
 
     beside = None

@@ -9,25 +9,23 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import multiprocessing
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from multiprocessing import forkserver
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.fork_server import begin_loading
 from cnc_interp.core.temporary_folder import TemporaryFolder, remove_dead_folders
 from cnc_interp.nodes.shared_memory import remove_dead_segments
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
-#: What the fork server loads before it forks. multiprocessing imports the command in every child.
-PRELOADED = ['cnc_interp.nodes.preloaded', 'cnc_interp.cli']
+#: What the fork server loads before it forks.
+PRELOADED = ['cnc_interp.nodes.preloaded']
 #: Loading takes longer than this only if the kernels must be compiled first [s].
 SLOW_START = 15.0
 COMPILING = 'compiling the kernels, once; takes a minute or two'
@@ -44,31 +42,9 @@ class Started:
     log: Path
 
 
-#: Where multiprocessing has its sockets.
-_sockets: TemporaryFolder | None = None
-
-
-def _keep_sockets() -> None:
-    """Give multiprocessing a folder that the end of the next run removes if this one is killed."""
-    global _sockets
-    _sockets = TemporaryFolder()
-    multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
-
-
-def begin_loading() -> None:
-    """
-    Start the fork server, which takes seconds to load; returns at once.
-
-    It and its helper outlive Ctrl-C and a closed terminal: the run ends its nodes in order then.
-    """
-    multiprocessing.set_forkserver_preload(PRELOADED)
-    if _sockets is None:
-        _keep_sockets()
-    ignored = (signal.SIGINT, signal.SIGHUP)
-    before = [signal.signal(number, signal.SIG_IGN) for number in ignored]  # they inherit it
-    forkserver.ensure_running()
-    for number, handler in zip(ignored, before, strict=True):
-        signal.signal(number, handler)
+def load_nodes() -> ForkServerContext:
+    """Let the fork server load what the nodes need, which takes seconds; returns at once."""
+    return begin_loading(PRELOADED)
 
 
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
@@ -119,7 +95,7 @@ class Children:
         }
         self._namespace, self._parameters, self._file = namespace, parameters, file
         self._arguments = arguments or {}
-        begin_loading()
+        self._context = load_nodes()
         slow = threading.Timer(SLOW_START, print, [COMPILING], {'file': sys.stderr})
         slow.start()
         self._nodes: dict[str, Started] = {}
@@ -140,7 +116,7 @@ class Children:
             arguments += ['-p', f'{name}:={value}']
         arguments += self._arguments.get(node, [])
         log = Path(self._folder.name) / f'{node}.txt'
-        process = multiprocessing.get_context('forkserver').Process(
+        process = self._context.Process(
             target=_live, args=(node, arguments, self._environment, log), name=node,
             daemon=True,  # whoever forgets to end the nodes can end all the same
         )  # fmt: skip

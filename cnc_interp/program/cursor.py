@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.program.files import subprogram_file
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.variables import ProgramVariables
 
 _DEEPEST_CALL = 20
-_SUBPROGRAM_SUFFIXES = ('.ngc', '.nc', '.tap', '.NC', '.TAP', '')
 
 
 @dataclass
@@ -167,12 +167,12 @@ class Cursor:
 
     def _file_beside(self, stem: str) -> Source:
         """Open the separate file of a subprogram."""
-        folder = Path(self.main.name).parent
-        for suffix in _SUBPROGRAM_SUFFIXES:
-            path = folder / (stem + suffix)
-            if re.fullmatch(r'[\w-]+', stem) and path.is_file():
-                return Source.of_file(path)
-        raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it', stem)
+        path = subprogram_file(Path(self.main.name).parent, stem)
+        if path is None:
+            raise self.fault(
+                f'the subprogram {stem} is not in this file or its folder; add it', stem
+            )
+        return Source.of_file(path)
 
     def leave(self) -> None:
         """Return from a subprogram, or begin its next round."""

@@ -12,6 +12,7 @@ from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
 from cnc_interp.program.columns import ProgramChange
+from cnc_interp.program.files import CL_SUFFIXES
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
@@ -21,7 +22,6 @@ from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
 
 _HEAD_LINES = 2000
-_CL_SUFFIXES = {'.apt', '.cl', '.cls', '.ncl', '.aptsource'}
 _CL_LINE = re.compile(
     r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]'
     r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
@@ -274,4 +274,4 @@ def _dialect(source: Source) -> str:
             return 'cl'
         if _GCODE_LINE.match(line):
             return 'gcode'
-    return 'cl' if Path(source.name).suffix.lower() in _CL_SUFFIXES else 'gcode'
+    return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'

@@ -26,6 +26,7 @@ FLOW = (
     'report',
     'description',
     'cam',
+    'batch',
     'nodes',
     'client',
     'commands',

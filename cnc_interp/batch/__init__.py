@@ -1,0 +1,1 @@
+"""Many programs on many machines: planned and proven one by one, in processes of their own."""

@@ -1,0 +1,155 @@
+"""The page of a batch: its figures in one look, and a table that sorts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.batch.table import Results, rows_of
+from cnc_interp.batch.task import Verdict
+from cnc_interp.core.small_files import write_whole
+from cnc_interp.core.units import HOUR
+from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.plot_style import BLUE, RED, base_layout, with_axes
+
+#: More rows than these are not shown; the table file has them all.
+MOST_ROWS = 5000
+#: Columns of the page: heading, column of the table, and how a number is written.
+SHOWN = (
+    ('program', 'program', ''), ('machine', 'machine', ''), ('verdict', 'verdict', ''),
+    ('cycle time [s]', 'cycle_time_s', ',.3f'), ('bound [s]', 'time_bound_s', ',.3f'),
+    ('cost', 'cost', ',.2f'), ('path [m]', 'path_length_m', ',.2f'), ('blocks', 'blocks', ',d'),
+    ('velocity', 'velocity_use', '.1%'), ('acceleration', 'acceleration_use', '.1%'),
+    ('jerk', 'jerk_use', '.1%'), ('torque', 'torque_use', '.1%'),
+    ('contour', 'contour_used', '.1%'), ('orientation', 'orientation_used', '.1%'),
+)  # fmt: skip
+LOCAL_STYLE = """
+th[data-sort] { cursor: pointer; position: sticky; top: 0; background: white; }
+td:nth-child(-n+3), th:nth-child(-n+3) { text-align: left; }
+tr.red td:nth-child(3) { color: #c0392b; font-weight: 600; }
+td small { display: block; color: #5c6b78; max-width: 520px; }
+#find { font: inherit; padding: 4px 8px; margin: 2px 0 8px; width: 280px;
+  border: 1px solid #c3cad1; border-radius: 4px; }
+"""
+SCRIPT = """
+const body = document.querySelector('#rows'), rows = [...body.rows];
+document.querySelectorAll('th[data-sort]').forEach((head, column) => {
+  let up = false;
+  head.onclick = () => {
+    up = !up;
+    const value = row => row.cells[column].dataset.value ?? row.cells[column].textContent;
+    const order = (a, b) => {
+      const [x, y] = [value(a), value(b)], [m, n] = [parseFloat(x), parseFloat(y)];
+      const by = isNaN(m) || isNaN(n) ? x.localeCompare(y) : m - n;
+      return up ? by : -by;
+    };
+    body.append(...[...body.rows].sort(order));
+  };
+});
+document.querySelector('#find').oninput = event => {
+  const wanted = event.target.value.toLowerCase();
+  rows.forEach(row => row.hidden = !row.textContent.toLowerCase().includes(wanted));
+};
+"""
+
+
+def write_page(results: Results, rate: float | None, file: Path) -> None:
+    """Write the page of a batch; the text needs nothing else."""
+    from plotly.offline import get_plotlyjs
+
+    rows = rows_of(results, rate)
+    counts = Counter(outcome.row.verdict for _, outcome in results)
+    good = counts[Verdict.PROVEN] == len(rows)
+    badge = '<span class="badge">all proven</span>' if good else ''
+    shown = [one for one in SHOWN if any(row[one[1]] is not None for row in rows)]
+    body = [
+        f'<h1>{len(rows):,} plans{badge}</h1>',
+        f'<p>{len({row["program"] for row in rows}):,} programs, '
+        f'machines {escape(", ".join(dict.fromkeys(row["machine"] for row in rows)))}</p>',
+        f'<div class="tiles">{"".join(_tiles(rows, counts))}</div>',
+        _time_section(rows),
+        section(
+            'Plans',
+            'Press a heading to sort. Uses are the largest of any axis or place, as proven.'
+            + (f' The first {MOST_ROWS:,}; table.csv has all.' if len(rows) > MOST_ROWS else ''),
+            f'<input id="find" placeholder="find">{_table(rows[:MOST_ROWS], shown)}',
+        ),
+    ]
+    write_whole(
+        file,
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<title>{len(rows)} plans</title><style>{STYLE}{LOCAL_STYLE}</style>'
+        f'<script>{get_plotlyjs()}</script></head><body><main>'
+        + '\n'.join(body)
+        + f'</main><script>{SCRIPT}</script></body></html>\n',
+    )
+
+
+def _tiles(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[str]:
+    """Write the main figures."""
+    tiles = [(f'{counts[verdict]:,}', str(verdict)) for verdict in Verdict if counts[verdict]]
+    total = sum(row['cycle_time_s'] or 0.0 for row in rows)
+    tiles.append((f'{total / HOUR:,.2f} h', 'cycle time of all'))
+    if any(row['cost'] is not None for row in rows):
+        tiles.append((f'{sum(row["cost"] or 0.0 for row in rows):,.2f}', 'cost of all'))
+    return [f'<div class="tile"><b>{value}</b><span>{label}</span></div>'
+            for value, label in tiles]  # fmt: skip
+
+
+def _time_section(rows: list[dict[str, Any]]) -> str:
+    """Draw cycle times over the least times of any motion; '' where there are none."""
+    from plotly import graph_objects as go
+
+    known = [row for row in rows if row['time_bound_s']]
+    if not known:
+        return ''
+    figure = go.Figure()
+    for proven, colour, name in ((True, BLUE, 'proven'), (False, RED, 'not proven')):
+        some = [row for row in known if (row['verdict'] == Verdict.PROVEN) is proven]
+        if not some:
+            continue
+        figure.add_scatter(
+            x=[row['time_bound_s'] for row in some],
+            y=[row['cycle_time_s'] / row['time_bound_s'] for row in some],
+            text=[f'{escape(row["program"])} on {escape(row["machine"])}' for row in some],
+            mode='markers',
+            marker={'color': colour, 'size': 7, 'opacity': 0.7},
+            name=name,
+            hovertemplate='%{text}<br>bound %{x:.3f} s, %{y:.3f} times as long<extra></extra>',
+        )
+    figure.update_layout(**base_layout(320) | {'hovermode': 'closest'})
+    figure.update_xaxes(title='least time of any motion without jerk limits [s]', type='log')
+    figure.update_yaxes(title='cycle time / least time [-]')
+    return section(
+        'Cycle times',
+        'The least time is that of any motion within the feeds, velocities and accelerations. '
+        'What is above it is the price of the jerk limits.',
+        drawing(with_axes(figure)),
+    )
+
+
+def _table(rows: list[dict[str, Any]], shown: list[tuple[str, str, str]]) -> str:
+    """Write the table."""
+    heads = ''.join(f'<th data-sort>{escape(heading)}</th>' for heading, _, _ in shown)
+    lines = []
+    for row in rows:
+        cells = ''.join(_cell(row, column, form) for _, column, form in shown)
+        colour = '' if row['verdict'] == Verdict.PROVEN else ' class="red"'
+        lines.append(f'<tr{colour}>{cells}</tr>')
+    return (f'<div class="wide"><table><thead><tr>{heads}</tr></thead>'
+            f'<tbody id="rows">{"".join(lines)}</tbody></table></div>')  # fmt: skip
+
+
+def _cell(row: dict[str, Any], column: str, form: str) -> str:
+    """Write one cell; the verdict has its reason, the program its notices."""
+    value = row[column]
+    if value is None:
+        return '<td></td>'
+    if form:
+        return f'<td data-value="{value}">{value:{form}}</td>'
+    more = {'verdict': row['message'], 'program': row['notices']}.get(column)
+    small = f'<small>{escape(more)}</small>' if more else ''
+    return f'<td>{escape(value)}{small}</td>'

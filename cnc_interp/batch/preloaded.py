@@ -1,0 +1,18 @@
+"""
+What every task needs, imported once by the process from which its worker is forked.
+
+Importing this module is its purpose: libraries and compiled kernels are in memory afterwards.
+"""
+
+import gc
+
+from cnc_interp.batch.task import Model, Verdict
+from cnc_interp.batch.work import carry_out, tiny_task
+from cnc_interp.kinematics.machine import find_machine_file
+from cnc_interp.settings.choices import DEFAULT_MACHINE
+
+text = find_machine_file(DEFAULT_MACHINE).read_text(encoding='utf-8')
+row = carry_out(tiny_task(Model(DEFAULT_MACHINE, text, ''))).row
+assert row.verdict is Verdict.PROVEN, row
+gc.collect()
+gc.freeze()  # the collector ignores these objects from now on, so their memory stays shared

@@ -1,0 +1,200 @@
+"""
+Calls in processes of their own: one process per call, forked from a warm fork server.
+
+A process that dies takes only its own call with it, and leaves no memory behind. Calls whose
+process somebody else kills are begun again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum, auto
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from cnc_interp.core.fork_server import begin_loading
+
+#: What the fork server loads.
+PRELOADED = ['cnc_interp.batch.preloaded']
+#: Name of a working process in ``ps`` and ``top``.
+PROCESS_NAME = 'cnc_batch'
+#: A process that is killed so often is not begun again.
+MOST_KILLS = 20
+#: Signals by which others end a process; by any other signal it ends itself.
+FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+
+A = TypeVar('A')
+R = TypeVar('R')
+
+
+class Loss(Enum):
+    """Why a call has no result."""
+
+    CRASHED = auto()
+    KILLED = auto()
+    TOO_LONG = auto()
+
+
+@dataclass(frozen=True)
+class Ended(Generic[R]):
+    """
+    A call that has ended.
+
+    Parameters
+    ----------
+    number : int
+        Number of the call, from 0.
+    result : object
+        What it returned, or why it did not.
+    kills : int
+        How often it was killed and begun again.
+    why : str
+        How its process ended, if there is no result.
+
+    """
+
+    number: int
+    result: R | Loss
+    kills: int = 0
+    why: str = ''
+
+
+@dataclass
+class _Running(Generic[A]):
+    """A process and its call."""
+
+    number: int
+    make: Callable[[], A]
+    process: ForkServerProcess
+    deadline: float
+    kills: int
+
+
+class Processes:
+    """
+    Some processes that work at the same time, at the lowest priority.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    memory : float
+        Most memory that a process may ask for [bytes].
+    longest : float
+        Longest time of a call [s].
+
+    """
+
+    def __init__(self, workers: int, memory: float, longest: float):
+        self._workers, self._memory, self._longest = workers, memory, longest
+        self._context = begin_loading(PRELOADED)
+
+    def run(
+        self, function: Callable[[A], R], arguments: Iterable[Callable[[], A]]
+    ) -> Iterator[Ended[R]]:
+        """
+        Call a function with each argument; yield what has ended, in the order of the ends.
+
+        Parameters
+        ----------
+        function : callable
+            A function of a module.
+        arguments : iterable of callable
+            Makes each argument when it is needed, so that not all are in memory.
+
+        Yields
+        ------
+        Ended
+            Number of the argument, and the result. To end the iteration ends all processes.
+
+        """
+        waiting: deque[tuple[int, Callable[[], A], int]] = deque()
+        coming = enumerate(arguments)
+        running: dict[Connection, _Running[A]] = {}
+        try:
+            while True:
+                while len(running) < self._workers:
+                    if not waiting and (more := next(coming, None)) is not None:
+                        waiting.append((*more, 0))
+                    if not waiting:
+                        break
+                    self._start(function, *waiting.popleft(), running)
+                if not running:
+                    return
+                for connection in self._heard(running):
+                    call = running.pop(connection)
+                    ended: Ended[R] = _end_of(connection, call)
+                    if ended.result is Loss.KILLED and call.kills < MOST_KILLS:
+                        waiting.append((call.number, call.make, call.kills + 1))
+                    else:
+                        yield ended
+        finally:
+            for call in running.values():
+                call.process.kill()
+            for connection, call in running.items():
+                call.process.join()
+                connection.close()
+
+    def _start(
+        self, function: Callable[[A], R], number: int, make: Callable[[], A], kills: int,
+        running: dict[Connection, _Running[A]],
+    ) -> None:  # fmt: skip
+        """Start the process of a call."""
+        ours, theirs = self._context.Pipe(duplex=False)
+        process = self._context.Process(
+            target=_live, args=(function, make(), theirs, self._memory), daemon=True
+        )
+        process.start()
+        theirs.close()
+        deadline = time.monotonic() + self._longest
+        running[ours] = _Running(number, make, process, deadline, kills)
+
+    @staticmethod
+    def _heard(running: dict[Connection, _Running[A]]) -> list[Connection]:
+        """Wait; return the connections of processes that have ended, or work for too long."""
+        deadline = min(call.deadline for call in running.values())
+        heard = wait(list(running), max(0.0, deadline - time.monotonic()))
+        now = time.monotonic()
+        late = [c for c, call in running.items() if now > call.deadline and c not in heard]
+        return [*heard, *late]  # type: ignore[list-item]
+
+
+def _end_of(connection: Connection, call: _Running[A]) -> Ended[R]:
+    """Return what a call has become; its process has said something, died, or has no time left."""
+    late, sent = not connection.poll(), []
+    if late:
+        call.process.kill()
+    else:
+        with contextlib.suppress(EOFError, OSError):  # it died before it said all
+            sent.append(connection.recv())
+    call.process.join()
+    connection.close()
+    if sent:
+        return Ended(call.number, sent[0], call.kills)
+    if late:
+        return Ended(call.number, Loss.TOO_LONG, call.kills)
+    code = call.process.exitcode or 0
+    if -code in FROM_OUTSIDE:
+        return Ended(call.number, Loss.KILLED, call.kills)
+    why = signal.Signals(-code).name if code < 0 else f'exit code {code}'
+    return Ended(call.number, Loss.CRASHED, call.kills, why)
+
+
+def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:
+    """Call the function in a forked process, and send the result."""
+    os.setsid()  # who started it receives Ctrl-C and ends it
+    os.nice(19)
+    with contextlib.suppress(OSError):
+        Path('/proc/self/comm').write_text(PROCESS_NAME, encoding='ascii')
+    resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))
+    result.send(function(argument))
+    result.close()

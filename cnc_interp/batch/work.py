@@ -1,0 +1,118 @@
+"""The work of one task: the program is read, planned and proven."""
+
+from __future__ import annotations
+
+import hashlib
+import resource
+import tempfile
+import time
+import traceback
+from collections.abc import Iterable
+from contextlib import chdir
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from cnc_interp.batch.task import Cost, Model, Outcome, Row, Task, Verdict
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import parse_yaml
+from cnc_interp.kinematics.machine import Machine, from_mapping
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program import JobSetup, open_program
+from cnc_interp.proof.verdict import Proof
+from cnc_interp.proof.verify import verify_plan
+from cnc_interp.run.chain import plan_to_files
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.texts import with_texts
+
+#: A line, a corner and an exact stop: it loads what every task needs.
+TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'
+#: The plan files whose content is the plan.
+PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
+
+
+def carry_out(task: Task) -> Outcome:
+    """
+    Plan and prove a program.
+
+    Whatever goes wrong becomes the verdict of the row. So no program ends a batch.
+
+    Returns
+    -------
+    Outcome
+        The row of the table, and what it has cost.
+
+    """
+    began, used = time.perf_counter(), time.process_time()
+    try:
+        row = _planned(task)
+    except InterpError as problem:
+        row = Row(Verdict.REFUSED, str(problem))
+    except MemoryError:
+        row = Row(Verdict.TOO_LARGE, 'a worker has not enough memory for it; see --memory')
+    except Exception as problem:
+        at = traceback.extract_tb(problem.__traceback__)[-1]
+        place = f'{Path(at.filename).name}:{at.lineno}'
+        row = Row(
+            Verdict.CRASHED, f'{type(problem).__name__} in {place}: {problem}; please report'
+        )
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
+    return Outcome(row, Cost(time.perf_counter() - began, time.process_time() - used, memory))
+
+
+def _planned(task: Task) -> Row:
+    """Return the row of a task that can be planned."""
+    machine = machine_of(task.model)
+    settings = with_texts(Settings(), task.settings)
+    setup = JobSetup.of_text(task.setup) if task.setup else None
+    with tempfile.TemporaryDirectory(prefix='cnc_batch_') as folder, chdir(folder):
+        program = Path(task.program)  # as messages shall name it
+        program.parent.mkdir(parents=True, exist_ok=True)
+        for name, text in task.files:
+            program.with_name(name).write_bytes(text)
+        stream = open_program(program, Transform.of(machine), settings, setup)
+        plan = Path(task.plans or 'plan files')
+        summary = plan_to_files(stream, machine, plan, settings)
+        proof = verify_plan(plan, machine)
+        digest = _hash(plan / name for name in PLAN)
+    return Row(
+        Verdict.PROVEN if proof.ok else Verdict.NOT_PROVEN,
+        '; '.join(proof.failures),
+        blocks=summary['blocks'],
+        setpoints=summary['samples'],
+        path_length=summary['path_length'],
+        cycle_time=summary['cycle_time'],
+        time_bound=summary['time_bound'],
+        **{f'{kind}_use': _use(proof, kind) for kind in proof.kinds},
+        contour_used=proof.largest('contour error').ratio,
+        orientation_used=proof.largest('orientation error').ratio,
+        notices=tuple(stream.notices),
+        plan_hash=digest,
+    )
+
+
+def _use(proof: Proof, kind: str) -> float:
+    """Return the largest use of a limit by any axis [-]."""
+    return float(np.nanmax([proof.use_of(kind, axis) for axis in proof.axis_names]))
+
+
+def _hash(files: Iterable[Path]) -> str:
+    """Return a hash of the content of files."""
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open('rb') as stream:
+            digest.update(hashlib.file_digest(stream, 'sha256').digest())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def machine_of(model: Model) -> Machine:
+    """Return the machine of a text; ``Machine.load`` has found it sound before."""
+    return replace(from_mapping(parse_yaml(model.text)), file=model.file)
+
+
+def tiny_task(model: Model) -> Task:
+    """Return a task of two short lines."""
+    return Task('tiny.ngc', (('tiny.ngc', TINY),), model, ())

@@ -1,0 +1,108 @@
+"""`cnc-interp batch`: many programs on many machines, planned and proven; one table, one page."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import FAILED, FINE, command, positive
+from cnc_interp.core.units import HOUR, MINUTE
+from cnc_interp.settings.choices import DEFAULT_MACHINE
+from cnc_interp.settings.command_line import add_settings, settings_from
+
+GIGABYTE = 1e9
+
+
+def add_batch_command(commands: Any) -> None:
+    """Declare `batch`."""
+    batch = command(
+        commands, 'batch', batch_command,
+        'plan and prove many programs on one or more machines; writes one table and one page',
+        'cnc-interp batch programs/ --machine xyzac xyzbc --out out/batch',
+    )  # fmt: skip
+    batch.add_argument(
+        'programs', type=Path, nargs='+', metavar='PROGRAM', help='folders and files of programs'
+    )
+    batch.add_argument(
+        '--machine', nargs='+', default=[DEFAULT_MACHINE], metavar='M',
+        help=f'bundled machines or YAML files ({DEFAULT_MACHINE})',
+    )  # fmt: skip
+    batch.add_argument(
+        '--out', type=Path, metavar='DIR', required=True,
+        help='folder for table, page and results; a second start goes on from them',
+    )  # fmt: skip
+    batch.add_argument(
+        '--workers', type=int, default=len(os.sched_getaffinity(0)), metavar='N',
+        help='programs that are planned at the same time (one for each processor)',
+    )  # fmt: skip
+    batch.add_argument(
+        '--keep-plans', action='store_true', help='keep the plan files of all, in DIR/plans'
+    )
+    batch.add_argument(
+        '--rate', type=positive, metavar='COST', help='what an hour of the machine costs'
+    )
+    batch.add_argument(
+        '--memory', type=positive, metavar='GB',
+        help='most memory of a worker (that of the computer, shared among them)',
+    )  # fmt: skip
+    batch.add_argument(
+        '--longest', type=positive, default=60.0, metavar='MIN',
+        help='longest planning time of a program (60 min)',
+    )  # fmt: skip
+    add_settings(batch)
+    batch.add_argument('--json', action='store_true', help='print the counts as JSON')
+
+
+def batch_command(options: argparse.Namespace) -> int:
+    """Plan and prove programs; write the tables and the page."""
+    import json
+
+    from cnc_interp.batch.jobs import Jobs
+    from cnc_interp.batch.page import write_page
+    from cnc_interp.batch.processes import Processes
+    from cnc_interp.batch.run import Progress, run_batch
+    from cnc_interp.batch.store import Store
+    from cnc_interp.batch.table import write_tables
+    from cnc_interp.batch.task import Verdict
+    from cnc_interp.core.errors import InterpError
+    from cnc_interp.core.progress_bar import ProgressBar
+
+    if options.workers < 1:
+        raise InterpError('--workers must be 1 or more')
+    plans = options.out / 'plans' if options.keep_plans else None
+    jobs = Jobs(options.programs, options.machine, settings_from(options), plans)
+    bar = ProgressBar(None if options.json else sys.stderr)
+
+    def tell(progress: Progress) -> None:
+        known = f', {progress.known} known before' if progress.known else ''
+        bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
+
+    memory = options.memory * GIGABYTE if options.memory else total_memory() / options.workers
+    workers = Processes(options.workers, memory, options.longest * MINUTE)
+    try:
+        results = run_batch(jobs, workers, Store(options.out / 'results'), tell)
+    finally:
+        bar.end(complete=False)
+    files = write_tables(results, options.rate, options.out)
+    write_page(results, options.rate, options.out / 'batch.html')
+    counts = Counter(outcome.row.verdict for _, outcome in results)
+    total = sum(outcome.row.cycle_time or 0.0 for _, outcome in results)
+    if options.json:
+        print(json.dumps({str(verdict): counts[verdict] for verdict in Verdict}))
+    else:
+        told = ', '.join(f'{counts[verdict]} {verdict}' for verdict in Verdict if counts[verdict])
+        print(f'programs       {len(results)}: {told}')
+        print(f'cycle time     {total:.1f} s of all'
+              + (f', cost {total * options.rate / HOUR:.2f}' if options.rate else ''))  # fmt: skip
+        print(f'page           {options.out / "batch.html"}')
+        print(f'tables         {", ".join(str(file) for file in files)}')
+    return FINE if counts[Verdict.PROVEN] == len(results) else FAILED
+
+
+def total_memory() -> float:
+    """Return the memory of this computer [bytes]."""
+    return float(os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES'))

@@ -1,0 +1,52 @@
+"""
+Python's fork server: a process that has loaded much, from which others are forked at once.
+
+Libraries and compiled kernels are loaded once, and their memory is shared.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Sequence
+from multiprocessing import forkserver
+from multiprocessing.context import ForkServerContext
+
+from cnc_interp.core.temporary_folder import TemporaryFolder
+
+#: What every child needs: multiprocessing imports the command in it.
+COMMAND = 'cnc_interp.cli'
+#: Where multiprocessing has its sockets.
+_sockets: TemporaryFolder | None = None
+
+
+def begin_loading(modules: Sequence[str]) -> ForkServerContext:
+    """
+    Start the fork server, which takes seconds to load; returns at once.
+
+    It and its helper outlive Ctrl-C and a closed terminal, so who started it can end its children
+    in order. A process has one fork server; a second call changes nothing.
+
+    Parameters
+    ----------
+    modules : sequence of str
+        What it imports before it forks.
+
+    Returns
+    -------
+    ForkServerContext
+        Makes processes that are forked from it.
+
+    """
+    global _sockets
+    multiprocessing.set_forkserver_preload([*modules, COMMAND])
+    if _sockets is None:
+        # The end of the next run removes this folder if this one is killed.
+        _sockets = TemporaryFolder()
+        multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
+    ignored = (signal.SIGINT, signal.SIGHUP)
+    before = [signal.signal(number, signal.SIG_IGN) for number in ignored]  # they inherit it
+    forkserver.ensure_running()
+    for number, handler in zip(ignored, before, strict=True):
+        signal.signal(number, handler)
+    return multiprocessing.get_context('forkserver')

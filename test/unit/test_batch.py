@@ -1,0 +1,268 @@
+"""Batches: the same table whoever computes it, and no program ends it."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cnc_interp.batch.jobs import Jobs, programs_of
+from cnc_interp.batch.processes import PROCESS_NAME, Loss, Processes
+from cnc_interp.batch.run import run_batch
+from cnc_interp.batch.store import Store
+from cnc_interp.batch.task import Outcome, Row, Task, Verdict
+from cnc_interp.batch.work import carry_out, tiny_task
+from cnc_interp.cli import main
+from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
+from cnc_interp.core.errors import InterpError
+from cnc_interp.settings.choices import Settings
+
+GIGA = 1e9
+LINE = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X{}\nM30\n'
+
+
+@pytest.fixture
+def programs(tmp_path):
+    folder = tmp_path / 'programs'
+    (folder / 'deep').mkdir(parents=True)
+    for k in range(4):
+        (folder / f'line {k}.ngc').write_text(LINE.format(3 + k))
+    (folder / 'deep' / 'zigzag.nc').write_text(
+        LINE.format('1\n' + '\n'.join(f'X{k} Y{k % 2}' for k in range(30)))
+    )
+    (folder / 'deep' / 'wrong.nc').write_text('G21\nG1 X1 F100 Q7\n')
+    (folder / 'notes.md').write_text('no program')
+    return folder
+
+
+def batch(programs, out, *more):
+    return main(['batch', str(programs), '--out', str(out), *more])
+
+
+def table(out):
+    return list(csv.DictReader((out / 'table.csv').open()))
+
+
+def test_the_table_has_every_program_and_its_verdict(programs, tmp_path, capsys):
+    out = tmp_path / 'out'
+    assert batch(programs, out, '--rate', '90', '--keep-plans', '--workers', '2') == FAILED
+    assert '6: 5 proven, 1 refused' in capsys.readouterr().out
+    rows = {row['program']: row for row in table(out)}
+    assert list(rows) == ['deep/wrong.nc', 'deep/zigzag.nc', *(f'line {k}.ngc' for k in range(4))]
+    assert rows['deep/wrong.nc']['message'].startswith('deep/wrong.nc:2: Q7')
+    page = (out / 'batch.html').read_text()
+    for name, row in rows.items():
+        assert name in page
+        if row['verdict'] != 'proven':
+            continue
+        plan = out / 'plans' / 'xyzac' / name
+        assert main(['check', str(plan)]) == FINE
+        summary = json.loads((plan / 'summary.json').read_text())
+        assert float(row['cycle_time_s']) == summary['cycle_time']
+        assert float(row['cost']) == pytest.approx(summary['cycle_time'] / 40.0)
+        assert int(row['setpoints']) == len(np.load(plan / 'setpoints.npz')['time'])
+        assert float(row['jerk_use']) <= 1.0
+
+
+def test_the_rows_do_not_depend_on_workers_and_kills(programs, tmp_path):
+    for k in range(8):
+        (programs / f'more {k}.ngc').write_text(LINE.format(f'{k}\nY{k + 1}\nX0'))
+    outs = [tmp_path / name for name in ('one', 'two', 'killed')]
+    assert batch(programs, outs[0], '--workers', '1') == FAILED
+    assert batch(programs, outs[1], '--workers', '2') == FAILED
+    stop, killed = threading.Event(), []
+
+    def kill():
+        while len(killed) < 6 and not stop.wait(0.1):
+            killed.extend(kill_one())
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        assert batch(programs, outs[2], '--workers', '2') == FAILED
+    finally:
+        stop.set()
+        killer.join()
+    assert killed
+    whole = [(out / 'table.csv').read_bytes() for out in outs]
+    assert whole[0] == whole[1] == whole[2]
+    if (outs[0] / 'table.parquet').exists():
+        assert len({(out / 'table.parquet').read_bytes() for out in outs}) == 1
+
+
+def kill_one():
+    """Kill a working process of ours, a child of our fork server; return its id."""
+    for process in (int(path.name) for path in Path('/proc').glob('[0-9]*')):
+        try:
+            name, parent = name_and_parent(process)
+            if name == PROCESS_NAME and name_and_parent(parent)[1] == os.getpid():
+                os.kill(process, signal.SIGKILL)
+                return [process]
+        except OSError:
+            continue
+    return []
+
+
+def name_and_parent(process):
+    name, _, rest = Path(f'/proc/{process}/stat').read_text().partition('(')[2].rpartition(')')
+    return name, int(rest.split()[1])
+
+
+def test_a_second_start_plans_only_what_has_changed(programs, tmp_path):
+    jobs = partial(Jobs, [programs], ['xyzac'], Settings())
+    store, told = Store(tmp_path / 'results'), []
+    workers = Processes(2, 4 * GIGA, 300.0)
+
+    class Counting:
+        def run(self, function, arguments):
+            made = [make() for make in arguments]
+            told.append(sorted(task.program for task in made))
+            return workers.run(function, [partial(lambda task: task, task) for task in made])
+
+    def start():
+        done = run_batch(jobs(), Counting(), store, lambda _: None)
+        return {job.program: outcome.row for job, outcome in done}
+
+    first = start()
+    assert len(told[-1]) == 6
+    (programs / 'line 0.ngc').write_text(LINE.format(50))
+    second = start()
+    assert told[-1] == ['line 0.ngc']
+    assert second['line 0.ngc'].cycle_time > first['line 0.ngc'].cycle_time
+    assert {k: v for k, v in second.items() if k != 'line 0.ngc'} == {
+        k: v for k, v in first.items() if k != 'line 0.ngc'
+    }
+    broken = next((tmp_path / 'results').glob('*.json'))
+    broken.write_text('{"row": ')
+    assert start() == second
+    assert len(told[-1]) == 1
+
+
+def test_a_changed_subprogram_or_machine_is_another_task(programs, tmp_path):
+    main_program = programs / 'main.ngc'
+    main_program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0 F3000\nM98 P12\nM30\n')
+    (programs / 'O0012.ngc').write_text('O0012\nG1 X4\nM99\n')
+
+    def task(machine='xyzac'):
+        jobs = Jobs([main_program], [machine], Settings())
+        return jobs.task(next(iter(jobs)))
+
+    first = task()
+    assert [name for name, _ in first.files] == ['main.ngc', 'O0012.ngc']
+    row = carry_out(first).row
+    assert row.verdict is Verdict.PROVEN and row.path_length == pytest.approx(4e-3, rel=0.01)
+    (programs / 'O0012.ngc').write_text('O0012\nG1 X8\nM99\n')
+    assert task().key != first.key
+    assert carry_out(task()).row.path_length == pytest.approx(8e-3, rel=0.01)
+    machine = tmp_path / 'own.yaml'
+    text = (Path(__file__).parents[2] / 'config/machines/xyzac.yaml').read_text()
+    machine.write_text(text)
+    before = task(str(machine)).key
+    machine.write_text(text.replace('name: xyzac', 'name: other', 1))
+    assert len({before, task(str(machine)).key, task().key}) == 3
+
+
+def half(number):
+    """A function of a worker that fares badly with some numbers."""
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if number == 2:
+        os._exit(3)
+    if number == 3:
+        time.sleep(600.0)
+    if number == 4:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number / 2
+
+
+def test_what_a_worker_dies_of_is_told():
+    calls = [partial(int, k) for k in range(6)]
+    ended = {e.number: e for e in Processes(2, 4 * GIGA, 20.0).run(half, calls)}
+    assert (ended[0].result, ended[5].result) == (0.0, 2.5)
+    assert (ended[1].result, ended[1].why) == (Loss.CRASHED, 'SIGSEGV')
+    assert (ended[2].result, ended[2].why) == (Loss.CRASHED, 'exit code 3')
+    assert ended[3].result is Loss.TOO_LONG
+    assert ended[4].result is Loss.KILLED and ended[4].kills > 3
+
+
+def test_faults_of_a_program_are_its_row(monkeypatch, programs):
+    def crash(*_):
+        raise ZeroDivisionError('no')
+
+    job = next(iter(Jobs([programs / 'line 0.ngc'], ['xyzac'], Settings())))
+    monkeypatch.setattr('cnc_interp.batch.work.plan_to_files', crash)
+    row = carry_out(tiny_task(job.model)).row
+    assert row.verdict is Verdict.CRASHED
+    assert row.message.startswith('ZeroDivisionError in test_batch.py:')
+
+
+def test_a_worker_has_no_more_memory_than_it_may(programs):
+    jobs = Jobs([programs / 'line 0.ngc'], ['xyzac'], Settings())
+    task = partial(jobs.task, next(iter(jobs)))
+    found = [e.result for e in Processes(1, 2 * GIGA, 300.0).run(eat, [task])]
+    assert found[0].row.verdict is Verdict.TOO_LARGE
+
+
+def eat(task: Task) -> Outcome:
+    """A task that asks for more memory than its worker has."""
+    from cnc_interp.batch import work
+
+    work.plan_to_files = greedy_plan
+    return work.carry_out(task)
+
+
+def greedy_plan(*_):
+    return np.ones(10**10)
+
+
+def test_interrupted_and_started_again(programs, tmp_path):
+    for k in range(40):
+        (programs / f'more {k}.ngc').write_text(LINE.format(f'{k}\nY{k + 1}\nX0'))
+    out = tmp_path / 'out'
+    words = [sys.executable, '-m', 'cnc_interp', 'batch', str(programs), '--out', str(out)]
+    script = f'import signal, os; signal.signal(2, signal.default_int_handler); ' \
+             f'os.execv({sys.executable!r}, {words!r})'  # fmt: skip
+    process = subprocess.Popen([sys.executable, '-c', script], stderr=subprocess.PIPE, text=True)
+    results = out / 'results'
+    while len(list(results.glob('[0-9a-f]*.json'))) < 3:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate()
+    assert process.returncode == 130 and 'interrupted' in said
+    known = {path: path.stat().st_mtime_ns for path in results.glob('*.json')}
+    assert 3 <= len(known) < 46
+    assert batch(programs, out) == FAILED
+    assert len(table(out)) == 46
+    assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in known.items())
+
+
+def test_names_and_bad_input(programs, tmp_path, capsys):
+    named = programs_of([programs / 'deep', programs / 'notes.md', programs / 'deep' / 'wrong.nc'])
+    assert [name for _, name in named] == ['deep/wrong.nc', 'deep/zigzag.nc', 'notes.md']
+    (tmp_path / 'empty').mkdir()
+    with pytest.raises(InterpError, match='no programs here'):
+        Jobs([tmp_path / 'empty'], ['xyzac'], Settings())
+    for words, text in (
+        ([str(tmp_path / 'nowhere')], 'there is no such file or folder'),
+        ([str(programs), '--machine', 'xyzzz'], "no machine 'xyzzz'"),
+        ([str(programs), '--workers', '0'], '--workers must be 1 or more'),
+    ):
+        assert main(['batch', *words, '--out', str(tmp_path / 'out')]) == BAD_INPUT
+        assert text in capsys.readouterr().err
+    assert not (tmp_path / 'out').exists()
+
+
+def test_outcomes_survive_their_text():
+    one = Outcome(Row(Verdict.PROVEN, cycle_time=1 / 3, notices=('a', 'b')))
+    assert Outcome.of_json(json.loads(one.to_text())) == one
+    with pytest.raises((TypeError, ValueError, KeyError)):
+        Outcome.of_json({'row': {'verdict': 'fine'}, 'cost': {}})

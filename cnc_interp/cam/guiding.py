@@ -12,16 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from contourpy import contour_generator
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import label
 
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import cross, dot, norm, scaled
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import MM
 
 #: Cells per direction in which a curve is sought.
 CELLS = 200
 #: Largest distance of the points of a curve [m].
 STEP = 0.4 * MM
+#: Smallest sine of the angle between a guiding plane and the surface [-].
+STEEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,9 @@ class GuidingPlanes:
     """
     The family of guiding curves of a surface in parallel planes.
 
+    Beyond the border of the surface the curves end where planes no longer cut, or where the
+    offset folds.
+
     Parameters
     ----------
     surface : Surface
@@ -152,7 +158,7 @@ class GuidingPlanes:
     Raises
     ------
     SurfaceError
-        If a plane is tangent to the surface.
+        If a plane is tangent to the surface; the message names the place.
 
     """
 
@@ -160,15 +166,24 @@ class GuidingPlanes:
         self, surface: Surface, offset: float, plane_normal: FloatArray, extension: float
     ):
         self.surface, self.offset, self.plane_normal = surface, offset, plane_normal
+        self.extension = extension
         self._u, self._v = surface.grid(CELLS + 1, CELLS + 1, extension)
-        point = surface.at(self._u, self._v).offset(offset)
-        self._level = point.position @ plane_normal
-        steep = norm(cross(point.normal, np.broadcast_to(plane_normal, point.normal.shape)))
-        if float(steep.min()) < 0.05:
+        point = surface.at(self._u, self._v)
+        across = np.broadcast_to(plane_normal, point.normal.shape)
+        cuts = norm(cross(point.normal, across)) >= STEEP
+        over = self._within(np.stack([self._u, self._v], axis=-1), 0.0)
+        if not cuts[over].all():
+            x, y, z = point.position[over & ~cuts][0] / MM
             raise SurfaceError(
-                'a guiding plane touches the surface instead of cutting it; choose another '
-                'direction of the passes'
+                f'a guiding plane touches the surface at ({x:.2f}, {y:.2f}, {z:.2f}) mm instead '
+                'of cutting it; choose another direction of the passes'
             )
+        with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
+            smallest = point.principal_curvatures()[0]
+        parts, _ = label(cuts & (1.0 + offset * smallest > 0.0))
+        ours = np.isin(parts, np.unique(parts[over & (parts > 0)]))
+        level = point.offset(offset).position @ plane_normal
+        self._level = np.where(ours, level, np.nan)
         u, v = surface.grid(CELLS + 1, CELLS + 1)
         level = surface.at(u, v).offset(offset).position @ plane_normal
         #: Range of the planes whose contact points lie on the surface itself [m].
@@ -194,10 +209,16 @@ class GuidingPlanes:
 
         """
         generator = contour_generator(self._u, self._v, self._level)
-        lines = [np.asarray(line) for line in generator.lines(plane) if len(line) > 3]
+        lines, lengths = [], []
+        for line in map(np.asarray, generator.lines(plane)):
+            if len(line) > 3:
+                lines.append(line)
+                lengths.append(self._length(line))
         if not lines:
             raise SurfaceError(f'the guiding plane at {plane / MM:.3f} mm misses the surface')
-        lengths = [self._length(line) for line in lines]
+        # Only what the strips of passes can reach counts, if there is any.
+        near = [self._length(x[self._within(x, 0.5 * self.extension)]) for x in lines]
+        lengths = near if any(near) else lengths
         longest = int(np.argmax(lengths))
         if sum(lengths) > 1.2 * lengths[longest]:
             raise SurfaceError(
@@ -205,6 +226,12 @@ class GuidingPlanes:
                 'curves; split the surface or choose another direction of the passes'
             )
         return self._fit(lines[longest], plane)
+
+    def _within(self, uv: FloatArray, margin: float) -> BoolArray:
+        """Tell which parameters, shape (..., 2), lie no further than a margin outside [m]."""
+        low, high = np.transpose(self.surface.domain)
+        grown = np.array(self.surface.growth(margin)) + 1e-9 * (high - low)
+        return np.asarray(((uv >= low - grown) & (uv <= high + grown)).all(axis=-1))
 
     def _length(self, line: FloatArray) -> float:
         """Return the length of a line of parameters, shape (n, 2), on the surface [m]."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.cam.next_posture import Freedom
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, UM
+from cnc_interp.core.units import DEG, MM, UM
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,8 @@ class IsoScallopOptions:
         is the recursion of the paper: a pass that cannot be found is then an error.
     gouge : float
         Largest depth at which the bottom of the mill may enter the surface [m].
+    overrun : float
+        Length that is milled beyond the border at both ends of a pass [m].
 
     Raises
     ------
@@ -60,6 +62,7 @@ class IsoScallopOptions:
     points: int | None = None
     stray: float | None = 0.25
     gouge: float = 1.0 * UM
+    overrun: float = 0.5 * MM
 
     def __post_init__(self) -> None:
         low, high = self.tilt_limits

@@ -9,12 +9,35 @@ from scipy.interpolate import CubicSpline
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.milled import kept_places
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.vectors import dot
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
+
+
+class UnfitError(SurfaceError):
+    """
+    A pass that does not fit the surface.
+
+    Parameters
+    ----------
+    what : str
+        Place and reason.
+    remedy : str
+        What the user can do.
+
+    """
+
+    def __init__(self, what: str, remedy: str):
+        super().__init__(f'{what}; {remedy}')
+        self.what = what
+
+
+class StripError(UnfitError):
+    """A strip becomes narrower than it has to be, even at the smallest tilt."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +108,8 @@ class Pass:
         Newton steps of stage 2; zero in passes that were not fitted to the previous pass.
     fresh : bool
         True for the first pass and for passes that do not continue the previous pass exactly.
+    kept : ndarray of bool, shape (n,)
+        True at the places that are milled: the strip lies over the surface, or in the overrun.
 
     """
 
@@ -95,6 +120,7 @@ class Pass:
     right: Scallops
     iterations: IntArray
     fresh: bool
+    kept: BoolArray
 
     def tool(self, s: FloatArray) -> Postures:
         """
@@ -130,6 +156,19 @@ class Pass:
 
         """
         return plane_distance(self.postures, self.right, self.curve.plane_normal)
+
+    @property
+    def kept_reach(self) -> FloatArray:
+        """
+        Half widths where the pass is milled, all if it is milled nowhere.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Half widths [m].
+
+        """
+        return self.reach[self.kept] if self.kept.any() else self.reach
 
 
 def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -> FloatArray:
@@ -202,7 +241,7 @@ def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> A
 
 def constant_width(
     curve: GuidingCurve, cutter: Cutter, height: float, half_width: float,
-    limits: tuple[float, float], yaw: float, count: int,
+    limits: tuple[float, float], yaw: float, count: int, overrun: float, strict: bool = True,
 ) -> Angles:  # fmt: skip
     """
     Find the tilts for which the scallop lies in a plane parallel to the guiding plane.
@@ -223,6 +262,10 @@ def constant_width(
         Yaw [rad].
     count : int
         Number of places along the curve.
+    overrun : float
+        Length that is milled beyond the border [m].
+    strict : bool
+        If false, tilts stay at their limits where the strip becomes wider or narrower.
 
     Returns
     -------
@@ -230,36 +273,57 @@ def constant_width(
 
     Raises
     ------
-    SurfaceError
-        If a tilt would leave its limits; the message names the place and the possible width.
+    UnfitError
+        If a tilt would leave its limits where the pass is milled; the message names the place and
+        the possible width.
 
     """
     s = evenly(curve, count)
+    kept = kept_places(curve, s, np.full(count, half_width), overrun)
     bend = curve.frames(s).curvature
     local = half_width / np.maximum(1.0 + cutter.corner_radius * bend, 0.1)
     wanted = 2.0 * height / local**2 - bend
-    for _ in range(12):
+    last = np.full(count, np.nan), np.full(count, np.nan)
+    wide, narrow = np.full(count, -np.inf), np.full(count, np.inf)
+    for _ in range(24):
         angles = Angles(s, tilt_of_curvature(cutter, wanted, limits), np.full(count, yaw))
         postures = angles.postures(curve, cutter, s)
         right = scallop_points(curve.surface, postures, height)
         # Where no scallop was found, the strip is wider than the mill.
         reach = plane_distance(postures, right, curve.plane_normal)
         reach = np.where(right.found, reach, 2.0 * half_width)
-        if float(np.abs(reach - half_width).max()) < 0.02 * UM:
+        miss = np.where(kept, np.abs(reach - half_width), 0.0)
+        if float(miss.max()) < 0.02 * UM:
             break
         sine = np.sin(angles.tilt)
         held = sine / (cutter.tool_radius + cutter.corner_radius * sine)
-        wanted = np.maximum(held + bend, 0.1) * (reach / half_width) ** 2 - bend
-    wrong = np.abs(reach - half_width) > 0.005 * half_width
-    if wrong.any():
-        i = int(np.argmax(np.abs(reach - half_width)))
-        wide = reach[i] < half_width
-        raise SurfaceError(
-            f'a strip of {2.0 * half_width / MM:.3f} mm is too {"wide" if wide else "narrow"} at '
+        wide = np.where(reach > half_width, np.maximum(wide, held), wide)
+        narrow = np.where(reach < half_width, np.minimum(narrow, held), narrow)
+        # The width of a parabola first, then secants, then halves where the width jumps.
+        step = np.maximum(held + bend, 0.1) * ((reach / half_width) ** 2 - 1.0)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            secant = (half_width - reach) * (held - last[0]) / (reach - last[1])
+        sound = (secant * step > 0.0) & (np.abs(secant) < 8.0 * np.abs(step))
+        last = held, reach
+        wanted = held + np.where(sound, secant, step)
+        outside = (wide < narrow) & ((wanted <= wide) | (wanted >= narrow))
+        outside &= np.isfinite(wide) & np.isfinite(narrow)
+        wanted = np.where(outside, 0.5 * (wide + narrow), wanted)
+    # Where the width jumps, the strip is wider; elsewhere a tilt is at its limit.
+    jumps = (miss > 0.005 * half_width) & np.isfinite(wide) & np.isfinite(narrow)
+    if jumps.any():
+        tilt = tilt_of_curvature(cutter, np.where(jumps, wide, held), limits)
+        angles = Angles(s, tilt, angles.yaw)
+    if strict and float(miss[~jumps].max(initial=0.0)) > 0.005 * half_width:
+        i = int(np.argmax(np.where(jumps, 0.0, miss)))
+        short = reach[i] < half_width
+        raise (StripError if short else UnfitError)(
+            f'a strip of {2.0 * half_width / MM:.3f} mm is too {"wide" if short else "narrow"} at '
             f'{place(postures.contact[i])}: with the tilt at its '
-            f'{"smallest" if wide else "largest"}, {(limits[0] if wide else limits[1]) / DEG:.3g} '
-            f'deg, it becomes {2.0 * reach[i] / MM:.3f} mm; take a '
-            f'{"smaller" if wide else "larger"} plane distance or other tilt limits'
+            f'{"smallest" if short else "largest"}, '
+            f'{(limits[0] if short else limits[1]) / DEG:.3g} deg, it becomes '
+            f'{2.0 * reach[i] / MM:.3f} mm',
+            f'take a {"smaller" if short else "larger"} plane distance or other tilt limits',
         )
     return angles
 

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import cross, dot, scaled, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+
+Angle = float | FloatArray
 
 #: Largest distance of scallop points from the iso-scallop surface [m].
 CLOSE = 1e-11
@@ -96,14 +99,20 @@ def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, F
     return np.asarray(centre + postures.cutter.corner_radius * m), m
 
 
-def estimated_half_width(postures: Postures, height: float) -> FloatArray:
+def estimated_half_width(
+    cutter: Cutter, tilt: Angle, yaw: Angle, curvature: FloatArray, height: float
+) -> FloatArray:
     """
     Estimate half widths from the curvatures of tool and surface, 2 w = sqrt(8 h / kappa).
 
     Parameters
     ----------
-    postures : Postures
-        n postures.
+    cutter : Cutter
+        The mill.
+    tilt, yaw : float or ndarray, shape (n,)
+        Angles [rad].
+    curvature : ndarray, shape (n,)
+        Curvatures of the surface across the feed, positive where convex [1/m].
     height : float
         Scallop height S_h [m].
 
@@ -113,11 +122,10 @@ def estimated_half_width(postures: Postures, height: float) -> FloatArray:
         Half widths w [m].
 
     """
-    cutter, sine = postures.cutter, np.sin(postures.tilt)
+    sine = np.sin(tilt)
     swept = (cutter.tool_radius + cutter.corner_radius * sine) / np.maximum(sine, 1e-9)
-    swept = swept * np.cos(postures.yaw) ** 2 + cutter.corner_radius * np.sin(postures.yaw) ** 2
-    relative = 1.0 / swept + postures.frames.curvature
-    return np.asarray(np.sqrt(2.0 * height / np.maximum(relative, 1e-3)))
+    swept = swept * np.cos(yaw) ** 2 + cutter.corner_radius * np.sin(yaw) ** 2
+    return np.asarray(np.sqrt(2.0 * height / np.maximum(1.0 / swept + curvature, 1e-3)))
 
 
 def scallop_points(
@@ -155,7 +163,8 @@ def scallop_points(
     cutter = postures.cutter
     sine = np.sin(postures.tilt)
     reach = np.maximum(cutter.tool_radius + cutter.corner_radius * sine, 1e-9)
-    guess = np.clip(1.05 * estimated_half_width(postures, height) / reach, 1e-4, 1.2)
+    width = estimated_half_width(cutter, postures.tilt, postures.yaw, frames.curvature, height)
+    guess = np.clip(1.05 * width / reach, 1e-4, 1.2)
     low, below = np.zeros(n), np.full(n, -height)
     high = guess
     marched, refined = np.ones(n, np.int64), np.zeros(n, np.int64)
@@ -190,6 +199,7 @@ def scallop_points(
     normal = surface.at(u, v).normal
     tangent = unit(cross(m, normal))
     tangent = scaled(np.sign(dot(tangent, frames.feed)), tangent)
+    found = found & np.isfinite(point).all(axis=1) & np.isfinite(normal).all(axis=1)
     missing = np.where(found, 0.0, np.nan)[:, None]
     return Scallops(
         point + missing, tangent + missing, normal + missing, angle, found, marched, refined

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.milled import kept_range
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface_curve import SurfaceCurve
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
@@ -110,20 +111,9 @@ class SplinePass:
             None if no part of the strip lies on the surface.
 
         """
-        s = np.linspace(0.0, made.curve.length, max(60, int(made.curve.length / SPACING)))
-        frames, surface = made.curve.frames(s), made.curve.surface
-        width = np.interp(s, made.s, made.reach)
-        a, b = surface.at(frames.u, frames.v).components(scaled(width, frames.across))
-        (u0, u1), (v0, v1) = surface.domain
-        inside = np.zeros(len(s), bool)
-        for side in (-1.0, 0.0, 1.0):
-            u, v = frames.u + side * a, frames.v + side * b
-            inside |= (u >= u0) & (u <= u1) & (v >= v0) & (v <= v1)
-        if not inside.any():
+        ends = kept_range(made.curve, made.s, made.reach, overrun)
+        if ends is None:
             return None
-        kept = s[inside]
-        longer = overrun + s[1]
-        ends = max(float(kept[0]) - longer, 0.0), min(float(kept[-1]) + longer, float(s[-1]))
 
         def rows(places: FloatArray) -> FloatArray:
             postures = made.tool(places)

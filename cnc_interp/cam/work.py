@@ -248,6 +248,7 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
         start=options.start,
         points=options.points,
         stray=None if options.no_restart else IsoScallopOptions.stray,
+        overrun=options.overrun * MM,
     )
 
 

@@ -181,7 +181,7 @@ def test_largest_distance_keeps_the_tilt():
         (Plane((0.03, 0.02)), MILL, {'stepover': 0.7 * MM}, 'too narrow .* larger plane distance'),
         (BUMPS, MILL, {'stepover': 6 * MM}, 'too wide .* smaller plane distance'),
         (BUMPS, MILL, {'stepover': 5 * MM, 'start': 'tilt', 'stray': None},
-         'pass 2, point 1 at .* a plane distance of 5.000 mm does not fit'),
+         r'pass 2, point \d+ at .* a plane distance of 5.000 mm does not fit'),
         (Cylinder(0.02, 0.8, 0.03, hollow=True), Cutter(5 * MM, 3 * MM),
          {'stepover': 1 * MM, 'start': 'tilt', 'stray': None, 'tilt_limits': (DEG, 80 * DEG)},
          'take|enters'),
@@ -194,12 +194,24 @@ def test_what_does_not_fit_is_refused_with_place_and_remedy(surface, mill, optio
         iso_scallop_paths(surface, mill, Y, IsoScallopOptions(**options))
 
 
+HOLLOW = Cylinder(0.1, 0.4, 0.012, hollow=True)
+
+
 def test_heel_in_a_hollow_is_seen():
-    hollow = Cylinder(0.1, 0.4, 0.03, hollow=True)
+    options = IsoScallopOptions(stepover=4 * MM, tilt_limits=(0.1 * DEG, 60 * DEG), stray=None)
     with pytest.raises(SurfaceError, match='bottom of the mill enters the surface by'):
-        iso_scallop_paths(
-            hollow, MILL, Y, IsoScallopOptions(stepover=4 * MM, tilt_limits=(0.1 * DEG, DEG * 60))
-        )
+        iso_scallop_paths(HOLLOW, MILL, Y, options)
+
+
+def test_heel_in_a_hollow_raises_the_tilt_and_brings_the_planes_closer():
+    options = IsoScallopOptions(stepover=4 * MM, tilt_limits=(0.1 * DEG, 60 * DEG))
+    paths = iso_scallop_paths(HOLLOW, MILL, Y, options)
+    planes = np.array([p.plane for p in paths.passes])
+    assert 2.7 * MM < np.diff(planes).min() < 3.9 * MM
+    assert all(gouge_depth(HOLLOW, p.postures)[p.kept].max() < 1 * UM for p in paths.passes)
+    assert all('pass' in note and 'enters the surface' in note for note in paths.notes)
+    for a, b in zip(paths.passes[:-1], paths.passes[1:], strict=True):
+        assert b.plane - a.plane < a.kept_reach.min() + b.kept_reach.min() + 20 * UM
 
 
 @pytest.mark.parametrize(

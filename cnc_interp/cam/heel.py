@@ -1,0 +1,146 @@
+"""
+Tilts at which the heel of the mill stays outside the surface.
+
+Where the surface is hollow along the feed, the back of the bottom enters it at a small tilt. A
+larger tilt lifts the heel and narrows the strip. The tilt is raised smoothly, over a distance on
+both sides, so that the strip changes gently and neighbouring passes can follow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import gouge_depth
+from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.next_posture import resting
+from cnc_interp.cam.passes import Angles, place
+from cnc_interp.cam.surface import SurfaceError
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.units import DEG, MM
+
+#: Distance over which a raised tilt falls off on each side [m].
+FALL = 4.0 * MM
+#: Depth to which the tilt is raised, as a share of the allowed depth: postures lie between.
+SHARE = 0.5
+#: Places in each interval of a pass at which the heel is tested: it meets a hollow suddenly.
+FINER = 4
+#: Halvings of the interval of tilts.
+HALVINGS = 14
+
+
+def finely(s: FloatArray, ends: tuple[float, float]) -> FloatArray:
+    """
+    Return close places of the part of a pass that is milled, with both ends.
+
+    Parameters
+    ----------
+    s : ndarray, shape (n,)
+        Places of the whole pass [m].
+    ends : (float, float)
+        First and last place that is milled [m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Places [m].
+
+    """
+    step = (s[-1] - s[0]) / (len(s) - 1) / FINER
+    return np.linspace(*ends, max(2, int(np.ceil((ends[1] - ends[0]) / step)) + 1))
+
+
+def raised(
+    curve: GuidingCurve, cutter: Cutter, angles: Angles, ends: tuple[float, float] | None,
+    highest: float, gouge: float,
+) -> Angles:  # fmt: skip
+    """
+    Raise tilts where the heel would enter the surface, and smoothly beside these places.
+
+    Parameters
+    ----------
+    curve : GuidingCurve
+        Path of the guided point K.
+    cutter : Cutter
+        The mill.
+    angles : Angles
+        Angles at n places.
+    ends : (float, float), optional
+        First and last place that is milled; others are not tested [m].
+    highest : float
+        Largest tilt [rad].
+    gouge : float
+        Largest depth at which the bottom may enter the surface [m].
+
+    Returns
+    -------
+    Angles
+        Angles at the same places; no tilt is smaller than before.
+
+    Raises
+    ------
+    SurfaceError
+        If the largest tilt does not lift the heel; the message names the place.
+
+    """
+    if ends is None:
+        return angles
+    s = finely(angles.s, ends)
+    tool = angles.postures(curve, cutter, s)
+
+    def enters(tilt: FloatArray, of: BoolArray) -> BoolArray:
+        postures = resting(cutter, curve.frames(s[of]), tilt[of], tool.yaw[of])
+        return gouge_depth(curve.surface, postures) > SHARE * gouge
+
+    deep = enters(tool.tilt, np.ones(len(s), bool))
+    if not deep.any():
+        return angles
+    low, high = tool.tilt.copy(), np.full(len(s), highest)
+    if enters(high, deep).any():
+        where = tool.contact[deep][int(np.argmax(enters(high, deep)))]
+        raise SurfaceError(
+            f'at {place(where)} the bottom of the mill enters the surface even at the largest '
+            f'tilt, {highest / DEG:g} deg: the surface is hollow there; take a smaller mill'
+        )
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        still = enters(middle, deep)
+        low[deep] = np.where(still, middle[deep], low[deep])
+        high[deep] = np.where(still, high[deep], middle[deep])
+    rise = np.where(deep, high - tool.tilt, 0.0)
+    tilt = np.minimum(angles.tilt + smooth_cover(s, rise, FALL, angles.s), highest)
+    return Angles(angles.s, tilt, angles.yaw)
+
+
+def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatArray) -> FloatArray:
+    """
+    Return a smooth function that is nowhere smaller than given values.
+
+    A weighted mean of maxima over windows of the same width: each maximum contains the place.
+
+    Parameters
+    ----------
+    s : ndarray, shape (n,)
+        Places in increasing order [m].
+    values : ndarray, shape (n,)
+        Values, at least zero.
+    distance : float
+        Half width of both windows [m].
+    at : ndarray, shape (m,)
+        Places of the result [m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        The cover; zero further than twice the distance from values above zero.
+
+    """
+    step = (s[-1] - s[0]) / (len(s) - 1)
+    beyond = np.arange(1, int(np.ceil(2.0 * distance / step)) + 1) * step
+    middle = np.concatenate([s[0] - beyond[::-1], s, s[-1] + beyond])
+    near = np.abs(middle[:, None] - s[None, :]) <= distance
+    largest = np.where(near, values[None, :], 0.0).max(axis=1)
+    gap = np.abs(at[:, None] - middle[None, :])
+    weight = np.where(gap <= distance, 1.0 + np.cos(np.pi * gap / distance), 0.0)
+    total = weight.sum(axis=1)
+    return np.asarray(weight @ largest / np.where(total > 0.0, total, 1.0))

@@ -1,0 +1,57 @@
+"""Raised tilts, and the part of a pass that is milled."""
+
+import numpy as np
+import pytest
+
+from cnc_interp.cam.guiding import GuidingPlanes
+from cnc_interp.cam.heel import finely, smooth_cover
+from cnc_interp.cam.milled import kept_places, kept_range, run_around
+from cnc_interp.cam.shapes import Plane
+from cnc_interp.cam.spline_surfaces import BSplineSurface
+from cnc_interp.cam.surface import SurfaceError
+from cnc_interp.core.units import MM
+
+Y = np.array([0.0, 1.0, 0.0])
+
+
+def test_cover_of_a_raised_tilt_is_smooth_and_nowhere_smaller():
+    s = np.linspace(0.0, 40 * MM, 201)
+    values = np.where(np.abs(s - 15 * MM) < 0.15 * MM, 0.1, 0.0)
+    cover = smooth_cover(s, values, 4 * MM, s)
+    assert np.all(cover >= values - 1e-12) and cover.max() == pytest.approx(0.1)
+    assert np.all(cover[np.abs(s - 15 * MM) > 8.3 * MM] == 0.0)
+    assert np.abs(np.diff(cover)).max() < 0.1 * 0.2 / 3.9
+    end = smooth_cover(s, np.where(s < 0.1 * MM, 0.1, 0.0), 4 * MM, s)
+    assert end[0] == pytest.approx(0.1) and np.all(np.diff(end) <= 1e-12)
+
+
+def test_milled_part_ends_with_the_overrun():
+    surface = Plane((0.03, 0.02))
+    curve = GuidingPlanes(surface, 1.5 * MM, Y, 6 * MM).curve(0.0)
+    s = np.linspace(0.0, curve.length, 400)
+    reach = np.full(400, 1 * MM)
+    low, high = kept_range(curve, s, reach, 0.5 * MM)
+    x = curve.frames(np.array([low, high])).position[:, 0]
+    np.testing.assert_allclose(np.sort(x), [-15.5 * MM, 15.5 * MM], atol=0.41 * MM)
+    kept = kept_places(curve, s, reach, 0.5 * MM)
+    assert s[kept][0] >= low and s[kept][-1] <= high and not kept[0] and not kept[-1]
+    fine = finely(s, (low, high))
+    assert fine[0] == low and fine[-1] == high and np.diff(fine).max() < 0.03 * MM
+
+
+def test_run_around_holds_what_is_milled():
+    good = np.array([1, 1, 1, 0, 1, 1, 0], bool)
+    assert run_around(good, np.array([0, 0, 0, 0, 1, 0, 0], bool)) == slice(4, 6)
+    assert run_around(good, np.zeros(7, bool)) == slice(0, 3)
+
+
+def steep_beyond(edge):
+    """A sheet that stands along the guiding planes where |x| reaches an edge [mm]."""
+    x, y = np.meshgrid(np.linspace(-20, 20, 21), np.linspace(-10, 10, 11), indexing='ij')
+    wall = np.maximum(np.abs(x) - edge, 0.0) ** 3 * np.tanh(y / 2.0)
+    return BSplineSurface.through(np.stack([x, y, wall], axis=-1) * MM)
+
+
+def test_plane_that_touches_the_surface_is_refused_with_the_place():
+    with pytest.raises(SurfaceError, match=r'touches the surface at \(.* mm instead of cutting'):
+        GuidingPlanes(steep_beyond(14.0), 1.5 * MM, Y, 2 * MM)

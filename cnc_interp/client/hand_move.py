@@ -23,8 +23,8 @@ from cnc_interp.kinematics.machine import Machine
 
 #: Longest wait for the nodes [s].
 PATIENCE = 10.0
-#: Homing has ended where the axes rest for so long [s].
-SETTLED = 1.0
+#: Homing is not under way where the machine says so many times that it rests.
+CERTAIN = 20
 #: Nearer than this to its target, a move has arrived [m, rad].
 THERE = 1e-6
 
@@ -157,20 +157,43 @@ def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[s
         machine = await_machine(client, namespace, domain)
         client.granted(client.home(axes))
         wanted = set(axes or machine.homing.switches)
-        rest_since = time.monotonic()
         with held_at_interrupt(client):
-            while True:
-                client.serve()
-                state = client.state
-                assert state is not None
-                known = dict(zip(machine.axis_names, state.homed, strict=True))
-                missing = [
-                    name for name in machine.axis_names if name in wanted and not known[name]
-                ]
-                if state.state == MachineState.JOGGING and not client.silent:
-                    rest_since = time.monotonic()
-                elif not missing or time.monotonic() - rest_since > SETTLED:
-                    return missing
+            state = _homed(client)
+        known = zip(machine.axis_names, state.homed, strict=True)
+        return [name for name, homed in known if name in wanted and not homed]
+
+
+def _homed(client: OperatorClient) -> Any:
+    """Wait until homing has ended; return the state after it."""
+    begun, rests, states = False, 0, _states(client)
+    while True:
+        state = next(states)
+        if state.state == MachineState.JOGGING:
+            begun = True
+            continue
+        rests += 1
+        if begun or rests > CERTAIN or state.state != MachineState.IDLE:
+            return state
+
+
+def _states(client: OperatorClient) -> Iterator[Any]:
+    """
+    Yield every new state of the machine.
+
+    Raises
+    ------
+    InterpError
+        If it does not answer any more.
+
+    """
+    state, heard = client.state, time.monotonic()
+    while True:
+        client.serve()
+        if client.state is not state:
+            state, heard = client.state, time.monotonic()
+            yield state
+        elif time.monotonic() - heard > SILENCE:
+            raise InterpError('machine_node does not answer any more')
 
 
 @contextmanager
@@ -186,16 +209,9 @@ def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
 def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
     """Send the request and watch the machine until it rests."""
     answer = client.granted(client.move_axes(request))
-    target, moved = np.array(answer.response.positions), False
-    state, heard = client.state, time.monotonic()
+    target, moved, states = np.array(answer.response.positions), False, _states(client)
     while True:
-        client.serve()
-        if client.state is not state:
-            heard = time.monotonic()
-        elif time.monotonic() - heard > SILENCE:
-            raise InterpError('machine_node does not answer any more')
-        state = client.state
-        assert state is not None
+        state = next(states)
         moved = moved or state.state == MachineState.JOGGING
         position = np.array(state.commanded_positions)
         arrived = bool((np.abs(position - target) <= THERE).all())

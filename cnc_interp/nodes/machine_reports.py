@@ -74,6 +74,8 @@ class MachineReports:
         message.feed_override = self._overrides.feed.value
         message.rapid_override = self._overrides.rapid.value
         message.homed, message.must_home = self._homing.homed, self._homing.must_home
+        if self._homing.active and message.state == MachineState.IDLE:
+            message.state = MachineState.JOGGING  # between two groups all axes rest
         self._states.publish(message)
 
     def _publish_joints(self) -> None:

@@ -13,6 +13,7 @@ from operated import Bench, Result
 
 from cnc_interp.kinematics.machine import find_machine_file
 from cnc_interp.nodes.parameters import NODES
+from cnc_interp.nodes.qos import STATE
 
 HOMING = """
 homing:
@@ -59,6 +60,21 @@ def test_no_program_starts_before_homing_and_a_hold_ends_it(bench):
     assert bench.press('feed_hold').success
     bench.until_state(MachineState.IDLE)
     assert list(bench.next_state().must_home) == ['X', 'Z']
+
+
+def test_homing_is_told_until_all_groups_are_homed(bench):
+    heard = bench.listen('machine_state', MachineState, STATE)
+    assert ask(bench, bench.home, Home.Request()).success
+
+    def after_motion():
+        states = [state.state for state in heard]
+        begun = (
+            states.index(MachineState.JOGGING) if MachineState.JOGGING in states else len(states)
+        )
+        return [state for state in heard[begun:] if state.state == MachineState.IDLE]
+
+    bench.spin_until(after_motion)
+    assert all(after_motion()[0].homed) and not after_motion()[0].must_home
 
 
 def test_after_homing_from_the_command_line_programs_start(bench):

@@ -125,7 +125,7 @@ main() {
       [ "$*" != run ] || set -- run "$root/examples/pyramid.ngc"
       [ "$*" != panel ] || set -- panel "$root/examples/pyramid.ngc"
       case " $* " in ' panel '* | *' --panel '*) parts+=(panel) ;; esac
-      [ "$1" != batch ] || parts+=(batch)
+      case $1 in batch | cluster) parts+=(batch) ;; esac
       case " ${*,,} " in ' cam '*.step' '* | ' cam '*.stp' '* | ' cam '*.p21' '*) parts+=(step) ;; esac
       ensure "${parts[@]}"
       exec "$venv/bin/cnc-interp" "$@"

@@ -15,6 +15,7 @@ from cnc_interp.command_options import BAD_INPUT, FINE
 from cnc_interp.commands.bags import add_bag_commands
 from cnc_interp.commands.batch import add_batch_command
 from cnc_interp.commands.check import add_check_command, add_report_command
+from cnc_interp.commands.cluster import add_cluster_command
 from cnc_interp.commands.convert import add_convert_command
 from cnc_interp.commands.home import add_home_command
 from cnc_interp.commands.identify import add_identify_commands
@@ -77,6 +78,7 @@ def parser() -> argparse.ArgumentParser:
     add_run_command(commands)
     add_plan_command(commands)
     add_batch_command(commands)
+    add_cluster_command(commands)
     add_convert_command(commands)
     add_check_command(commands)
     add_report_command(commands)

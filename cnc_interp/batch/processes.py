@@ -79,6 +79,11 @@ class _Running(Generic[A]):
     kills: int
 
 
+def total_memory() -> float:
+    """Return the memory of this computer [bytes]."""
+    return float(os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES'))
+
+
 class Processes:
     """
     Some processes that work at the same time, at the lowest priority.

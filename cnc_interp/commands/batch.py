@@ -40,6 +40,9 @@ def add_batch_command(commands: Any) -> None:
         help='programs that are planned at the same time (one for each processor)',
     )  # fmt: skip
     batch.add_argument(
+        '--scheduler', metavar='ADDRESS', help='let the workers of `cluster` plan instead'
+    )
+    batch.add_argument(
         '--keep-plans', action='store_true', help='keep the plan files of all, in DIR/plans'
     )
     batch.add_argument(
@@ -62,8 +65,8 @@ def batch_command(options: argparse.Namespace) -> int:
     import json
 
     from cnc_interp.batch.jobs import Jobs
+    from cnc_interp.batch.loading import workers_of
     from cnc_interp.batch.page import write_page
-    from cnc_interp.batch.processes import Processes
     from cnc_interp.batch.run import Progress, run_batch
     from cnc_interp.batch.store import Store
     from cnc_interp.batch.table import write_tables
@@ -75,14 +78,15 @@ def batch_command(options: argparse.Namespace) -> int:
         raise InterpError('--workers must be 1 or more')
     plans = options.out / 'plans' if options.keep_plans else None
     jobs = Jobs(options.programs, options.machine, settings_from(options), plans)
+    memory = options.memory * GIGABYTE if options.memory else None
+    longest = options.longest * MINUTE
+    workers = workers_of(options.scheduler, options.workers, memory, longest)
     bar = ProgressBar(None if options.json else sys.stderr)
 
     def tell(progress: Progress) -> None:
         known = f', {progress.known} known before' if progress.known else ''
         bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
 
-    memory = options.memory * GIGABYTE if options.memory else total_memory() / options.workers
-    workers = Processes(options.workers, memory, options.longest * MINUTE)
     try:
         results = run_batch(jobs, workers, Store(options.out / 'results'), tell)
     finally:
@@ -101,8 +105,3 @@ def batch_command(options: argparse.Namespace) -> int:
         print(f'page           {options.out / "batch.html"}')
         print(f'tables         {", ".join(str(file) for file in files)}')
     return FINE if counts[Verdict.PROVEN] == len(results) else FAILED
-
-
-def total_memory() -> float:
-    """Return the memory of this computer [bytes]."""
-    return float(os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES'))

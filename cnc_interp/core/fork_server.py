@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import threading
 from collections.abc import Sequence
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext
@@ -44,8 +45,10 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
         # The end of the next run removes this folder if this one is killed.
         _sockets = TemporaryFolder()
         multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
-    ignored = (signal.SIGINT, signal.SIGHUP)
-    before = [signal.signal(number, signal.SIG_IGN) for number in ignored]  # they inherit it
+    # They inherit it. A thread cannot ignore signals, nor can it be interrupted by one.
+    in_main = threading.current_thread() is threading.main_thread()
+    ignored = (signal.SIGINT, signal.SIGHUP) if in_main else ()
+    before = [signal.signal(number, signal.SIG_IGN) for number in ignored]
     forkserver.ensure_running()
     for number, handler in zip(ignored, before, strict=True):
         signal.signal(number, handler)

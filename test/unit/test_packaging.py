@@ -17,10 +17,13 @@ WITHOUT_KEY = {
     'OCP',
     'apsw',
     'contourpy',
+    'dask',
+    'distributed',
     'fastapi',
     'mcap',
     'nicegui',
     'plotly',
+    'pyarrow',
     'rosbags',
     'ruckig',
     'starlette',
@@ -61,7 +64,7 @@ def test_package_xml_declares_what_is_imported():
 
 
 @pytest.mark.parametrize(
-    'name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'panel', 'step', 'colcon']
+    'name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'panel', 'step', 'batch', 'colcon']
 )
 def test_every_requirement_is_pinned(name):
     assert pins(name)

@@ -1,0 +1,223 @@
+"""
+A batch on several computers: Dask gives out the tasks, each worker has processes of its own.
+
+A worker of Dask carries out nothing itself. Each of its threads starts one process per task, as
+``processes.py`` does, so crashes, limits and kills are the same on all computers. A task whose
+worker is lost goes to another one. Nothing but the tasks and their results is passed on, no file.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+from collections import deque
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import AsyncExitStack
+from typing import Any
+
+import dask
+from distributed import Client, Future, Scheduler, Worker, as_completed, get_worker
+from distributed.scheduler import KilledWorker
+
+from cnc_interp.batch.processes import Ended, Loss, Processes, total_memory
+from cnc_interp.batch.task import Outcome, Task, engine
+from cnc_interp.core.errors import InterpError
+
+#: Time for the scheduler to answer [s].
+PATIENCE = 10
+#: A task that has lost so many workers is given up.
+MOST_LOST_WORKERS = 20
+#: Tasks that are given out ahead, for each thread of the workers.
+AHEAD = 2
+
+
+class DaskWorkers:
+    """
+    The workers of a cluster; fills ``run.Workers``.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, as ``tcp://host:8786``.
+    memory : float, optional
+        Most memory of a task [bytes]; None for a share of the worker's computer.
+    longest : float
+        Longest time of a task [s].
+
+    Raises
+    ------
+    InterpError
+        If no scheduler answers.
+
+    """
+
+    def __init__(self, address: str, memory: float | None, longest: float):
+        self._memory, self._longest = memory, longest
+        try:
+            self._client = Client(address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError) as problem:
+            raise InterpError(
+                f'{address}: no scheduler answers; start one: cnc-interp cluster ({problem})'
+            ) from None
+
+    def run(
+        self, function: Callable[[Task], Outcome], arguments: Iterator[Callable[[], Task]]
+    ) -> Iterator[Ended[Outcome]]:
+        """
+        Call a function with each task; see ``Processes.run``.
+
+        Raises
+        ------
+        InterpError
+            If a worker has another version of this package.
+
+        """
+        numbers: dict[Future, int] = {}
+        coming = enumerate(arguments)
+        ended = as_completed(loop=self._client.loop)
+        try:
+            while True:
+                while len(numbers) < self._ahead and (more := next(coming, None)) is not None:
+                    number, make = more
+                    future = self._client.submit(
+                        call_there, function, make(), engine(), self._memory, self._longest,
+                        pure=False, priority=-number,
+                    )  # fmt: skip
+                    numbers[future] = number
+                    ended.add(future)
+                if not numbers:
+                    return
+                future = next(ended)
+                yield _end_of(future, numbers.pop(future))
+        finally:
+            self._client.cancel(list(numbers), force=True)
+            self._client.close()
+
+    @property
+    def _ahead(self) -> int:
+        """How many tasks are given out at a time; the cluster may grow."""
+        return AHEAD * max(1, sum(int(n) for n in self._client.nthreads().values()))
+
+
+def _end_of(future: Future, number: int) -> Ended[Outcome]:
+    """Return what a task has become."""
+    if future.status == 'error':
+        problem = future.exception()
+        if isinstance(problem, KilledWorker):
+            return Ended(number, Loss.KILLED, MOST_LOST_WORKERS)
+        raise problem
+    there: Ended[Outcome] = future.result()
+    return Ended(number, there.result, there.kills, there.why)
+
+
+def call_there(
+    function: Callable[[Task], Outcome],
+    task: Task,
+    version: str,
+    memory: float | None,
+    longest: float,
+) -> Ended[Outcome]:
+    """
+    Call a function in a new process on the computer of a worker.
+
+    Raises
+    ------
+    InterpError
+        If this package is another version than that of who asks.
+
+    """
+    if engine() != version:
+        raise InterpError(
+            f'the worker {get_worker().address} has another version of cnc_interp; install '
+            'the same everywhere'
+        )
+    share = total_memory() / get_worker().state.nthreads
+    calls = deque([lambda: task])
+    return next(Processes(1, memory or share, longest).run(function, calls))
+
+
+def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str], None]) -> None:
+    """
+    Be a scheduler, and a worker where ``workers`` is not 0, until the process is interrupted.
+
+    Parameters
+    ----------
+    host : str
+        Address at which other computers find this one.
+    port, dashboard : int
+        Ports of the scheduler and of its page.
+    workers : int
+        Tasks that this computer carries out at the same time.
+    say : callable
+        Told the addresses.
+
+    Raises
+    ------
+    InterpError
+        If a port is taken.
+
+    """
+    dask.config.set({'distributed.scheduler.allowed-failures': MOST_LOST_WORKERS})
+
+    async def live() -> None:
+        page = f'{host}:{dashboard}'
+        async with AsyncExitStack() as parts:
+            try:
+                scheduler = Scheduler(host=host, port=port, dashboard_address=page)
+                await parts.enter_async_context(scheduler)
+            except RuntimeError as problem:  # the reason is an OSError
+                raise InterpError(f'{host}:{port}: {problem.__cause__ or problem}') from None
+            if workers:
+                await parts.enter_async_context(_worker(scheduler.address, workers, host))
+            say(f'scheduler      {scheduler.address}, {workers} programs at a time here')
+            say(f'dashboard      http://{host}:{scheduler.services["dashboard"].port}/status')
+            await _until_interrupted(scheduler)
+
+    _live(live())
+
+
+def join(address: str, workers: int, say: Callable[[str], None]) -> None:
+    """
+    Be a worker of a scheduler elsewhere, until that ends or the process is interrupted.
+
+    Raises
+    ------
+    InterpError
+        If no scheduler answers.
+
+    """
+
+    async def live() -> None:
+        worker = _worker(address, workers)
+        try:
+            await asyncio.wait_for(worker, PATIENCE)
+        except (OSError, ValueError, RuntimeError, TimeoutError):
+            raise InterpError(f'{address}: no scheduler answers') from None
+        say(f'worker         of {address}, {workers} programs at a time')
+        await _until_interrupted(worker)
+        await worker.close()
+
+    _live(live())
+
+
+def _live(life: Coroutine[Any, Any, None]) -> None:
+    """Run a part of a cluster; Dask says nothing but errors."""
+    logging.getLogger('distributed').setLevel(logging.ERROR)
+    asyncio.run(life)
+
+
+async def _until_interrupted(part: Any) -> None:
+    """Wait until a part of a cluster ends, or the process is told to end."""
+    told = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, told.set)
+    waits = [asyncio.ensure_future(part.finished()), asyncio.ensure_future(told.wait())]
+    await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+
+
+def _worker(address: str, workers: int, host: str | None = None) -> Any:
+    """Return a worker; its tasks limit their memory themselves."""
+    return Worker(
+        address, nthreads=workers, host=host, memory_limit=0, dashboard=False, death_timeout=60
+    )  # fmt: skip

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 import threading
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +23,6 @@ from cnc_interp.client.session import RunRequest, RunResult, run_session
 
 #: A setpoint moves an axis by less than this where the machine begins to move [mm, deg].
 FIRST_STEP = 1e-4
-
-
-@dataclass(frozen=True)
-class DeepRequest(RunRequest):
-    """A run over HAL with a FIFO of some depth."""
-
-    depth: int = 8
-
-    def node_parameters(self) -> dict[str, dict[str, object]]:
-        """Return the parameters with which the nodes are started."""
-        given = super().node_parameters()
-        given['machine_node'] |= {'drives': 'hal', 'hal_depth': self.depth}
-        return given
 
 
 def changes(rows: np.ndarray) -> np.ndarray:
@@ -73,7 +59,8 @@ def run(program: Path, depth: int, session: Session) -> tuple[str, RunResult]:
     witness.start()
     with tempfile.TemporaryDirectory() as folder:
         try:
-            request = DeepRequest(program, out=Path(folder), quiet=True, depth=depth)
+            given = {'drives': 'hal', 'hal_depth': str(depth)}
+            request = RunRequest(program, out=Path(folder), quiet=True, drives=given)
             result = run_session(request)[0]
         finally:
             done.set()

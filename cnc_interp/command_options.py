@@ -5,12 +5,27 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings
+
+Reader = Callable[[str], str]
+#: Kinds of drives; the parameters of machine_node that may follow them, and how each is read.
+LIMITS: dict[str, Reader] = {'following_error_limit': str, 'following_angle_limit': str}
+DRIVES: dict[str, dict[str, Reader]] = {
+    'simulated': {},
+    'hal': {'hal_depth': str, **LIMITS},
+    'trajectory': {
+        'controller': lambda name: f"'{name}'",
+        'controller_feedback': lambda name: f"'{name}'",
+        'controller_joints': lambda names: str(names.split()),
+        'controller_delay': str,
+        **LIMITS,
+    },
+}
 
 #: Exit codes: done, a failed run or an unproven plan, bad input.
 FINE, FAILED, BAD_INPUT = 0, 1, 2
@@ -58,9 +73,38 @@ def drives_option(added: argparse.ArgumentParser) -> None:
     """Add the option that names the drives of the nodes that are started."""
     added.add_argument(
         '--drives',
-        choices=('simulated', 'hal'),
-        help="drives of the machine: simulated, or those in LinuxCNC's HAL (simulated)",
+        type=drives,
+        default={},
+        metavar='KIND[,PARAMETER=VALUE ...]',
+        help="drives of the machine: simulated, hal (those in LinuxCNC's HAL) or trajectory (a "
+        'controller of ros2_control), with their parameters of machine_node (simulated)',
     )
+
+
+def drives(text: str) -> dict[str, str]:
+    """
+    Read the drives and their parameters, as parameters of the machine node.
+
+    Examples
+    --------
+    >>> drives('trajectory,controller=/arm_controller,controller_joints=a b')
+    {'drives': 'trajectory', 'controller': "'/arm_controller'", 'controller_joints': "['a', 'b']"}
+
+    """
+    kind, *pairs = text.split(',')
+    if kind not in DRIVES:
+        raise argparse.ArgumentTypeError(f'{kind!r} is unknown; choose {", ".join(DRIVES)}')
+    given = {'drives': kind}
+    for pair in pairs:
+        name, _, value = (part.strip() for part in pair.partition('='))
+        reader = DRIVES[kind].get(name)
+        if reader is None or not value or set(value) & set('\'"'):
+            known = ', '.join(DRIVES[kind]) or 'none'
+            raise argparse.ArgumentTypeError(
+                f'{pair!r} is no parameter of {kind} drives ({known})'
+            )
+        given[name] = reader(value)
+    return given
 
 
 def page_options(added: argparse.ArgumentParser) -> None:

@@ -28,7 +28,11 @@ ARGUMENTS = (
     ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('program_folder', '', 'Programs below this folder may be run by their path.'),
-    ('drives', 'simulated', "Drives of the machine: simulated, or hal (those in LinuxCNC's HAL)."),
+    (
+        'drives',
+        'simulated',
+        "Drives: simulated, hal (LinuxCNC's HAL) or trajectory (ros2_control).",
+    ),
     ('setup', '', 'File in which offsets and tools of the machine are kept.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),

@@ -50,8 +50,9 @@ class RunRequest:
         Show no progress.
     compensate : str
         Machine whose drives are the model that is compensated; empty for none.
-    drives : str
-        Drives of the machine; empty: as the parameters of the nodes say.
+    drives : dict
+        Drives of the machine and their parameters of the machine node, see
+        ``command_options.drives``; empty: as the parameters of the nodes say.
 
     """
 
@@ -63,7 +64,7 @@ class RunRequest:
     record: Path | None = None
     quiet: bool = False
     compensate: str = ''
-    drives: str = ''
+    drives: dict[str, str] = field(default_factory=dict)
 
     @staticmethod
     def from_options(options: Namespace) -> RunRequest:
@@ -77,7 +78,7 @@ class RunRequest:
             record=options.record,
             quiet=options.json,
             compensate=options.compensate or '',
-            drives=options.drives or '',
+            drives=options.drives,
         )
 
     @property
@@ -95,8 +96,7 @@ class RunRequest:
         for choice in choices(self.settings, Stage.MOTION, Stage.APPROACH):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
-        if self.drives:
-            given['drives'] = self.drives
+        given |= self.drives
         given['program_folders'] = json.dumps([str(path.resolve()) for path in self.programs])
         return {
             node: {p.name: given[p.name] for p in declared if p.name in given}

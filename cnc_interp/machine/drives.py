@@ -2,17 +2,20 @@
 The port to the drives: what a drive must be able to do. The rest of the machine knows no more.
 
 Drives come in two kinds. ``CycleDrives`` bring a compiled step, which the cycle of the machine
-calls itself: nothing of Python lies between clock and drive. ``FedDrives`` are told in Python what
-the cycle has played, some milliseconds later. ``simulated.py`` has drives of the first kind. Real
-drives fill the port in another module: the buffer, the cycle and the states stay as they are.
+calls itself: nothing of Python lies between clock and drive. ``DelayedDrives`` are told in Python
+what the cycle has played, some milliseconds later, and execute it after a delay. ``simulated.py``
+and ``hal.py`` have drives of the first kind, ``trajectory_drives.py`` those of the second. The
+buffer, the cycle and the states do not know which drives there are.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
-from cnc_interp.core.arrays import FloatArray
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import StreamError
 
 
@@ -21,21 +24,60 @@ class DriveFaultError(StreamError):
 
 
 @dataclass(frozen=True)
-class AxisFeedback:
+class AxisRows:
     """
-    What the drives report after one period.
+    Setpoints of consecutive periods, one row each.
 
     Parameters
     ----------
-    position : ndarray, shape (n_axes,)
-        Actual axis coordinates [m, rad].
-    velocity : ndarray, shape (n_axes,)
-        Actual axis velocities [m/s, rad/s].
+    position, velocity, acceleration : ndarray, shape (K, n_axes)
+        Axis coordinates and their derivatives at the end of each period [m or rad, per s, per s2].
 
     """
 
     position: FloatArray
     velocity: FloatArray
+    acceleration: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of periods."""
+        return len(self.position)
+
+    def part(self, rows: slice | IntArray) -> AxisRows:
+        """Return some rows."""
+        return AxisRows(self.position[rows], self.velocity[rows], self.acceleration[rows])
+
+    def then(self, other: AxisRows) -> AxisRows:
+        """Return these rows and others after them."""
+        return AxisRows(
+            np.concatenate([self.position, other.position]),
+            np.concatenate([self.velocity, other.velocity]),
+            np.concatenate([self.acceleration, other.acceleration]),
+        )
+
+    @staticmethod
+    def held(position: FloatArray, count: int) -> AxisRows:
+        """Return rows of axes that stand still."""
+        still = np.zeros((count, len(position)))
+        return AxisRows(np.tile(position, (count, 1)), still, still)
+
+
+class AxisFeedback(NamedTuple):
+    """
+    What the drives reported in some periods, one row each.
+
+    Parameters
+    ----------
+    position, velocity : ndarray, shape (K, n_axes)
+        Actual axis coordinates and velocities [m, rad, per s].
+    answered : ndarray, shape (K, n_axes)
+        The commanded position that the actual one answers [m, rad].
+
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    answered: FloatArray
 
 
 class Drives(Protocol):
@@ -106,28 +148,35 @@ class CycleDrives(Drives, Protocol):
 
 
 @runtime_checkable
-class FedDrives(Drives, Protocol):
-    """Drives that Python feeds with what the cycle has played. Every call returns at once."""
+class DelayedDrives(Drives, Protocol):
+    """
+    Drives that Python feeds with what the cycle has played; they execute it after a delay.
 
-    def follow(self, position: FloatArray, velocity: FloatArray) -> AxisFeedback:
+    The end of every stop tail is known in time. So they come to rest on the path by themselves
+    when they hear nothing more. Every call returns at once.
+    """
+
+    @property
+    def alarm(self) -> str:
+        """Why the machine must stop on its path; empty if all is well."""
+        ...
+
+    def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
         """
-        Follow one setpoint for one period.
+        Take the setpoints of some periods, and report what the axes did meanwhile.
 
         Parameters
         ----------
-        position : ndarray, shape (n_axes,)
-            Axis coordinates at the end of the period [m, rad].
-        velocity : ndarray, shape (n_axes,)
-            Axis velocities there, for the feed-forward [m/s, rad/s].
+        played : AxisRows
+            The setpoints; rows that stand still at rest, and while the power is off.
+        stop : AxisRows
+            What the cycle plays after them if nothing else comes, down to rest on the path.
 
         Raises
         ------
         DriveFaultError
-            If a drive has failed. The axes come to rest by the drives' own means.
+            If the setpoints cannot be executed any more. The axes come to rest by the drives' own
+            means, and the power is off.
 
         """
-        ...
-
-    def rest(self) -> AxisFeedback:
-        """Hold the axes for one period, also after a fault; before ``switch_on`` only report."""
         ...

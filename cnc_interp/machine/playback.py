@@ -34,7 +34,13 @@ from cnc_interp.machine.cycle_kernels import (
     WAITED,
     follow_ideally,
 )
-from cnc_interp.machine.drives import CycleDrives, DriveFaultError, Drives, FedDrives
+from cnc_interp.machine.drives import (
+    AxisRows,
+    CycleDrives,
+    DelayedDrives,
+    DriveFaultError,
+    Drives,
+)
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
@@ -107,6 +113,7 @@ class Playback:
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
         self._drives, self._full = drives, full
+        self._delayed = drives if isinstance(drives, DelayedDrives) else None
         step, memory = int(follow_ideally.address), np.zeros(1)
         if isinstance(drives, CycleDrives):
             step, memory = drives.step, drives.memory
@@ -397,21 +404,16 @@ class Playback:
             buffer.push(each)
         self.run_id = run_id
 
-    def coming(self) -> list[Setpoints]:
-        """Return the setpoints still to be played and the stop after them, if nothing changes."""
-        current = self._current
+    @property
+    def way_to_rest(self) -> AxisRows:
+        """The setpoints that are played next if nothing else comes, down to rest on the path."""
+        current, row = self._current, self._row + 1
         if self.state.resting or current is None:
-            return []
+            return AxisRows.held(self.axes.setpoints[-1], 0)
         if self._on_tail:
-            return [current.tail.part(self._row + 1, len(current.tail)).samples]
-        parts = [current.rows.part(self._row + 1, len(current.rows)).samples]
-        if not self.state.leaves_plan:
-            for buffered in self.buffer.chunks:
-                if current.chunk.wait is not Wait.NOTHING:
-                    break
-                current = buffered
-                parts.append(buffered.rows.samples)
-        return [*parts, current.tail.samples]
+            return _axis_rows(current.tail.part(row, len(current.tail)).samples)
+        rest = current.rows.part(row, len(current.rows)).samples
+        return _axis_rows(Setpoints.concatenate([rest, current.tail.samples]))
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -503,11 +505,12 @@ class Playback:
         """Read some periods of one source; only the first one may have an event."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
-            source = REST  # drives that Python feeds have failed in the meantime
+            source = REST  # delayed drives have failed in the meantime
         if source == CHUNK:
             self._find(int(records.serial[0]))
         if events & ALARMED:
-            self._alarm(events >> ALARM_SHIFT)
+            assert isinstance(self._drives, CycleDrives)
+            self._alarm(self._drives.fault(events >> ALARM_SHIFT))
         if events & STARVED:
             self._starve()
         if source == TAIL and not self._on_tail:
@@ -569,50 +572,34 @@ class Playback:
         fault = self.axes.fault_of(samples.position[row], samples.velocity[row])
         self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
 
-    def _alarm(self, number: int) -> None:
+    def _alarm(self, cause: str) -> None:
         """Stop on the path, because of an alarm of the drives; at rest go to FAULT at once."""
-        assert isinstance(self._drives, CycleDrives)
         if self.state.state is not State.INACTIVE and self.state.reason is not Reason.DRIVE_FAULT:
-            self._handle(Event.STOP, Reason.DRIVE_FAULT, self._drives.fault(number))
+            self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
 
-    def _measure(self, samples: Setpoints | None, records: Records) -> int:
+    def _measure(self, samples: Setpoints | None, records: Records) -> bool:
         """
         Compare setpoints with what the drives did; without setpoints the last one is held.
 
-        Returns how many of them the drives have followed.
+        Returns whether the drives follow them; if they do not, the machine is in FAULT.
         """
-        x, v, followed = records.position, records.velocity, len(records.source)
-        answered: FloatArray | None = records.answered
-        if isinstance(self._drives, FedDrives):
-            x, v, followed = self._feed(self._drives, samples, followed)
-            answered = None
-        wanted = np.tile(self.axes.setpoints[-1], (len(x), 1))
+        x, v, answered = records.position, records.velocity, records.answered
+        wanted, follow = AxisRows.held(self.axes.setpoints[-1], len(x)), True
         if samples is not None:
-            wanted[:followed] = samples.position[:followed]
-            wanted[followed:] = wanted[followed - 1] if followed else self.axes.setpoints[-1]
-        self.feedback = self.axes.measure(wanted, x, v, answered)
-        return followed
-
-    def _feed(
-        self, drives: FedDrives, samples: Setpoints | None, count: int
-    ) -> tuple[FloatArray, FloatArray, int]:
-        """Feed the drives with what was played. They rest after a fault."""
-        done, followed = [], 0
-        for k in range(count):
+            wanted = _axis_rows(samples)
+        delayed = self._delayed
+        if delayed is not None:
             try:
-                if samples is not None and followed == k:
-                    done.append(drives.follow(samples.position[k], samples.velocity[k]))
-                    followed += 1
-                    continue
+                x, v, answered = delayed.follow(wanted, self.way_to_rest)
             except DriveFaultError as fault:
                 self.cycle.halt()
                 self._handle(Event.FAIL, Reason.DRIVE_FAULT, str(fault))
-                samples = None
-            done.append(drives.rest())
-        both = [
-            np.array([getattr(each, name) for each in done]) for name in ('position', 'velocity')
-        ]
-        return both[0], both[1], followed
+                wanted, follow = AxisRows.held(self.axes.setpoints[-1], len(x)), False
+                x, v, answered = delayed.follow(wanted, self.way_to_rest)
+            if delayed.alarm:
+                self._alarm(delayed.alarm)
+        self.feedback = self.axes.measure(wanted.position, x, v, answered)
+        return follow
 
     def _play(self, rows: Rows, records: Records) -> None:
         """Take executed setpoints over and keep the figures of the run."""
@@ -620,10 +607,7 @@ class Playback:
         assert current is not None
         if rows.samples.block[0] > 0 and (self.last is None or self.last.block == 0):
             self._forget_figures()
-        followed = self._measure(rows.samples, records)
-        at_end = not on_tail and not left and followed == len(rows)
-        rows = rows.part(0, followed)
-        if not followed:
+        if not self._measure(rows.samples, records):
             return
         samples = rows.samples
         if samples.block[-1] > 0:
@@ -632,8 +616,9 @@ class Playback:
             if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
                 self.least_buffered = min(self.least_buffered, self.buffer.count + left)
             self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
+        at_end = not on_tail and not left
         ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
-        actual = self.feedback.position[:followed]
+        actual = self.feedback.position
         self.executed.append(Executed(current.run_id, self.played, rows, actual, ends))
         self.played += len(rows)
         self.approach_samples += int(np.sum(samples.block == 0))
@@ -642,3 +627,8 @@ class Playback:
         self.largest_following_error = np.maximum(self.largest_following_error, error)
         contour_error = float(self.feedback.contour_error.max())
         self.largest_contour_error = max(self.largest_contour_error, contour_error)
+
+
+def _axis_rows(samples: Setpoints) -> AxisRows:
+    """Return what drives need of setpoints."""
+    return AxisRows(samples.position, samples.velocity, samples.acceleration)

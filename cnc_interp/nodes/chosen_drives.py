@@ -11,16 +11,19 @@ from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.compensation import CompensatedDrives
 from cnc_interp.machine.drives import CycleDrives, Drives
 from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOptions
 
 
-def chosen_drives(values: dict[str, Any], machine: Machine, period: float) -> Drives:
+def chosen_drives(node: Any, values: dict[str, Any], machine: Machine, period: float) -> Drives:
     """
     Make the drives that the parameters name.
 
     Parameters
     ----------
+    node : Node
+        The machine node.
     values : dict
-        Parameters of the machine node.
+        Its parameters.
     machine : Machine
         Axes and limits.
     period : float
@@ -36,21 +39,34 @@ def chosen_drives(values: dict[str, Any], machine: Machine, period: float) -> Dr
     if kind == 'simulated':
         drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
         return compensated(drives, machine, model, period) if model else drives
+    if kind not in ('hal', 'trajectory'):
+        raise InterpError(f'drives: {kind!r} is unknown; choose simulated, hal or trajectory')
+    if model:
+        raise InterpError(f'drives of {kind} are not compensated so far; leave compensation out')
+    refuse_switches(machine)
+    errors = values['following_error_limit'], values['following_angle_limit']
     if kind == 'hal':
         from cnc_interp.machine.hal import HalDrives, HalOptions
 
-        if model:
-            raise InterpError('drives of HAL are not compensated so far; leave compensation out')
-        refuse_switches(machine)
-        return HalDrives(
-            machine,
-            period,
-            HalOptions(
-                values['hal_depth'], values['following_error_limit'],
-                values['following_angle_limit'],
-            ),
-        )  # fmt: skip
-    raise InterpError(f'drives: {kind!r} is unknown; choose simulated or hal')
+        return HalDrives(machine, period, HalOptions(values['hal_depth'], *errors))
+    from cnc_interp.nodes.controller_link import ControllerLink
+
+    link = ControllerLink(
+        node.get_namespace(), values['controller'], values['controller_feedback'],
+        joints_of(values['controller_joints'], machine),
+    )  # fmt: skip
+    return TrajectoryDrives(
+        machine, period, TrajectoryOptions(values['controller_delay'], *errors), link
+    )
+
+
+def joints_of(names: list[str], machine: Machine) -> list[str]:
+    """Return the joint of each axis; without names, the axes' own names."""
+    given = [name for name in names if name]
+    if given and (len(set(given)) != len(given) or len(given) != len(machine.axis_names)):
+        axes = ' '.join(machine.axis_names)
+        raise InterpError(f'controller_joints: one joint for each of {axes} is needed')
+    return given or list(machine.axis_names)
 
 
 def compensated(

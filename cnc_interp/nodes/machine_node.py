@@ -65,7 +65,7 @@ class MachineNode(LifecycleNode):
         # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
-        drives = chosen_drives(values, machine, self._period)
+        drives = chosen_drives(self, values, machine, self._period)
         window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)

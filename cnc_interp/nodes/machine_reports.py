@@ -1,4 +1,4 @@
-"""What the machine node publishes: state, joints, executed setpoints, trajectories."""
+"""What the machine node publishes: state, joints, executed setpoints."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ from typing import Any
 
 from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
 from cnc_interp.nodes.overrides import Overrides
-from cnc_interp.nodes.qos import JOINTS, STATE, STREAM, TRAJECTORY
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
-from cnc_interp.wire.trajectories import joint_trajectory
 
-#: Time between reports of what was executed, and between trajectories for a controller [s].
-EXECUTED_PERIOD, TRAJECTORY_PERIOD = 0.1, 0.05
+#: Time between reports of what was executed [s].
+EXECUTED_PERIOD = 0.1
 
 
 class MachineReports:
@@ -54,11 +51,6 @@ class MachineReports:
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
-        if values['trajectory_topic']:
-            self._trajectories = node.create_publisher(
-                JointTrajectory, values['trajectory_topic'], TRAJECTORY
-            )
-            node.create_timer(TRAJECTORY_PERIOD, self._publish_trajectory)
         node.create_timer(EXECUTED_PERIOD, self.publish_executed)
         node.create_timer(1.0 / values['joint_state_rate'], self._publish_joints)
         node.create_timer(1.0 / values['machine_state_rate'], self.publish_state)
@@ -89,11 +81,3 @@ class MachineReports:
         for setpoints, feedback in executed_setpoints(self._playback, self._period):
             self._feedback.publish(feedback)
             self._executed.publish(setpoints)
-
-    def _publish_trajectory(self) -> None:
-        self._playback.read()
-        parts = self._playback.coming()
-        if parts:
-            rows = Setpoints.concatenate(parts)
-            machine = self._playback.axes.machine
-            self._trajectories.publish(joint_trajectory(rows, machine, self._period, self._now()))

@@ -84,7 +84,7 @@ MACHINE_NODE = (
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     Declared('compensation', '', 'Machine whose drives are the model that is compensated'),
-    Declared('drives', 'simulated', 'Drives of the axes: simulated or hal'),
+    Declared('drives', 'simulated', 'Drives of the axes: simulated, hal or trajectory'),
     Declared('hal_depth', 8, "Setpoints that wait in the FIFO of LinuxCNC's HAL", 2, 1000),
     Declared(
         'following_error_limit', 1e-3, 'Largest following error of linear axes [m]', 1e-6, 1.0
@@ -92,8 +92,19 @@ MACHINE_NODE = (
     Declared(
         'following_angle_limit', 0.02, 'Largest following error of rotary axes [rad]', 1e-6, 7.0
     ),
+    Declared('controller', '/joint_trajectory_controller', 'Controller of ros2_control: its name'),
     Declared(
-        'trajectory_topic', '', 'Where to publish the setpoints to come as JointTrajectory too'
+        'controller_feedback',
+        '/joint_state_broadcaster/joint_states',
+        'Topic on which ros2_control reports the joints',
+    ),
+    Declared('controller_joints', [''], 'Joint of each axis; as the axes are named if empty'),
+    Declared(
+        'controller_delay',
+        0.2,
+        'Time from a setpoint to its execution by the controller [s]',
+        0.05,
+        2.0,
     ),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),

@@ -14,7 +14,8 @@ Quality of service of every topic, in one table.
 | ``executed_setpoints``, ``axis_feedback`` | reliable | volatile | last 4096 | the record of a run must be complete |
 | ``feed_override``, ``rapid_override`` | reliable | volatile | last 10 | what ``ros2 topic pub`` offers; who starts late reads ``machine_state`` |
 | ``jog`` | best effort | volatile | last 1 | a beat that is lost must not come late |
-| trajectories | reliable | volatile | last 1 | each replaces the one before |
+| trajectories of ``drives: trajectory`` | reliable | volatile | last 1 | each replaces the one before |
+| its feedback | best effort | volatile | last 64 | fits every publisher of joint states |
 | ``markers`` | reliable | volatile | last 16 | what RViz asks for; all are sent again to a new listener |
 | ``blocks``, ``block_batches``, ``executed_setpoints`` for those who only look | best effort | volatile | last 4096 | no sender waits for a viewer |
 | ``/diagnostics`` | reliable | volatile | last 64 | what aggregators ask for |
@@ -61,6 +62,12 @@ LISTENING = QoSProfile(
 )
 JOINTS = _reliable(10)
 TRAJECTORY = _reliable(1)
+FEEDBACK = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=64,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
 DIAGNOSTICS = _reliable(64)
 LOADED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -1,53 +1,72 @@
-"""Coming setpoints as `trajectory_msgs/JointTrajectory`, the message of ros2_control."""
+"""Trajectories and joint states: what drives and a controller of ros2_control exchange."""
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Sequence
 from typing import Any
 
-from builtin_interfaces.msg import Duration
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.machine.trajectory_drives import JointReport, Trajectory
 
-#: Time between points; the controller interpolates between them [s].
-SPACING = 0.004
+SECOND = 10**9
 
 
-def joint_trajectory(
-    rows: Setpoints, machine: Machine, period: float, stamp: Any
-) -> JointTrajectory:
+def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTrajectory:
     """
-    Turn setpoints into a trajectory that replaces the one before.
-
-    It ends with the stop tail: where no other follows, the controller comes to rest on the path.
+    Turn a trajectory into its message.
 
     Parameters
     ----------
-    rows : Setpoints
-        Setpoints to come, the last one at rest.
-    machine : Machine
-        Its axis names are the joint names.
-    period : float
-        Interpolation period [s].
-    stamp : Time
-        When the first setpoint is due, less one period.
+    trajectory : Trajectory
+        Points with position, velocity and acceleration, so that a controller takes quintics.
+    joints : sequence of str
+        Names of the joints, one for each axis.
 
     """
-    step = max(1, round(SPACING / period))
-    chosen = list(range(step - 1, len(rows), step))
-    if not chosen or chosen[-1] != len(rows) - 1:
-        chosen.append(len(rows) - 1)
-    message = JointTrajectory(joint_names=list(machine.axis_names))
-    message.header.stamp = stamp
-    for k in chosen:
-        nanoseconds = round((k + 1) * period * 1e9)
-        message.points.append(
-            JointTrajectoryPoint(
-                positions=rows.position[k].tolist(),
-                velocities=rows.velocity[k].tolist(),
-                accelerations=rows.acceleration[k].tolist(),
-                time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
-            )
+    message = JointTrajectory(joint_names=list(joints))
+    message.header.stamp = Time(**_parts(trajectory.start))
+    rows = trajectory.rows
+    message.points = [
+        JointTrajectoryPoint(
+            positions=_packed(rows.position[k]),
+            velocities=_packed(rows.velocity[k]),
+            accelerations=_packed(rows.acceleration[k]),
+            time_from_start=Duration(**_parts(int(trajectory.times[k]))),
         )
+        for k in range(len(rows))
+    ]
     return message
+
+
+def joint_report(message: JointState, joints: Sequence[str]) -> JointReport | None:
+    """
+    Read the axes from joint states, in whatever order; None if one is missing or not a number.
+
+    Velocities that are not reported count as 0.
+    """
+    places = {name: k for k, name in enumerate(message.name)}
+    chosen = [places.get(name, -1) for name in joints]
+    if min(chosen) < 0 or max(chosen) >= len(message.position):
+        return None
+    position = np.array(message.position)[chosen]
+    velocity = np.zeros(len(chosen))
+    if max(chosen) < len(message.velocity):
+        velocity = np.nan_to_num(np.array(message.velocity)[chosen])
+    if not np.isfinite(position).all():
+        return None
+    stamp = message.header.stamp
+    return JointReport(stamp.sec * SECOND + stamp.nanosec, position, velocity)
+
+
+def _parts(nanoseconds: int) -> dict[str, Any]:
+    return {'sec': nanoseconds // SECOND, 'nanosec': nanoseconds % SECOND}
+
+
+def _packed(row: FloatArray) -> array[float]:
+    return array('d', row.tobytes())

@@ -26,30 +26,32 @@ class RecordingDrives:
 
     lag = 0.0
 
-    def __init__(self, position, fails_at=None):
-        self.position, self.fails_at = position, fails_at
-        self.told, self.on, self.rested = [], False, 0
+    alarm = ''
+
+    def __init__(self, position, fails_at=None, alarms_at=None):
+        self.position, self.fails_at, self.alarms_at = position, fails_at, alarms_at
+        self.told, self.on, self.stops = [], False, []
 
     def switch_on(self):
-        self.on = True
+        self.on, self.alarm = True, ''
 
     def switch_off(self):
-        self.on = False
+        self.on, self.alarm = False, ''
 
     def close(self):
         self.on = False
 
-    def follow(self, position, velocity):
-        assert self.on
-        if len(self.told) == self.fails_at:
-            raise DriveFaultError('C: encoder lost')
-        self.told.append((position, velocity))
-        self.position = position
-        return AxisFeedback(position, velocity)
-
-    def rest(self):
-        self.rested += 1
-        return AxisFeedback(self.position, np.zeros(5))
+    def follow(self, played, stop):
+        if self.on:
+            if self.fails_at is not None and len(self.told) + len(played) > self.fails_at:
+                self.on, self.fails_at = False, None
+                raise DriveFaultError('C: encoder lost')
+            self.told += zip(played.position, played.velocity, strict=True)
+            self.stops.append((len(self.told), stop))
+            if self.alarms_at is not None and len(self.told) > self.alarms_at:
+                self.alarm, self.alarms_at = 'X: too slow', None
+            self.position = played.position[-1]
+        return AxisFeedback(played.position, played.velocity, played.position)
 
 
 def playback_with(drives: Drives) -> Playback:
@@ -83,7 +85,10 @@ def test_other_drives_get_every_setpoint_with_its_velocity_and_nothing_else():
     assert playback.state.completed and playback.state.state is State.IDLE
     for column, name in enumerate(('position', 'velocity')):
         expected = np.concatenate([getattr(chunk.samples, name) for chunk in planned])
-        assert np.array_equal([row[column] for row in drives.told], expected)
+        told = np.array([row[column] for row in drives.told])
+        assert np.array_equal(told[: len(expected)], expected)
+        held = TARGET if name == 'position' else np.zeros(5)
+        assert (told[len(expected) :] == held).all()
     assert not playback.largest_following_error.any()
     assert np.array_equal(playback.feedback.position[-1], TARGET)
     playback.switch_off()
@@ -95,7 +100,21 @@ def test_a_fault_of_a_drive_ends_the_motion_at_once_and_is_named():
     playback, _ = play(drives)
     assert (playback.state.state, playback.state.reason) == (State.FAULT, Reason.DRIVE_FAULT)
     assert 'C: encoder lost' in playback.state.text
-    assert len(drives.told) == playback.played == 120 and drives.rested > 100
+    assert len(drives.told) == playback.played == 120 and not drives.on
+    playback.reset()
+    assert playback.state.state is State.IDLE and drives.on
+
+
+def test_an_alarm_of_delayed_drives_stops_on_the_path_they_were_told():
+    drives = RecordingDrives(START, alarms_at=120)
+    playback, planned = play(drives)
+    assert (playback.state.state, playback.state.reason) == (State.FAULT, Reason.DRIVE_FAULT)
+    assert 'X: too slow' in playback.state.text
+    before, stop = next((n, stop) for n, stop in drives.stops if n == 121)
+    stopped = np.array([row[0] for row in drives.told[before:]])
+    assert len(stopped) >= len(stop) > 50 and not drives.on
+    assert np.array_equal(stopped[: len(stop)], stop.position)
+    assert playback.played == before + len(stop) < sum(len(each.samples) for each in planned)
     playback.reset()
     assert playback.state.state is State.IDLE
 
@@ -120,7 +139,7 @@ def test_a_setpoint_outside_the_travel_never_reaches_the_drives():
     for _ in range(5):
         playback.step()
     assert playback.state.reason is Reason.SETPOINT_REFUSED
-    assert 'soft limit: X to 2' in playback.state.text and not drives.told
+    assert 'soft limit: X to 2' in playback.state.text and not np.any(drives.told[-1][0] != START)
 
 
 @cfunc(types.int64(*[types.uintp] * 3, types.int64))
@@ -139,7 +158,7 @@ def fails_after_120(memory, setpoint, feedback, n):
 class CompiledDrives(RecordingDrives):
     """Ideal axes with a step of their own that fails."""
 
-    step, follow, rest = int(fails_after_120.address), None, None
+    step, follow = int(fails_after_120.address), None
 
     def __init__(self, position):
         super().__init__(position)

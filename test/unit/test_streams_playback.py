@@ -477,18 +477,16 @@ def test_stretches_are_short_and_give_the_same_setpoints():
     assert np.abs(joined.velocity - whole.velocity).max() < 1e-15
 
 
-def test_what_is_to_come_ends_at_rest_whatever_is_asked():
+def test_the_way_to_rest_is_what_is_played_when_nothing_else_comes():
     play, chunks = playback(50), chunks_to([0.4, 0.1, 0.0, 0.2, 0.0])
     play.begin(P)
-    assert play.coming() == []
+    assert not len(play.way_to_rest)
     feed(play, chunks[:40])
     for _ in range(203):
         play.step()
-    told = Setpoints.concatenate(play.coming())
-    assert len(told) == 400 - 203 + len(chunks[39].tail)
-    assert np.abs(told.velocity[-1]).max() < 1e-6
+    stop = play.way_to_rest
+    assert len(stop) == 7 + len(chunks[20].tail)
+    assert np.abs(stop.velocity[-1]).max() < 1e-6
     play.hold()
-    held = Setpoints.concatenate(play.coming())
-    assert len(held) == 7 + len(chunks[20].tail)
     heard = step_until(play, lambda: play.state.resting)
-    assert np.array_equal(heard[: len(held)], held.position)
+    assert np.array_equal(heard[: len(stop)], stop.position)

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from argparse import Namespace
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,7 +55,7 @@ class PanelRequest:
         Machine of the nodes that are started.
     setup : Path, optional
         File in which they keep offsets and tools.
-    drives : str
+    drives : dict
         Drives of their machine; empty: as the parameters of the nodes say.
     attach : bool
         Join nodes that run already instead.
@@ -71,7 +71,7 @@ class PanelRequest:
     program: Path | None = None
     machine: str = DEFAULT_MACHINE
     setup: Path | None = None
-    drives: str = ''
+    drives: dict[str, str] = field(default_factory=dict)
     attach: bool = False
     namespace: str = '/'
     domain: int | None = None
@@ -86,7 +86,7 @@ class PanelRequest:
             program=options.program,
             machine=options.machine,
             setup=options.setup,
-            drives=options.drives or '',
+            drives=options.drives,
             attach=getattr(options, 'attach', False),
             namespace=getattr(options, 'namespace', '/'),
             domain=getattr(options, 'domain', None),
@@ -130,8 +130,7 @@ def run_panel(request: PanelRequest) -> None:
         name: {'machine': f"'{request.machine}'"}
         for name in ('program_node', 'lookahead_node', 'feedrate_node', 'machine_node')
     }
-    if request.drives:
-        parameters['machine_node']['drives'] = request.drives
+    parameters['machine_node'] |= request.drives
     if request.setup is not None:
         parameters['program_node']['setup'] = f"'{request.setup.resolve()}'"
     with Children(request.namespace, domain, parameters, nodes_file()) as children:

@@ -1,0 +1,362 @@
+"""
+Drives behind a controller that executes trajectories: joint_trajectory_controller of ros2_control.
+
+The cycle of the machine decides what is played: programs, holds, stops, motion by hand. The
+controller executes it a fixed time later, the delay. Each trajectory covers what the controller
+still has to execute of the setpoints that were played, and after them the way to rest. All
+trajectories of a motion count time from the same instant, and their points lie on the same grid,
+so one continues the other exactly. A controller that hears nothing more comes to rest on the path.
+
+This module has no clock and no ROS: ``Controller`` is what it needs of them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.drives import AxisFeedback, AxisRows, DriveFaultError
+
+#: Time between points; the controller interpolates between them [s].
+SPACING = 0.004
+#: Time between trajectories in motion [s].
+SENDING = 0.02
+#: A trajectory begins by so much before what the controller executes now [s].
+OVERLAP = 0.02
+#: The share of the delay by which a trajectory must leave before its news are executed [-].
+RESERVE = 0.25
+#: Silence of the controller after which its feedback counts as lost [s].
+LONGEST_SILENCE = 1.0
+#: Silence that one call adds at most: this program may have stood still itself [s].
+SILENCE_OF_A_CALL = 0.05
+#: Longest wait for the controller, and for its axes to settle before the power is on [s].
+POWER_UP, SETTLING = 5.0, 0.1
+
+
+class Trajectory(NamedTuple):
+    """
+    Points that the controller shall reach, at increasing times; the last one is at rest.
+
+    Parameters
+    ----------
+    start : int
+        Time of ROS from which the times of the points count [ns].
+    times : ndarray of int, shape (K,)
+        When each point shall be reached [ns].
+    rows : AxisRows
+        The points.
+
+    """
+
+    start: int
+    times: IntArray
+    rows: AxisRows
+
+
+class JointReport(NamedTuple):
+    """
+    What the controller reported once.
+
+    Parameters
+    ----------
+    stamp : int
+        When it was measured, in the time of ROS [ns].
+    position, velocity : ndarray, shape (n_axes,)
+        Actual axis coordinates and velocities [m, rad, per s].
+
+    """
+
+    stamp: int
+    position: FloatArray
+    velocity: FloatArray
+
+
+class Controller(Protocol):
+    """The controller, as far as the drives see it."""
+
+    @property
+    def name(self) -> str:
+        """Its name, and the name of the topic with its positions, for messages to people."""
+        ...
+
+    def now(self) -> int:
+        """Return the time of ROS [ns]."""
+        ...
+
+    def listens(self) -> bool:
+        """Tell whether somebody takes trajectories."""
+        ...
+
+    def send(self, trajectory: Trajectory) -> None:
+        """Send a trajectory that replaces the one before."""
+        ...
+
+    def take_reports(self) -> list[JointReport]:
+        """Return what was reported since the last call."""
+        ...
+
+    def close(self) -> None:
+        """Let it go."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """
+    How the controller is used.
+
+    Parameters
+    ----------
+    delay : float
+        Time from a setpoint in the cycle to its execution by the controller [s].
+    following_error : float
+        Largest following error of a linear axis [m].
+    following_angle : float
+        Largest following error of a rotary axis [rad].
+
+    """
+
+    delay: float = 0.2
+    following_error: float = 1.0 * MM
+    following_angle: float = 1.0 * DEG
+
+
+class TrajectoryDrives:
+    """
+    Drives behind a trajectory controller; see ``drives.DelayedDrives``.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its axes are the joints of the controller.
+    period : float
+        Interpolation period [s].
+    options : TrajectoryOptions
+        Delay and limits of the following error.
+    controller : Controller
+        The controller.
+
+    Raises
+    ------
+    DriveFaultError
+        If the positions of the axes are not reported.
+
+    """
+
+    #: What drives with a following error of about that lag by [s].
+    lag = 0.02
+
+    def __init__(
+        self, machine: Machine, period: float, options: TrajectoryOptions, controller: Controller
+    ):
+        self._names, self._controller = machine.axis_names, controller
+        self._period = round(period * 1e9)
+        self._delay = round(options.delay * 1e9)
+        self._step = max(1, round(SPACING / period))
+        self._linear = machine.is_linear
+        self._limits: FloatArray = np.where(
+            self._linear, options.following_error, options.following_angle
+        )
+        #: Rows that the controller may still need; more are kept to compare late reports with.
+        self._needed = int(np.ceil((options.delay + OVERLAP) / period)) + self._step
+        self._kept = self._needed + round(LONGEST_SILENCE / period)
+        self._on, self.alarm = False, ''
+        self._silence = 0.0
+        self._report = self._first_report()
+        self._forget(self._report.position)
+
+    def _first_report(self) -> JointReport:
+        """Wait for the positions of the axes."""
+        deadline = time.monotonic() + POWER_UP
+        while time.monotonic() < deadline:
+            reports = self._controller.take_reports()
+            if reports:
+                return reports[-1]
+            time.sleep(0.01)
+        self._controller.close()
+        raise DriveFaultError(f'{self._controller.name}: {self._silent}')
+
+    @property
+    def _silent(self) -> str:
+        return f'no positions of {" ".join(self._names)}; is the joint_state_broadcaster active?'
+
+    def _forget(self, position: FloatArray) -> None:
+        """Begin anew at rest."""
+        self._rows = AxisRows.held(position, self._kept)  # the last ones that were played
+        self._played = self._kept  # rows so far; the last of them has number ``_played - 1``
+        self._told = AxisRows.held(position, 1)  # rows from number ``_told_from`` on, as sent
+        self._told_from, self._sent_at = self._played - 1, 0
+        #: When row 0 was due: the last one is due now [ns].
+        self._zero = self._controller.now() - (self._played - 1) * self._period
+
+    @property
+    def position(self) -> FloatArray:
+        """Where the axes stand or settle at rest [m, rad]."""
+        self._take_reports()
+        settles, found = self._told.position[-1], self._report.position
+        near = bool(np.all(np.abs(settles - found) <= self._limits))
+        return (settles if near else found).copy()
+
+    def switch_on(self) -> None:
+        """
+        Wait until the axes rest; the controller holds them.
+
+        Raises
+        ------
+        DriveFaultError
+            If no controller listens, or it reports nothing.
+
+        """
+        asked = self._controller.now()
+        settled = max(asked, self._time_of(self._told_from + len(self._told)))
+        settled += round(SETTLING * 1e9)
+        deadline = time.monotonic() + POWER_UP + 1e-9 * (settled - asked)
+        while not (self._controller.listens() and self._report.stamp > settled):
+            if time.monotonic() > deadline:
+                listens = self._controller.listens()
+                cause = self._silent if listens else 'nobody takes trajectories; is it active?'
+                raise DriveFaultError(f'{self._controller.name}: {cause}')
+            time.sleep(0.01)
+            self._take_reports()
+        self._forget(self.position)
+        self._on, self.alarm, self._silence = True, '', 0.0
+
+    def switch_off(self) -> None:
+        """Send no further trajectory. The controller ends the last one and holds the axes."""
+        none = AxisRows.held(self._rows.position[-1], 0)
+        if self._on and not self._knows(none):
+            self._send(none)
+        self._on, self.alarm = False, ''
+
+    def close(self) -> None:
+        """Let the controller go; it comes to rest on the path."""
+        self._controller.close()
+
+    def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
+        """Take setpoints and send what is new to the controller; see ``drives.DelayedDrives``."""
+        self._remember(played)
+        news = self._news(stop) if self._on else None
+        if news is not None:
+            self._refuse_late(news)
+            if self._controller.now() - self._sent_at >= SENDING * 1e9:
+                self._send(stop)
+        return self._feedback(len(played))
+
+    def _remember(self, played: AxisRows) -> None:
+        """Add rows to those that were played. At rest, choose from when on times count."""
+        self._played += len(played)
+        self._rows = self._rows.then(played).part(slice(-self._kept, None))
+        recent = self._rows.position[-self._needed :]
+        if np.any(recent != recent[-1]):
+            return
+        self._zero = self._controller.now() - (self._played - 1) * self._period
+        executed = self._told_from + len(self._told) < self._played
+        if executed and np.array_equal(self._told.position[-1], recent[-1]):
+            self._told, self._told_from = self._rows.part(slice(-1, None)), self._played - 1
+
+    def _time_of(self, number: int) -> int:
+        """Return when the controller shall reach a row [ns]."""
+        return self._zero + number * self._period + self._delay
+
+    def _news(self, stop: AxisRows) -> int | None:
+        """Return the number of the first row that was not sent as it is now; None if all were."""
+        count = min(self._played - self._told_from, self._kept)
+        first = self._played - count  # rows before it are forgotten
+        told = self._told.position[min(first - self._told_from, len(self._told) - 1) :]
+        now = np.concatenate([self._rows.position[self._kept - count :], stop.position])
+        length = max(len(now), len(told))
+        differs = np.any(padded(now, length) != padded(told, length), axis=1)
+        return first + int(np.argmax(differs)) if differs.any() else None
+
+    def _knows(self, stop: AxisRows) -> bool:
+        """Tell whether the controller has everything, down to rest."""
+        return self._news(stop) is None
+
+    def _refuse_late(self, news: int) -> None:
+        """
+        Refuse to change what the controller is about to execute.
+
+        Raises
+        ------
+        DriveFaultError
+            If it is so late. The controller comes to rest where the last trajectory ends.
+
+        """
+        late = self._controller.now() - (self._time_of(news) - round(RESERVE * self._delay))
+        if late > 0:
+            self._on = False
+            raise DriveFaultError(
+                f'setpoints were {1e-6 * late:.0f} ms too late for the controller, which has '
+                'stopped on the path; raise controller_delay'
+            )
+
+    def _send(self, stop: AxisRows) -> None:
+        """Send what the controller has to execute, from a moment ago down to rest."""
+        now, step = self._controller.now(), self._step
+        moment = (now - self._delay - self._zero) / self._period - 1e9 * OVERLAP / self._period
+        first = min(int(moment // step) * step, self._played - 1)
+        first = max(first, -((self._kept - self._played) // step) * step)
+        told = self._rows.part(slice(first - self._played, None)).then(stop)
+        chosen = np.arange(0, len(told), step)
+        rows = told.part(chosen).then(AxisRows.held(told.position[-1], 1))
+        times = self._period * np.append(chosen, chosen[-1] + step)
+        self._controller.send(Trajectory(self._time_of(first), times, rows))
+        self._told, self._told_from, self._sent_at = told, first, now
+
+    def _take_reports(self) -> list[JointReport]:
+        reports = self._controller.take_reports()
+        if reports:
+            self._report = reports[-1]
+        return reports
+
+    def _feedback(self, count: int) -> AxisFeedback:
+        """Return what the axes did in the last periods: for each, what was reported last then."""
+        before = self._report
+        new = self._take_reports()
+        self._silence += min(count * self._period * 1e-9, SILENCE_OF_A_CALL)
+        if new:
+            self._silence = 0.0
+        reports = [before, *new]
+        stamps = np.array([report.stamp for report in reports])
+        position = np.array([report.position for report in reports])
+        velocity = np.array([report.velocity for report in reports])
+        answered = self._answered(stamps) if self._on else position
+        if self._on and not self.alarm:
+            self.alarm = self._cause(answered[1:] - position[1:])
+        ends = self._zero + self._period * np.arange(self._played - count, self._played)
+        last = np.maximum(np.searchsorted(stamps, ends, side='right') - 1, 0)
+        return AxisFeedback(position[last], velocity[last], answered[last])
+
+    def _answered(self, stamps: IntArray) -> FloatArray:
+        """Return the commanded positions at some times, between rows by cubics [m, rad]."""
+        at = (stamps - (self._zero + self._delay)) / self._period - (self._played - self._kept)
+        at = np.clip(at, 0.0, self._kept - 1.0)
+        row = np.minimum(at.astype(np.int64), self._kept - 2)
+        u = (at - row)[:, None]
+        p, v = self._rows.position, self._rows.velocity * (1e-9 * self._period)
+        step, slope = p[row + 1] - p[row], v[row]
+        bend = v[row + 1] + slope - 2.0 * step
+        found: FloatArray = p[row] + u * (slope + u * (step - slope - bend + u * bend))
+        return found
+
+    def _cause(self, errors: FloatArray) -> str:
+        """Return why the machine must stop, after some following errors; empty if all is well."""
+        if self._silence > LONGEST_SILENCE:
+            return f'{self._controller.name} is silent: {self._silent}'
+        beyond = np.any(np.abs(errors) > self._limits, axis=0)
+        if not beyond.any():
+            return ''
+        k = int(np.argmax(beyond))
+        unit, word = (MM, 'mm') if self._linear[k] else (DEG, 'deg')
+        return f'{self._names[k]}: following error over {self._limits[k] / unit:g} {word}'
+
+
+def padded(rows: FloatArray, count: int) -> FloatArray:
+    """Repeat the last row until there are so many."""
+    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])

@@ -1,0 +1,90 @@
+"""The topics of a trajectory controller of ros2_control, heard in a thread of their own."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.experimental import EventsExecutor
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from cnc_interp.machine.trajectory_drives import JointReport, Trajectory
+from cnc_interp.nodes.qos import FEEDBACK, TRAJECTORY
+from cnc_interp.wire.trajectories import joint_report, joint_trajectory
+
+#: The thread looks after such times whether it shall end [s].
+SPIN_TIMEOUT = 0.1
+
+
+class ControllerLink:
+    """
+    The controller on its topics; see ``trajectory_drives.Controller``.
+
+    It is a node of its own in the process of the machine node: while that one waits for the
+    controller, its topics must be heard.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace of the node.
+    controller : str
+        Name of the controller; it takes trajectories on its topic ``joint_trajectory``.
+    feedback : str
+        Topic with the positions of the joints.
+    joints : sequence of str
+        Names of the joints, one for each axis.
+
+    """
+
+    def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):
+        self._joints = joints
+        self._node = rclpy.create_node(
+            'controller_link', namespace=namespace, use_global_arguments=False
+        )
+        topic = f'{controller}/joint_trajectory'
+        self._trajectories = self._node.create_publisher(JointTrajectory, topic, TRAJECTORY)
+        self._node.create_subscription(JointState, feedback, self._hear, FEEDBACK)
+        self.name = f'controller {controller}, positions on {feedback}'
+        self._clock = self._node.get_clock()
+        self._reports: deque[JointReport] = deque(maxlen=10_000)
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._spin, name='controller', daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        executor = EventsExecutor()
+        executor.add_node(self._node)
+        while not self._ends.is_set() and rclpy.ok():
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+        executor.remove_node(self._node)
+        executor.shutdown()
+
+    def _hear(self, message: JointState) -> None:
+        report = joint_report(message, self._joints)
+        if report is not None:
+            self._reports.append(report)
+
+    def now(self) -> int:
+        """Return the time of ROS [ns]."""
+        return int(self._clock.now().nanoseconds)
+
+    def listens(self) -> bool:
+        """Tell whether somebody takes trajectories."""
+        return bool(self._trajectories.get_subscription_count())
+
+    def send(self, trajectory: Trajectory) -> None:
+        """Send a trajectory that replaces the one before."""
+        self._trajectories.publish(joint_trajectory(trajectory, self._joints))
+
+    def take_reports(self) -> list[JointReport]:
+        """Return what was reported since the last call."""
+        return [self._reports.popleft() for _ in range(len(self._reports))]
+
+    def close(self) -> None:
+        """End the thread and the node."""
+        self._ends.set()
+        self._thread.join()
+        self._node.destroy_node()

@@ -1,0 +1,31 @@
+"""The option --drives: kinds of drives with their parameters."""
+
+import argparse
+
+import pytest
+
+from cnc_interp.command_options import DRIVES, drives
+
+
+def test_drives_with_their_parameters():
+    assert drives('simulated') == {'drives': 'simulated'}
+    assert drives('hal,hal_depth=50') == {'drives': 'hal', 'hal_depth': '50'}
+    given = drives('trajectory,controller=/arm,controller_joints=a b')
+    assert given['controller'] == "'/arm'" and given['controller_joints'] == "['a', 'b']"
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['', 'servo', 'simulated,hal_depth=3', 'hal,depth=3', 'hal,hal_depth', "hal,hal_depth='"],
+)
+def test_what_is_no_drive_is_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError):
+        drives(text)
+
+
+def test_every_parameter_is_one_of_the_machine_node():
+    pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+    from cnc_interp.nodes.parameters import MACHINE_NODE
+
+    known = {each.name for each in MACHINE_NODE}
+    assert {name for kind in DRIVES.values() for name in kind} <= known

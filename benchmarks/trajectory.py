@@ -54,10 +54,10 @@ def run(program: Path, delay: float, robot: StandIn) -> tuple[str, RunResult]:
     starts = np.flatnonzero((commanded == position[0]).all(axis=1))  # after the approach
     first, last = starts[0], moving[-1] + 2
     place, largest = 0.0, 0.0
-    reach = 3 + int(1e3 * np.diff(times).max())
-    for row in commanded[first:last]:
-        low = max(int(place) - 2, 0)
-        place, off = place_of(row, position, velocity, low, min(int(place) + reach, len(position)))
+    for k in range(first, last):
+        low, reach = int(place), 3 + int(1e3 * (times[k] - times[k - 1]))
+        low, high = max(low - 20, 0), min(low + reach, len(position))
+        place, off = place_of(commanded[k], position, velocity, low, high)
         largest = max(largest, off)
     return (
         f'{len(position)} setpoints, {last - first} commands; the farthest {1e9 * largest:.1f} nm '

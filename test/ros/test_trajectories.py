@@ -39,11 +39,16 @@ def bench(robot):
     bench.close()
 
 
+def rests_at(commanded, place):
+    """Whether the last commands are one place: the controller is later than the machine."""
+    return len(commanded) >= 3 and not (commanded[-3:] != place).any()
+
+
 @pytest.fixture
 def run(robot, bench):
     """The program on the way, when the record of the robot begins; at rest again at the end."""
     bench.until_state(MachineState.IDLE)
-    robot.commanded()
+    bench.spin_until(lambda: rests_at(robot.commanded()[2], bench.state.commanded_positions))
     handle = bench.begin()
     bench.until_at(0.05)
     yield handle
@@ -89,18 +94,17 @@ def prove(robot, bench):
 
     def complete():
         found.append(robot.commanded())
-        recent = found[-1][2][-3:]
-        return len(recent) == 3 and not (recent != p[-1]).any()
+        return rests_at(found[-1][2], p[-1])
 
     bench.spin_until(complete)
     times, between, x = (np.concatenate(parts) for parts in zip(*found, strict=True))
     moving = np.flatnonzero(np.diff(x, axis=0).any(axis=1))
     first, last = moving[0] + 1, moving[-1] + 1
     assert between[first : last + 1].all()  # never on a way of the controller's own
-    places, reach = [0.0], 3 + int(np.diff(times[first - 1 : last + 2]).max() / T)
-    for row in x[first : last + 1]:
-        k = int(places[-1])
-        place, off = place_of(row, p, v, max(k - 20, 0), min(k + reach, len(p)))
+    places = [0.0]
+    for k in range(first, last + 1):
+        low, reach = int(places[-1]), 3 + int((times[k] - times[k - 1]) / T)
+        place, off = place_of(x[k], p, v, max(low - 20, 0), min(low + reach, len(p)))
         assert off < 1e-7, (place, off)
         places.append(place)
     speeds, elapsed = np.abs(v).max(axis=1), np.diff(times[first : last + 1]) / T

@@ -1,0 +1,25 @@
+"""The error without compensation, told while a motion is executed in pieces."""
+
+import numpy as np
+
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.simulated import simulate
+from cnc_interp.machine.uncompensated import Uncompensated
+
+T = 0.001
+TIRED = Machine.load('xyzac_tired')
+
+
+def test_the_error_told_in_pieces_is_that_of_the_whole_motion():
+    phase = np.linspace(0.0, 4.0 * np.pi, 3000)
+    start = np.array([0.0, 0.0, 0.0, 0.2, 0.0])
+    positions = start + np.outer(1.0 - np.cos(phase), [0.02, 0.01, 0.0, 0.1, 0.3])
+    velocities = np.gradient(positions, T, axis=0)
+    whole = simulate(TIRED, T, positions, velocities).contour_error
+    told = Uncompensated(TIRED, T, start)
+    pieces = [
+        told.contour_errors(positions[k : k + 37], velocities[k : k + 37])
+        for k in range(0, len(positions), 37)
+    ]
+    assert np.array_equal(np.concatenate(pieces), whole)
+    assert whole.max() > 4e-5

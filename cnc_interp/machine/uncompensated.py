@@ -52,4 +52,5 @@ class Uncompensated:
         x, _ = follow_all(self._words, positions, velocities)
         trail = np.concatenate([self._trail, self._transform.forward(positions)[0]])
         self._trail = trail[1 - self._memory :]
-        return path_errors(trail, self._transform.forward(x)[0], self._memory)
+        errors: FloatArray = path_errors(trail, self._transform.forward(x)[0], self._memory)
+        return errors

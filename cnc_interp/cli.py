@@ -24,6 +24,7 @@ from cnc_interp.commands.mdi import add_mdi_command
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
 from cnc_interp.commands.setup import add_setup_commands
+from cnc_interp.commands.sweep import add_sweep_command
 from cnc_interp.commands.urdf import add_urdf_command
 from cnc_interp.core.errors import InterpError
 
@@ -79,6 +80,7 @@ def parser() -> argparse.ArgumentParser:
     add_plan_command(commands)
     add_batch_command(commands)
     add_cluster_command(commands)
+    add_sweep_command(commands, main)
     add_convert_command(commands)
     add_check_command(commands)
     add_report_command(commands)

@@ -122,6 +122,16 @@ def hollow() -> dict[str, object]:
     }
 
 
+def saddle() -> dict[str, object]:
+    """Surface of a saddle of 120 mm radius; flat on the table, its passes come near the pole."""
+    points = [
+        [[x, y, round((x**2 - y**2) / 240.0, 6)] for y in range(-20, 21, 4)]
+        for x in range(-25, 26, 5)
+    ]
+    comment = 'A saddle, 50 x 40 mm; see docs/batch.md for how it should be turned'
+    return {'comment': comment, 'kind': 'grid', 'points_mm': points}
+
+
 def main() -> None:
     """Write all files beside this script."""
     (HERE / 'pyramid.apt').write_text(cl_data('PYRAMID', pyramid()), encoding='ascii')
@@ -130,6 +140,7 @@ def main() -> None:
     (HERE / 'pocket_corner.apt').write_text(corner, encoding='ascii')
     (HERE / 's_path.apt').write_text(cl_data('S PATH', s_path()), encoding='ascii')
     (HERE / 'hollow.json').write_text(json.dumps(hollow()) + '\n', encoding='ascii')
+    (HERE / 'saddle.json').write_text(json.dumps(saddle()) + '\n', encoding='ascii')
 
 
 if __name__ == '__main__':

@@ -29,7 +29,8 @@ LOCAL_STYLE = """
 th[data-sort] { cursor: pointer; position: sticky; top: 0; background: white; }
 td:nth-child(-n+3), th:nth-child(-n+3) { text-align: left; }
 tr.red td:nth-child(3) { color: #c0392b; font-weight: 600; }
-td small { display: block; color: #5c6b78; max-width: 520px; }
+td small, td details { display: block; font-weight: 400; font-size: 12px; color: #5c6b78;
+  max-width: 760px; }
 #find { font: inherit; padding: 4px 8px; margin: 2px 0 8px; width: 280px;
   border: 1px solid #c3cad1; border-radius: 4px; }
 """
@@ -39,7 +40,10 @@ document.querySelectorAll('th[data-sort]').forEach((head, column) => {
   let up = false;
   head.onclick = () => {
     up = !up;
-    const value = row => row.cells[column].dataset.value ?? row.cells[column].textContent;
+    const value = row => {
+      const cell = row.cells[column];
+      return cell ? cell.dataset.value ?? cell.textContent : '';
+    };
     const order = (a, b) => {
       const [x, y] = [value(a), value(b)], [m, n] = [parseFloat(x), parseFloat(y)];
       const by = isNaN(m) || isNaN(n) ? x.localeCompare(y) : m - n;
@@ -92,7 +96,8 @@ def _tiles(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[str]:
     """Write the main figures."""
     tiles = [(f'{counts[verdict]:,}', str(verdict)) for verdict in Verdict if counts[verdict]]
     total = sum(row['cycle_time_s'] or 0.0 for row in rows)
-    tiles.append((f'{total / HOUR:,.2f} h', 'cycle time of all'))
+    shown = f'{total / HOUR:,.2f} h' if total > HOUR else f'{total:,.1f} s'
+    tiles.append((shown, 'cycle time of all'))
     if any(row['cost'] is not None for row in rows):
         tiles.append((f'{sum(row["cost"] or 0.0 for row in rows):,.2f}', 'cost of all'))
     return [f'<div class="tile"><b>{value}</b><span>{label}</span></div>'
@@ -136,20 +141,26 @@ def _table(rows: list[dict[str, Any]], shown: list[tuple[str, str, str]]) -> str
     heads = ''.join(f'<th data-sort>{escape(heading)}</th>' for heading, _, _ in shown)
     lines = []
     for row in rows:
-        cells = ''.join(_cell(row, column, form) for _, column, form in shown)
+        # Without figures, the reason has their place.
+        some = shown if row['cycle_time_s'] is not None else shown[:3]
+        cells = ''.join(_cell(row, column, form, len(shown) - 2) for _, column, form in some)
         colour = '' if row['verdict'] == Verdict.PROVEN else ' class="red"'
         lines.append(f'<tr{colour}>{cells}</tr>')
     return (f'<div class="wide"><table><thead><tr>{heads}</tr></thead>'
             f'<tbody id="rows">{"".join(lines)}</tbody></table></div>')  # fmt: skip
 
 
-def _cell(row: dict[str, Any], column: str, form: str) -> str:
+def _cell(row: dict[str, Any], column: str, form: str, wide: int) -> str:
     """Write one cell; the verdict has its reason, the program its notices."""
     value = row[column]
     if value is None:
         return '<td></td>'
     if form:
         return f'<td data-value="{value}">{value:{form}}</td>'
-    more = {'verdict': row['message'], 'program': row['notices']}.get(column)
-    small = f'<small>{escape(more)}</small>' if more else ''
-    return f'<td>{escape(value)}{small}</td>'
+    more, span = '', ''
+    if column == 'verdict':
+        more = f'<small>{escape(row["message"])}</small>' if row['message'] else ''
+        span = f' colspan="{wide}"' if row['cycle_time_s'] is None else ''
+    elif column == 'program' and row['notices']:
+        more = f'<details><summary>notices</summary>{escape(row["notices"])}</details>'
+    return f'<td{span}>{escape(value)}{more}</td>'

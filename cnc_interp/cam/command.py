@@ -125,6 +125,11 @@ def _cutting(added: argparse.ArgumentParser) -> None:
         '--direction', type=float, default=0.0, metavar='DEG',
         help='feed direction on the surface, from its u lines (0 deg)',
     )  # fmt: skip
+    for name in 'XYZ':
+        added.add_argument(
+            f'--turn-{name.lower()}', type=float, default=0.0, metavar='DEG',
+            help=f'turn of the surface about {name} as it stands on the table (0 deg)',
+        )  # fmt: skip
     number(added, '--spacing', 0.1, 'distance of the needles')
     number(added, '--margin', 2.0, 'distance from the border for the figures')
     machine_option(added)

@@ -10,12 +10,14 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
+from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.pole_turn import pole_turn
 from cnc_interp.cam.program_text import write_tool_path
 from cnc_interp.cam.simulation import (
@@ -48,7 +50,7 @@ SMOOTHING = 0.2
 
 def make_program(options: argparse.Namespace) -> int:
     """Make the program of a surface, simulate it if requested, and write all files."""
-    surface = read_surface(options.surface, options.face, _note)
+    surface = _surface(options)
     cutter = _cutter(options)
     normal = across(surface, options.direction * DEG)
     clock = time.perf_counter()
@@ -106,6 +108,16 @@ def make_program(options: argparse.Namespace) -> int:
     return 0
 
 
+def _surface(options: argparse.Namespace) -> Surface:
+    """Read the surface, and turn it about X, then Y, then Z."""
+    surface = read_surface(options.surface, options.face, _note)
+    turns = options.turn_x, options.turn_y, options.turn_z
+    if not any(turns):
+        return surface
+    turn = Rotation.from_euler('xyz', turns, degrees=True).as_matrix()
+    return Placed(surface, turn, np.zeros(3))
+
+
 def _followed(
     surface: Surface, cutter: Cutter, normal: FloatArray, options: argparse.Namespace
 ) -> IsoScallopPaths | ClassicalPaths:
@@ -136,7 +148,7 @@ def _model(options: argparse.Namespace) -> Machine | None:
 
 def simulate_motion(options: argparse.Namespace) -> int:
     """Cut a surface with the motion of a program or a plan."""
-    surface = read_surface(options.surface, options.face, _note)
+    surface = _surface(options)
     cutter = _cutter(options)
     machine = Machine.load(options.machine)
     if options.motion.is_dir():

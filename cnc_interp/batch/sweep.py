@@ -1,0 +1,332 @@
+"""
+A sweep: one command of `cnc-interp` with many values of its options, and what becomes of each.
+
+A point of a sweep is a command line. So each of them can be run again alone, and every option of
+the command can be swept. A grid tries all combinations. A search (differential evolution, Storn
+and Price 1997, of SciPy) tries as many points as it may, between two values of each option.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import itertools
+import json
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from cnc_interp.batch.processes import Ended, Loss, Processes
+from cnc_interp.batch.task import engine
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.report.series import KINDS, axis_use
+
+#: A limit counts as used where more of it than this is [-].
+AT_LIMIT = 0.98
+#: Points of a generation of the search, for each option; decimals of their values.
+GENERATION, DIGITS = 5, 4
+#: Where the largest error stands in the summary of a command, the first that is there.
+ERRORS = (('executed', 'ridge_highest'), ('planned', 'ridge_highest'), ('largest_contour_error',))
+#: Commands that can be swept.
+SWEPT = (('plan',), ('cam', 'iso-scallop'))
+
+
+@dataclass(frozen=True)
+class Range:
+    """
+    An option that is swept.
+
+    Parameters
+    ----------
+    option : str
+        Its name, without the dashes.
+    values : tuple of str
+        All values (grid), or the lowest and the highest (search).
+
+    """
+
+    option: str
+    values: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Point:
+    """
+    A point of a sweep.
+
+    Parameters
+    ----------
+    words : tuple of str
+        The command without its folder.
+    values : tuple of (str, str)
+        The options that are swept, and their values.
+
+    """
+
+    words: tuple[str, ...]
+    values: tuple[tuple[str, str], ...]
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The words with the values."""
+        return (*self.words, *(f'--{option}={value}' for option, value in self.values))
+
+    @property
+    def key(self) -> str:
+        """Return a hash of the command, the content of the files it names, and this package."""
+        digest = hashlib.sha256(engine().encode())
+        for word in self.command:
+            digest.update(word.encode() + b'\0')
+            path = Path(word.rpartition('=')[2])
+            if path.is_file():
+                digest.update(path.read_bytes())
+        return digest.hexdigest()[:32]
+
+
+@dataclass(frozen=True)
+class Found:
+    """
+    What became of a point.
+
+    Parameters
+    ----------
+    cycle_time : float, optional
+        Time of the motion [s].
+    error : float, optional
+        Largest error: the highest ridge of a surface, or the contour error of a plan [m].
+    at_limit : dict of str to float
+        Share of the time in which an axis is at a limit, by axis and kind [-].
+    fault : str
+        Why there is no motion, else ''.
+
+    """
+
+    cycle_time: float | None = None
+    error: float | None = None
+    at_limit: dict[str, float] | None = None
+    fault: str = ''
+
+
+Main = Callable[[Sequence[str]], int]
+
+
+@dataclass(frozen=True)
+class Call:
+    """
+    What a process is told: the command line, its function, and folders.
+
+    Parameters
+    ----------
+    main : callable
+        The function of the command line.
+    command : tuple of str
+        Its words.
+    here : str
+        Folder in which it is run.
+    out : str
+        Folder for its files.
+
+    """
+
+    main: Main
+    command: tuple[str, ...]
+    here: str
+    out: str
+
+
+def run_point(call: Call) -> Found:
+    """Run the command of a point."""
+    said, printed = io.StringIO(), io.StringIO()
+    with chdir(call.here), redirect_stderr(said), redirect_stdout(printed):
+        try:
+            code = call.main([*call.command, f'--out={call.out}', '--json'])
+        except SystemExit as problem:  # wrong options
+            code = int(problem.code or 0)
+    lines = said.getvalue().strip().splitlines()
+    if code == 2:
+        return Found(fault=lines[-1].removeprefix('cnc-interp: ') if lines else 'refused')
+    out = Path(call.out)
+    summary = read_json(out / 'summary.json')
+    plan = out / 'plan' if (out / 'plan').is_dir() else out
+    if code:
+        return Found(fault='not proven')
+    return Found(summary['cycle_time'], _error(summary), shares_at_limits(plan))
+
+
+def _error(summary: dict[str, Any]) -> float | None:
+    """Return the largest error that a summary has [m]."""
+    for path in ERRORS:
+        value: Any = summary
+        for name in path:
+            value = value.get(name) if isinstance(value, dict) else None
+        if value is not None:
+            return float(value)
+    return None
+
+
+def shares_at_limits(folder: Path) -> dict[str, float]:
+    """Return the share of the time in which each axis, or the feed, is at its limit [-]."""
+    plan = read_plan(folder).in_memory()
+    machine = Machine.load(str(plan.summary['machine']))
+    shares = (np.abs(axis_use(plan, machine.limit_table)) > AT_LIMIT).mean(axis=1)
+    found = {
+        f'{axis} {kind}': float(shares[k, j])
+        for k, kind in enumerate(KINDS)
+        for j, axis in enumerate(machine.axis_names)
+    }
+    way = np.asarray(plan.setpoints['s'])
+    cell = np.searchsorted(plan.path['s'], way, 'right') - 1
+    wanted = np.asarray(plan.path['programmed_feed'])[np.clip(cell, 0, len(plan.path['s']) - 2)]
+    found['feed'] = float((np.gradient(way, plan.period) > AT_LIMIT * wanted).mean())
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+class Sweep:
+    """
+    Runs points, each once, and keeps what became of them.
+
+    Parameters
+    ----------
+    main : callable
+        The function of the command line.
+    words : sequence of str
+        The command that is swept, without ``--out``.
+    folder : Path
+        For results and the files of the points.
+    workers : Processes
+        Where the commands run.
+    progress : callable
+        Told the number of points that are done.
+
+    Raises
+    ------
+    InterpError
+        If the command cannot be swept.
+
+    """
+
+    def __init__(
+        self,
+        main: Main,
+        words: Sequence[str],
+        folder: Path,
+        workers: Processes,
+        progress: Callable[[int], None],
+    ):
+        self._words = _checked(words)
+        self._main, self._folder, self._workers = main, folder.resolve(), workers
+        self._progress = progress
+        self.found: dict[Point, Found] = {}
+        self._done = 0
+        (folder / 'points').mkdir(parents=True, exist_ok=True)
+
+    def grid(self, ranges: Sequence[Range]) -> None:
+        """Run all combinations, and the command as it is."""
+        names = [one.option for one in ranges]
+        all_values = itertools.product(*(one.values for one in ranges))
+        self.run([(), *(tuple(zip(names, values, strict=True)) for values in all_values)])
+
+    def search(self, ranges: Sequence[Range], most: int) -> None:
+        """
+        Run the command as it is, and search the fastest with at most so many other points.
+
+        What is tried depends on the results, not on the number of workers.
+        """
+        names = [one.option for one in ranges]
+        bounds = [(float(one.values[0]), float(one.values[-1])) for one in ranges]
+        self.run([()])
+
+        def times(function: object, members: Iterable[Any]) -> list[float]:
+            points = [
+                tuple(
+                    (name, f'{value:.{DIGITS}g}')
+                    for name, value in zip(names, member, strict=True)
+                )
+                for member in members
+            ]
+            found = self.run(points)
+            return [np.inf if one.cycle_time is None else one.cycle_time for one in found]
+
+        generations = max(1, most // (GENERATION * len(ranges)))
+        differential_evolution(
+            _not_called, bounds, popsize=GENERATION, maxiter=generations - 1, workers=times,
+            updating='deferred', polish=False, rng=1, tol=0.0,
+        )  # fmt: skip
+
+    def run(self, values: Sequence[tuple[tuple[str, str], ...]]) -> list[Found]:
+        """Run points that are not known yet; return what became of all."""
+        points = [Point(self._words, one) for one in values]
+        known = {point: self._read(point) for point in points if point not in self.found}
+        new = [point for point, one in known.items() if one is None]
+        calls = [partial(self._call, point) for point in new]
+        for ended in self._workers.run(run_point, calls):
+            point, one = new[ended.number], _found(ended)
+            known[point] = one
+            write_whole(self._file(point), json.dumps(asdict(one)) + '\n')
+            self._done += 1
+            self._progress(self._done)
+        self.found |= {point: found for point, found in known.items() if found is not None}
+        return [self.found[point] for point in points]
+
+    def _call(self, point: Point) -> Call:
+        return Call(self._main, point.command, str(Path.cwd()), str(self.folder_of(point)))
+
+    def folder_of(self, point: Point) -> Path:
+        """Return the folder of the files of a point."""
+        return self._folder / 'points' / point.key
+
+    def _file(self, point: Point) -> Path:
+        return self._folder / 'points' / f'{point.key}.json'
+
+    def _read(self, point: Point) -> Found | None:
+        """Return what an earlier start has found."""
+        try:
+            return Found(**read_json(self._file(point)))
+        except (OSError, UnreadableError, TypeError):
+            return None
+
+
+def _not_called(_: Any) -> float:
+    """Stand for the function that ``Sweep.search`` evaluates by itself."""
+    raise NotImplementedError
+
+
+def _found(ended: Ended[Found]) -> Found:
+    """Return what became of a point whose process may have been lost."""
+    if isinstance(ended.result, Loss):
+        return Found(fault=' '.join([ended.result.name.lower().replace('_', ' '), ended.why]))
+    return ended.result
+
+
+def _checked(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the command; ``cam iso-scallop`` always plans."""
+    if not any(tuple(words[: len(swept)]) == swept for swept in SWEPT):
+        raise InterpError(
+            'a sweep needs a command after --: plan PROGRAM ..., or cam iso-scallop SURFACE ...'
+        )
+    if any(word.partition('=')[0] == '--out' for word in words):
+        raise InterpError('leave out the --out of the command; each point has its own folder')
+    more = ('--run',) if words[0] == 'cam' and '--run' not in words else ()
+    return (*words, *more)
+
+
+def front(found: dict[Point, Found]) -> list[Point]:
+    """Return the points that no other one beats in both time and error, fastest first."""
+    best: list[Point] = []
+    least = np.inf
+    known = [(one.cycle_time, one.error or 0.0, point) for point, one in found.items()
+             if one.cycle_time is not None]  # fmt: skip
+    for _, error, point in sorted(known, key=lambda row: row[:2]):
+        if error < least:
+            best.append(point)
+            least = error
+    return best

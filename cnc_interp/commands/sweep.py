@@ -1,0 +1,104 @@
+"""`cnc-interp sweep`: a command with many values of its options; the fastest, and why."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.command_options import FAILED, FINE, command
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import HOUR, UM
+
+
+def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
+    """Declare `sweep`; ``main`` runs a command line."""
+    sweep = command(
+        commands, 'sweep', lambda options: sweep_command(options, main),
+        'try many values of the options of `plan` or `cam iso-scallop`; tells the fastest and why',
+        'cnc-interp sweep --vary ratio 1.2 2 3 --vary longest-block 2 5 --out out/sweep -- plan '
+        'part.ngc',
+    )  # fmt: skip
+    sweep.add_argument(
+        '--vary', nargs='+', action='append', required=True, metavar=('OPTION', 'VALUE'),
+        help='an option of the command, without its dashes, and its values; with --search the '
+        'lowest and the highest',
+    )  # fmt: skip
+    sweep.add_argument(
+        '--search', type=int, metavar='N',
+        help='search with at most N points, instead of all combinations',
+    )  # fmt: skip
+    sweep.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
+    sweep.add_argument(
+        '--workers', type=int, default=len(os.sched_getaffinity(0)), metavar='N',
+        help='commands that run at the same time (one for each processor)',
+    )  # fmt: skip
+    sweep.add_argument(
+        'words', nargs='*', metavar='COMMAND', help='after --: the command, without --out'
+    )
+
+
+def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], int]) -> int:
+    """Sweep a command."""
+    from cnc_interp.batch.processes import Processes, total_memory
+    from cnc_interp.batch.sweep import Sweep, front
+    from cnc_interp.batch.sweep_page import as_it_is, why, write_page, write_table
+    from cnc_interp.core.progress_bar import ProgressBar
+
+    ranges = [_range(words, options.search is not None) for words in options.vary]
+    total = 1
+    for one in ranges:
+        total *= len(one.values)
+    total = 1 + (options.search or total)
+    bar = ProgressBar(sys.stderr)
+    workers = Processes(options.workers, total_memory() / options.workers, HOUR)
+    sweep = Sweep(
+        main, options.words, options.out, workers,
+        lambda done: bar.show('sweeping', min(1.0, done / total), f'{done} points'),
+    )  # fmt: skip
+    try:
+        if options.search:
+            sweep.search(ranges, options.search)
+        else:
+            sweep.grid(ranges)
+    finally:
+        bar.end(complete=False)
+    write_table(sweep.found, options.out / 'sweep.csv')
+    write_page(sweep.found, options.out / 'sweep.html')
+    best = front(sweep.found)
+    moves = sum(one.cycle_time is not None for one in sweep.found.values())
+    print(f'points         {len(sweep.found)}, {moves} of them move')
+    for title, point in (('as it is', as_it_is(sweep.found)), *(('fastest', p) for p in best[:1])):
+        one = sweep.found[point]
+        if one.cycle_time is None:
+            print(f'{title:<15}{one.fault}')
+            continue
+        error = '' if one.error is None else f', error {one.error / UM:.3f} um'
+        print(f'{title:<15}{one.cycle_time:.3f} s{error}; at a limit: {why(one)}')
+    if best:
+        print(f'command        cnc-interp {shlex.join(best[0].command)}')
+        print(f'files          {sweep.folder_of(best[0])}')
+    print(f'page           {options.out / "sweep.html"}')
+    return FINE if best else FAILED
+
+
+def _range(words: Sequence[str], search: bool) -> Any:
+    """Return an option and its values."""
+    from cnc_interp.batch.sweep import Range
+
+    name, *values = words
+    name = name.lstrip('-')
+    if not values:
+        raise InterpError(f'--vary {name}: give values')
+    if search:
+        try:
+            low, high = (float(value) for value in values)
+        except ValueError:
+            low, high = 1.0, 0.0
+        if not low < high:
+            raise InterpError(f'--vary {name}: a search needs the lowest and the highest value')
+    return Range(name, tuple(values))

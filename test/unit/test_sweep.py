@@ -1,0 +1,142 @@
+"""Sweeps: every point is a command, each is run once, the best is the best."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from cnc_interp.batch.processes import Processes
+from cnc_interp.batch.sweep import Found, Point, Range, Sweep, front, run_point, shares_at_limits
+from cnc_interp.cli import main
+from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
+from cnc_interp.core.errors import InterpError
+
+EXAMPLES = Path(__file__).parents[2] / 'examples'
+PYRAMID = str(EXAMPLES / 'pyramid.apt')
+GIGA = 1e9
+WIDE = '--orientation-tolerance=1'
+
+
+def sweep(out, *words):
+    return main(['sweep', '--out', str(out), *words])
+
+
+def zigzag(folder):
+    program = folder / 'zigzag.ngc'
+    lines = '\n'.join(f'X{8 * k} Y{8 * (k % 2)}' for k in range(1, 7))
+    program.write_text(f'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000\n{lines}\nM30\n')
+    return str(program)
+
+
+def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
+    out, program = tmp_path / 'out', zigzag(tmp_path)
+    words = ['--vary', 'ratio', '1.2', '2', '--vary', 'contour-tolerance', '0.02', '0.2', '-3']
+    assert sweep(out, *words, '--', 'plan', program, WIDE) == FINE
+    said = capsys.readouterr().out
+    rows = list(csv.DictReader((out / 'sweep.csv').open()))
+    assert len(rows) == 7 and 'points         7, 5 of them move' in said
+    refused = [row for row in rows if row['fault']]
+    assert {row['contour-tolerance'] for row in refused} == {'-3'}
+    assert all('contour-tolerance' in row['fault'] for row in refused)
+    moving = {(r['ratio'], r['contour-tolerance']): float(r['cycle_time_s'])
+              for r in rows if not r['fault']}  # fmt: skip
+    assert moving['2', '0.2'] < moving['2', '0.02']  # a wider tolerance is faster
+    best = min(moving, key=moving.get)
+    line = next(row for row in said.splitlines() if row.startswith('command'))
+    assert line.endswith(f'--ratio={best[0]} --contour-tolerance={best[1]}')
+    # The command of the best gives its time again.
+    again = tmp_path / 'again'
+    command = line.split('cnc-interp ')[1].split()
+    assert main([*command, '--out', str(again)]) == FINE
+    assert json.loads((again / 'summary.json').read_text())['cycle_time'] == moving[best]
+    page = (out / 'sweep.html').read_text()
+    assert '--ratio' in page and 'Not possible' in page
+
+
+def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path, capsys):
+    program = tmp_path / 'part.ngc'
+    program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X5\nY5\nM30\n')
+    words = ['--vary', 'ratio', '1.5', '2', '--', 'plan', str(program)]
+    out = tmp_path / 'out'
+    assert sweep(out, *words) == FINE
+
+    def times():
+        return {path.name: path.stat().st_mtime_ns for path in (out / 'points').glob('*.json')}
+
+    first = times()
+    assert len(first) == 3
+    assert sweep(out, *words) == FINE and times() == first
+    program.write_text(program.read_text().replace('X5', 'X9'))
+    assert sweep(out, *words) == FINE
+    assert len(times()) == 6 and first.items() <= times().items()
+
+
+def test_a_search_finds_what_a_grid_would_and_does_not_depend_on_workers(tmp_path):
+    words = ('plan', zigzag(tmp_path), WIDE)
+    found = []
+    for workers in (1, 2):
+        one = Sweep(main, words, tmp_path / f'{workers}', Processes(workers, 4 * GIGA, 300.0),
+                    lambda _: None)  # fmt: skip
+        one.search([Range('contour-tolerance', ('0.01', '0.05'))], 10)
+        found.append(one.found)
+    assert list(found[0]) == list(found[1])
+    assert found[0] == found[1]
+    tried = {float(dict(p.values)['contour-tolerance']): f.cycle_time
+             for p, f in found[0].items() if p.values}  # fmt: skip
+    assert 6 <= len(tried) <= 11 and all(0.01 <= value <= 0.05 for value in tried)
+    assert min(tried, key=tried.get) == max(tried)
+
+
+def test_the_front_has_what_nothing_beats():
+    points = [Point(('plan',), (('a', str(k)),)) for k in range(5)]
+    times, errors = (3.0, 2.0, 1.0, 1.0, 2.5), (1.0, 2.0, 4.0, 3.0, None)
+    found = {p: Found(t, e) for p, t, e in zip(points, times, errors, strict=True)}
+    found[Point(('plan',), ())] = Found(fault='refused')
+    assert front(found) == [points[3], points[1], points[4]]
+
+
+def test_shares_at_limits_are_those_of_the_time(tmp_path):
+    program = tmp_path / 'line.ngc'
+    program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X300\nM30\n')
+    assert main(['plan', str(program), '--machine', 'xyzac', '--out', str(tmp_path / 'p')]) == FINE
+    shares = shares_at_limits(tmp_path / 'p')
+    summary = json.loads((tmp_path / 'p' / 'summary.json').read_text())
+    # 300 mm at 50 mm/s: it reaches the feed, and X accelerates with its jerk limit.
+    ramps = 2 * 2 * (0.05 / 5.0) ** 0.5
+    assert shares['X jerk'] * summary['cycle_time'] == pytest.approx(ramps, abs=0.06)
+    assert shares['feed'] * summary['cycle_time'] == pytest.approx(
+        summary['cycle_time'] - ramps, abs=0.06
+    )
+    assert shares['Y jerk'] == 0.0
+
+
+def test_bad_input_gets_a_line(tmp_path, capsys):
+    for words, text in (
+        (['--vary', 'ratio', '2', '--', 'check', 'x'], 'a sweep needs a command after --'),
+        (['--vary', 'ratio', '2'], 'a sweep needs a command after --'),
+        (['--vary', 'ratio', '--', 'plan', PYRAMID], '--vary ratio: give values'),
+        (['--vary', 'ratio', '2', '--search', '5', '--', 'plan', PYRAMID], 'needs the lowest'),
+        (['--vary', 'ratio', '2', '--', 'plan', PYRAMID, '--out=x'], 'leave out the --out'),
+    ):
+        assert sweep(tmp_path / 'out', *words) == BAD_INPUT
+        assert text in capsys.readouterr().err
+    assert sweep(tmp_path / 'out', '--vary', 'nothing', '2', '--', 'plan', PYRAMID) == FINE
+    assert 'unrecognized arguments' in (tmp_path / 'out' / 'sweep.csv').read_text()
+    missing = ['--vary', 'ratio', '2', '--', 'plan', str(tmp_path / 'none.ngc')]
+    assert sweep(tmp_path / 'out', *missing) == FAILED
+    with pytest.raises(InterpError, match='leave out'):
+        Sweep(main, ['plan', PYRAMID, '--out', 'x'], tmp_path, None, None)
+
+
+def test_a_surface_is_swept_with_its_ridges(tmp_path):
+    from cnc_interp.batch.sweep import Call
+
+    surface = tmp_path / 'plane.json'
+    surface.write_text('{"kind": "plane", "size_mm": [12, 8]}')
+    words = ('cam', 'iso-scallop', str(surface), '--run', '--stepover=2', '--turn-y=15',
+             '--spacing=0.4', '--margin=1')  # fmt: skip
+    found = run_point(Call(main, words, str(tmp_path), str(tmp_path / 'out')))
+    assert found.fault == '' and found.cycle_time > 1.0
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert found.error == summary['executed']['ridge_highest'] == pytest.approx(1e-5, rel=0.3)

@@ -29,7 +29,7 @@ from cnc_interp.client.question import AGAIN, Question
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.client.stop_signals import stops_later
 from cnc_interp.core.errors import InterpError
-from cnc_interp.nodes.diagnostics import CHECKED, WAITING
+from cnc_interp.nodes.diagnostics import CHECKED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE, STATE
 from cnc_interp.nodes.this_host import stay_on_this_host
@@ -105,6 +105,7 @@ class OperatorClient:
         self._sent: list[SentProgram] = []  # programs that have no result yet
         self.waiting = ''
         self.checked: float | None = None
+        self.uncompensated: float | None = None  # largest contour error of this run [m]
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
         self.active_modes: ModalState | None = None  # of the block that is executed
@@ -181,7 +182,7 @@ class OperatorClient:
             self._on_state(state)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
-        """Store alarms, the waiting programs, and how far the next program is checked."""
+        """Store alarms, waiting programs, how far the next one is checked, errors."""
         for status in array.status:
             if status.hardware_id != self._namespace:
                 continue
@@ -190,6 +191,8 @@ class OperatorClient:
             if WAITING in values:
                 self.waiting = values[WAITING]
                 self.checked = float(values[CHECKED]) if CHECKED in values else None
+            if WITHOUT in values:
+                self.uncompensated = float(values[WITHOUT])
 
     def _knows_machine(self) -> bool:
         """Ask machine_node for the machine that it simulates."""

@@ -80,7 +80,7 @@ class MachineNode(LifecycleNode):
         self._overrides = Overrides(self, self._diagnostics)
         self._jog = JogCommands(self, self._playback, self._diagnostics)
         self._reports = MachineReports(
-            self, self._playback, values, self._overrides, self._jog.homing
+            self, self._playback, values, self._overrides, self._jog.homing, self._diagnostics
         )
         self._controls = Controls(self, self._playback, self._give_up)
         self.create_timer(0.005, self._work)
@@ -178,7 +178,8 @@ class MachineNode(LifecycleNode):
         self._jog.work(override)  # what was reached before is published
 
     def _report_clock(self) -> None:
-        """Report how late the drives are stepped in this run, and how the clock is scheduled."""
+        """Report how late the drives are stepped in this run, and what compensation does."""
+        self._reports.report_compensation()
         clock = self._clock_of_drives
         if clock is not None:
             said = f'{clock.scheduling}; {self._memory}'

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
+from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.uncompensated import Uncompensated
+from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.overrides import Overrides
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
@@ -33,6 +37,8 @@ class MachineReports:
         The overrides that count.
     homing : Homing
         The axes whose position is known.
+    diagnostics : Diagnostics
+        The diagnostics of the node.
 
     """
 
@@ -43,10 +49,17 @@ class MachineReports:
         values: dict[str, Any],
         overrides: Overrides,
         homing: Homing,
+        diagnostics: Diagnostics,
     ):
         self._node, self._playback = node, playback
         self._overrides, self._homing = overrides, homing
+        self._diagnostics = diagnostics
         self._period: float = values['interpolation_period']
+        self._uncompensated: Uncompensated | None = None
+        self._compared, self._without = '', 0.0
+        if values['compensation']:
+            model, position = Machine.load(values['compensation']), playback.axes.setpoints[-1]
+            self._uncompensated = Uncompensated(model, self._period, position)
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
@@ -81,3 +94,24 @@ class MachineReports:
         for setpoints, feedback in executed_setpoints(self._playback, self._period):
             self._feedback.publish(feedback)
             self._executed.publish(setpoints)
+            self._compare(setpoints)
+
+    def _compare(self, executed: SetpointChunk) -> None:
+        """Follow executed setpoints with the model that is not compensated."""
+        if self._uncompensated is None:
+            return
+        if executed.program_id != self._compared:
+            self._compared, self._without = executed.program_id, 0.0
+        positions, velocities = (
+            np.reshape(column, (-1, executed.axis_count))
+            for column in (executed.positions, executed.velocities)
+        )
+        errors = self._uncompensated.contour_errors(positions, velocities)
+        of_program = np.array(executed.sequences) > 0  # after the approach
+        self._without = max(self._without, float(errors[of_program].max(initial=0.0)))
+
+    def report_compensation(self) -> None:
+        """Tell the largest error that there were without compensation in this run."""
+        if self._uncompensated is not None:
+            told = {WITHOUT: f'{self._without:.3g}'}
+            self._diagnostics.say('compensation', OK, 'setpoints are compensated', **told)

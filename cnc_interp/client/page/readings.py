@@ -39,6 +39,9 @@ def readings(desk: Desk) -> dict[str, str]:
     words['least'] = NOTHING if math.isnan(least) else f'{least / MS:.0f} ms'
     words['missed'] = str(state.starvations)
     words['contour'] = f'{state.contour_error / UM:.1f} µm'
+    words['largest contour'] = f'{state.largest_contour_error / UM:.1f} µm'
+    without = desk.nodes.uncompensated
+    words['uncompensated'] = NOTHING if without is None else f'{without / UM:.1f} µm'
     return words
 
 

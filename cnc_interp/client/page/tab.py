@@ -134,7 +134,14 @@ class Page:
                 ('line', 'line'), ('done', 'progress'),
                 ('time', 'elapsed'), ('time left', 'left'),
                 ('buffer', 'buffer'), ('lowest', 'least'),
-                ('underruns', 'missed'), ('contour', 'contour'),
+                ('underruns', 'missed'),
+            ):  # fmt: skip
+                self._pair(title, name, '')
+        ui.html('<h2>error at the tool</h2>', sanitize=False)
+        with ui.element('div').classes('two'):
+            for title, name in (
+                ('contour', 'contour'), ('largest', 'largest contour'),
+                ('uncompensated', 'uncompensated'),
             ):  # fmt: skip
                 self._pair(title, name, '')
 

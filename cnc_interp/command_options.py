@@ -23,6 +23,7 @@ DRIVES: dict[str, dict[str, Reader]] = {
         'controller_feedback': lambda name: f"'{name}'",
         'controller_joints': lambda names: str(names.split()),
         'controller_delay': str,
+        'controller_silence': str,
         **LIMITS,
     },
 }

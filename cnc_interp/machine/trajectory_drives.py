@@ -31,8 +31,8 @@ SENDING = 0.02
 OVERLAP = 0.02
 #: The share of the delay by which a trajectory must leave before its news are executed [-].
 RESERVE = 0.25
-#: Silence of the controller after which its feedback counts as lost [s].
-LONGEST_SILENCE = 1.0
+#: Age up to which reports are compared with what was commanded then [s].
+LATEST = 1.0
 #: Silence that one call adds at most: this program may have stood still itself [s].
 SILENCE_OF_A_CALL = 0.05
 #: Longest wait for the controller, and for its axes to settle before the power is on [s].
@@ -119,12 +119,15 @@ class TrajectoryOptions:
         Largest following error of a linear axis [m].
     following_angle : float
         Largest following error of a rotary axis [rad].
+    silence : float
+        Silence of the controller after which its feedback counts as lost [s].
 
     """
 
     delay: float = 0.2
     following_error: float = 1.0 * MM
     following_angle: float = 1.0 * DEG
+    silence: float = 1.0
 
 
 class TrajectoryDrives:
@@ -165,9 +168,9 @@ class TrajectoryDrives:
         )
         #: Rows that the controller may still need; more are kept to compare late reports with.
         self._needed = int(np.ceil((options.delay + OVERLAP) / period)) + self._step
-        self._kept = self._needed + round(LONGEST_SILENCE / period)
+        self._kept = self._needed + round(LATEST / period)
         self._on, self.alarm = False, ''
-        self._silence = 0.0
+        self._silence, self._longest_silence = 0.0, options.silence
         self._report = self._first_report()
         self._forget(self._report.position)
 
@@ -347,7 +350,7 @@ class TrajectoryDrives:
 
     def _cause(self, errors: FloatArray) -> str:
         """Return why the machine must stop, after some following errors; empty if all is well."""
-        if self._silence > LONGEST_SILENCE:
+        if self._silence > self._longest_silence:
             return f'{self._controller.name} is silent: {self._silent}'
         beyond = np.any(np.abs(errors) > self._limits, axis=0)
         if not beyond.any():

@@ -56,7 +56,10 @@ def chosen_drives(node: Any, values: dict[str, Any], machine: Machine, period: f
         joints_of(values['controller_joints'], machine),
     )  # fmt: skip
     return TrajectoryDrives(
-        machine, period, TrajectoryOptions(values['controller_delay'], *errors), link
+        machine,
+        period,
+        TrajectoryOptions(values['controller_delay'], *errors, values['controller_silence']),
+        link,
     )
 
 

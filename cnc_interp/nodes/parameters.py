@@ -106,6 +106,13 @@ MACHINE_NODE = (
         0.05,
         2.0,
     ),
+    Declared(
+        'controller_silence',
+        1.0,
+        'Silence of the controller that stops the machine [s]',
+        0.1,
+        60.0,
+    ),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),
 )

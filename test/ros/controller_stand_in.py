@@ -53,6 +53,7 @@ class StandIn:
             'controller_feedback': f'{self.name}/joint_states',
             'controller_joints': OF_AXES,
             'controller_delay': delay,
+            'controller_silence': 4.0,  # a busy computer may hold the stand-in up
         }
 
     def __enter__(self):
@@ -62,7 +63,7 @@ class StandIn:
         environment = os.environ | {'ROS_DOMAIN_ID': str(self._domain)}
         self._process = subprocess.Popen(
             [sys.executable, __file__, self.name, str(self._log)],
-            stdin=subprocess.PIPE, env=environment, text=True,
+            stdin=subprocess.PIPE, env=environment, text=True, start_new_session=True,
         )  # fmt: skip
         return self
 

@@ -115,7 +115,7 @@ def test_hold_and_killed_planner_stop_on_the_path_and_go_on(hal, bench, run):
     bench.until_state(MachineState.HELD)
     assert bench.press('cycle_start').success
     bench.spin_until(lambda: bench.state.state == MachineState.RUNNING)
-    bench.until_at(0.2)
+    bench.until_at(0.1)
     bench.kill('feedrate_node')
     bench.until_state(MachineState.STARVED)
     bench.children.revive()

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.thorough
 
 DOMAIN = 1 + os.getpid() % 100  # as the nodes under test
 #: Long, because the machine node may wait for a busy computer.
-DELAY = 1.5
+DELAY = 2.0
 
 
 @pytest.fixture(scope='module')
@@ -138,7 +138,7 @@ def test_hold_and_killed_planner_stop_on_the_path_and_go_on(robot, bench, run):
     bench.until_state(MachineState.HELD)
     assert bench.press('cycle_start').success
     bench.spin_until(lambda: bench.state.state == MachineState.RUNNING)
-    bench.until_at(0.2)
+    bench.until_at(0.1)
     bench.kill('feedrate_node')
     bench.until_state(MachineState.STARVED)
     bench.children.revive()

@@ -134,16 +134,13 @@ class Page:
                 ('line', 'line'), ('done', 'progress'),
                 ('time', 'elapsed'), ('time left', 'left'),
                 ('buffer', 'buffer'), ('lowest', 'least'),
-                ('underruns', 'missed'),
+                ('underruns', 'missed'), ('contour', 'contour'),
             ):  # fmt: skip
                 self._pair(title, name, '')
-        ui.html('<h2>error at the tool</h2>', sanitize=False)
-        with ui.element('div').classes('two'):
-            for title, name in (
-                ('contour', 'contour'), ('largest', 'largest contour'),
-                ('uncompensated', 'uncompensated'),
-            ):  # fmt: skip
-                self._pair(title, name, '')
+        with ui.element('div') as self._compensation:
+            self._pair('largest contour error', 'largest contour', '')
+            self._pair('without compensation', 'uncompensated', '')
+        self._compensation.set_visibility(False)
 
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
@@ -383,6 +380,8 @@ class Page:
         for name, text in words.items():
             if self._changed(name, text):
                 self._labels[name].set_text(text)
+        if self._changed('compensated', desk.nodes.uncompensated is not None):
+            self._compensation.set_visibility(self._shown['compensated'])
         if self._changed('state colour', words['state']):
             colour = 'silent' if words['state'].startswith('no') else words['state']
             self._labels['state'].classes(replace=f'state {colour}')

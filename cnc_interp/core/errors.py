@@ -27,10 +27,34 @@ class ProgramError(InterpError):
     """
 
     def __init__(self, message: str, source: str = '', line_number: int = 0, word: str = ''):
+        self.message = message
         self.source, self.line_number, self.word = source, line_number, word
         place = source + (f':{line_number}' if line_number else '')
         at = f'{word}: ' if word else ''
         super().__init__(f'{place}: {at}{message}' if place else f'{at}{message}')
+
+
+class RefusedLinesError(ProgramError):
+    """
+    A part program cannot be read, for several reasons; the attributes are those of the first.
+
+    Parameters
+    ----------
+    errors : list of ProgramError
+        The refusals, at least one.
+    text : str
+        All of them, one in a line.
+
+    """
+
+    def __init__(self, errors: list[ProgramError], text: str):
+        first = errors[0]
+        super().__init__(first.message, first.source, first.line_number, first.word)
+        self.errors, self.text = tuple(errors), text
+
+    def __str__(self) -> str:
+        """Return all refusals, one in a line."""
+        return self.text
 
 
 class MachineError(InterpError):

@@ -60,6 +60,8 @@ FAULTS = {
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
 }
+#: Faults that may only follow from a wrong start.
+OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 
 
 def arcs_of(

@@ -23,6 +23,7 @@ from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.notices import Notices
+from cnc_interp.program.refusals import Refusals
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.start_line import StartLine
@@ -35,8 +36,10 @@ _NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:E[-+]?\d+)?'
 _NEXT = rf'(?:\s*,\s*|\s+)({_NUMBER})'
 _GOTO = re.compile(rf'GOTO\s*/?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
 _NUMBERS = re.compile(rf'{_NUMBER}(?:\s*,\s*{_NUMBER})*')
-_STATEMENT = re.compile(r'([A-Z][A-Z0-9]*)\s*(?:/\s*(.*)|(.*))')
+_STATEMENT = re.compile(r'([A-Z][A-Z0-9_]*)\s*(?:/\s*(.*)|(.*))')
 
+#: Stands for a statement that the end of the file cuts off.
+_UNENDED = '$'
 _NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_PER_MIN'
 
 
@@ -105,22 +108,48 @@ class ClReader:
         return self.targets.start
 
     def blocks(self) -> Iterator[Blocks]:
-        """Read all statements up to FINI, and yield the blocks in batches."""
+        """
+        Read all statements up to FINI, and yield the blocks in batches.
+
+        Raises
+        ------
+        ProgramError
+            If statements are refused: all of them, at the end of the file. No blocks are yielded
+            after the first.
+
+        """
         if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
+        refused = Refusals()
         for line_number, statement in self._statements(self._lines()):
             self.line_number = line_number
             if self.start.line and not self.start.passes and line_number >= self.start.line:
                 self.start.reach(self._state_words)
-            match = _GOTO.fullmatch(statement)
-            if match:
-                self._goto(match.groups())
-            elif statement.startswith('FINI'):
+            if statement.startswith('FINI'):
                 break
+            try:
+                self._statement(statement)
+            except ProgramError as problem:
+                unset = problem.message == _NO_FEED
+                refused.add(problem, self._circle is not None, unset)
+                self._circle = None
             else:
-                self._other(statement)
-            yield from self.targets.take()
+                if statement.startswith('GOTO'):
+                    refused.arrive()
+            parts = self.targets.take()
+            if not refused:
+                yield from parts
+        if refused:
+            raise refused.error()
         yield from self.targets.finish()
+
+    def _statement(self, statement: str) -> None:
+        """Execute a statement."""
+        match = _GOTO.fullmatch(statement)
+        if match:
+            self._goto(match.groups())
+        else:
+            self._other(statement)
 
     def _state_words(self) -> tuple[str, ...]:
         """Return the state of the program as the statements that have set it."""
@@ -155,8 +184,7 @@ class ClReader:
             if line:
                 yield at, line
         if begun:
-            self.line_number = begun
-            raise self._fault('the file ends inside a continued statement ($)')
+            yield begun, _UNENDED
 
     def _fault(self, message: str, word: str = '') -> ProgramError:
         """Return an error with file and line."""
@@ -219,6 +247,8 @@ class ClReader:
 
     def _other(self, statement: str) -> None:
         """Process a statement other than GOTO with numbers."""
+        if statement == _UNENDED:
+            raise self._fault('the file ends inside a continued statement ($)')
         match = _STATEMENT.fullmatch(statement)
         if match is None:
             raise self._fault('not a CL statement; write MAJOR/minor', statement.split()[0])
@@ -244,7 +274,7 @@ class ClReader:
         elif major == 'FEDRAT':
             self._leave_circle()
             self._feed(minor, statement)
-        elif major == 'UNITS':
+        elif major in ('UNITS', 'UNIT'):
             if minor not in cl_words.LENGTH_UNITS:
                 raise self._fault('unknown unit; write UNITS/MM or UNITS/INCHES', statement)
             self.unit = cl_words.LENGTH_UNITS[minor]
@@ -266,10 +296,16 @@ class ClReader:
             self._notice(major, codes.NOT_YET if stands else text)
             if not stands:
                 self.targets.stop_here(kind)
-        elif major == 'MSYS':
+        elif major == 'CSYS' and _NUMBERS.fullmatch(minor):
+            numbers = self._numbers(minor, 12, 'a coordinate system has twelve numbers')
+            if tuple(numbers) not in cl_words.SAME_SYSTEM:
+                raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
+        elif major in ('MSYS', 'CSYS'):
             if self._msys not in ('', minor):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
             self._msys = minor
+        elif major.startswith(cl_words.INFORMATION):
+            self._notice(cl_words.INFORMATION, 'information of the CAM system, no effect')
         elif major in cl_words.HARMLESS or major in cl_words.OFF_ONLY:
             self._notice(major, 'no effect, it does not move the tool')
         elif major not in cl_words.SILENT:

@@ -15,8 +15,15 @@ HARMLESS = {
     'AUTOPS', 'AUXFUN', 'CAMERA', 'CLAMP', 'CLEARP', 'COOLNT', 'DISPLY', 'LEADER', 'LINTOL',
     'LOAD', 'LOADTL', 'MAXDP', 'MCHTOL', 'MFG', 'NUMPTS', 'OPSKIP', 'OPTOOL', 'PAINT', 'PLABEL',
     'PLOT', 'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
-    'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TURRET',
+    'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TRNTYP', 'TURRET',
 }  # fmt: skip
+#: Words with this beginning are information of a CAM system.
+INFORMATION = 'CSI_'
+#: Coordinate systems that change nothing: three rows of four numbers, and three axes and a point.
+SAME_SYSTEM = (
+    (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+    (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+)
 #: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
 OUTPUTS = {'COOLNT', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.

@@ -14,35 +14,34 @@ from copy import deepcopy
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.program import codes, scan
 from cnc_interp.program.active_modes import NONE, ActiveModes
-from cnc_interp.program.arcs import PLANES
+from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import AT_M0, AT_M1, TargetColumns
 from cnc_interp.program.cycles import CannedCycle
-from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.flow import Flow
+from cnc_interp.program.header import is_name, leader_lines
 from cnc_interp.program.job import JobSetup, SetupChange
-from cnc_interp.program.modal_state import FARTHEST, modal_words
+from cnc_interp.program.modal_state import NO_F, NO_NEW_F, modal_words
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
+from cnc_interp.program.named_words import NamedWords
 from cnc_interp.program.notices import Notices
+from cnc_interp.program.refusals import Refusals
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along
-from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.source import Source
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.tilted_plane import TiltedPlane
-from cnc_interp.program.variables import ProgramVariables
+from cnc_interp.program.variables import UNSET, ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.choices import Settings
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
-_SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}
-_MACHINE_KEYS = {'SUPA', 'G153'}
 
 
 class GcodeReader:
@@ -82,10 +81,13 @@ class GcodeReader:
         self._tool = self._chosen_tool = setup.tool
         self._outputs: dict[str, str] = {}  # the last M code of each output
         self._percent_seen = False
+        self._leader = leader_lines(source)
         self.whole = True  # whether more lines can follow, so that it can look ahead
         self.finished = False  # whether M2 or M30 was read
+        self._in_flow = False  # whether a statement that changes the order of lines is executed
         self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
         self._plane = TiltedPlane(self.mover)
+        self._named = NamedWords(self.mover, self._modes, self._plane, self.variables)
 
     @property
     def targets(self) -> TargetColumns:
@@ -145,21 +147,52 @@ class GcodeReader:
         return number, motion, mover.feed_word
 
     def blocks(self) -> Iterator[Blocks]:
-        """Read the program and yield its blocks in batches."""
-        flow, targets = self.flow, self.mover.targets
+        """
+        Read the program and yield its blocks in batches.
+
+        Raises
+        ------
+        ProgramError
+            If lines are refused: all of them, at the end of the program. No blocks are yielded
+            after the first.
+
+        """
+        flow, targets, refused = self.flow, self.mover.targets, Refusals()
         while flow.here():
-            window, row = flow.window, flow.row
-            end = self._until_start(row, window.next_rare(row))
-            if end > row:
-                self._run(row, end)
+            try:
+                self._next_lines(together=not refused)
+            except ProgramError as problem:
+                if self._in_flow:  # what follows may not be what would be executed
+                    refused.add(problem, of_place=False)
+                    raise refused.error() from None
+                later = problem.line_number not in (flow.line_number, flow.main_line)
+                unset = problem.message in (NO_F, NO_NEW_F) or problem.message.endswith(UNSET)
+                refused.add(problem, later or problem.message.startswith(OF_PLACE), unset)
+                flow.row += 1
             else:
-                flow.jumped = False
-                self._line(window.line(row))
-                if not flow.jumped:
-                    flow.row = row + 1
-            yield from targets.take()
+                if refused and self.mover.motion in (0, 1):
+                    refused.arrive()
+            parts = targets.take()
+            if not refused:
+                yield from parts
+        if refused:
+            raise refused.error()
         self.splines.end()
         yield from targets.finish()
+
+    def _next_lines(self, together: bool) -> None:
+        """Execute the next lines: plain ones together if wanted, others one by one."""
+        flow = self.flow
+        window, row = flow.window, flow.row
+        end = self._until_start(row, window.next_rare(row))
+        end = end if together else min(end, row + 1)
+        if end > row:
+            self._run(row, end)
+        else:
+            flow.jumped = False
+            self._line(window.line(row))
+            if not flow.jumped:
+                flow.row = row + 1
 
     def _until_start(self, row: int, end: int) -> int:
         """Note that the line of the start is reached; end lines read together before it."""
@@ -206,6 +239,9 @@ class GcodeReader:
 
     def _line(self, raw: str) -> None:
         """Execute one line with the general reader."""
+        if self.flow.main_line <= self._leader:
+            self.notice('text before %', 'it does not belong to the program')
+            return
         line = without_comments(raw.upper(), self.fault)
         if not line:
             return
@@ -221,8 +257,10 @@ class GcodeReader:
                     return
                 self.notice('/', 'lines that can be skipped are executed')
             line = line[head.end() :]
+        self._in_flow = True
         rest = self.flow.execute(line) if line else None
-        if rest:
+        self._in_flow = False
+        if rest and not (rest[0] in 'O<' and self.mover.targets.empty and is_name(rest)):
             self._execute(split_words(rest, self.variables, self.fault))
 
     # --- one block -----------------------------------------------------------------------------
@@ -232,9 +270,7 @@ class GcodeReader:
         values, mover = words.values, self.mover
         for letter in ('N', 'O'):
             values.pop(letter, None)
-        for key, given in words.keys:
-            self._key_word(key, given, words)
-        self._assign(words)
+        self._named.execute(words)
         if 'T' in values:
             self._chosen_tool = round(min(abs(values['T']), 1e6))
         if 'M6' in words.m or not self._tool:
@@ -349,73 +385,6 @@ class GcodeReader:
         else:
             self.notice(code, codes.STOP_M[code])
             self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)
-
-    # --- key words and assignments -------------------------------------------------------------
-
-    def _key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
-        """Execute a word of several letters."""
-        mover = self.mover
-        if key in codes.INTERPOLATION_KEYS:
-            if self.settings.interpolation == 'auto' and mover.rotary_letters:
-                mover.great_circle = codes.INTERPOLATION_KEYS[key]
-            else:
-                self.notice(key, 'ignored, the interpolation is fixed')
-        elif key in codes.TCP_ON:
-            self._modes.switch_tcp(key)
-        elif key in codes.TCP_OFF:
-            mover.switch_tcp('')
-        elif key in _SIEMENS_FRAMES:
-            self._modes.turn_frame(key, words)
-        elif key in _MACHINE_KEYS:
-            words.g.append('G53')
-        elif key == 'CYCLE832':
-            # High-speed settings: a tolerance, and smoothing instead of exact stops.
-            tolerance = given[0] if given and given[0] else None
-            if tolerance is not None and not 0.0 < tolerance * mover.unit < FARTHEST:
-                raise self.fault('the tolerance must be greater than zero', key)
-            self._modes.tolerances(key, tolerance, tolerance)
-            mover.stop_always = mover.stop_always and tolerance is None
-        elif key == 'CYCLE800' and any(given):
-            self._plane.swivel(given, words)
-        elif key == 'CYCLE800':
-            self._plane.cancel()
-        elif key == 'BSPLINE':
-            pass  # the curve is opened after the settings of the block
-        elif key in codes.HARMLESS_KEYS:
-            self.notice(key, 'no effect, it does not move the tool')
-        else:
-            unknown = 'unknown word; remove it, or write a letter and a number as X10'
-            raise self.fault(codes.refused_key(key) or unknown, key)
-
-    def _assign(self, words: BlockWords) -> None:
-        """Execute the assignments of a block; some names are words with a meaning."""
-        mover = self.mover
-        for name, value in words.sets:
-            if name in ('A3', 'B3', 'C3', 'RPL') or name in CURVE_WORDS:
-                continue
-            if name == 'CR':
-                words.values['R'], words.texts['R'] = value, f'CR={value:g}'
-            elif name == 'TURN':
-                words.values['P'], words.texts['P'] = value + 1.0, f'TURN={value:g}'
-            elif name in ('CTOL', 'OTOL'):
-                if not 0.0 < value * mover.unit < FARTHEST:
-                    raise self.fault('the tolerance must be greater than zero', str(name))
-                if self.settings.force_tolerances:
-                    self.notice(str(name), "ignored, the command's tolerances are forced")
-                elif name == 'CTOL':
-                    mover.contour = value * mover.unit
-                else:  # OTOL is an angle; convert it to the deviation at flank height
-                    mover.orientation = min(value, 90.0) * DEG * self.settings.flank_height
-            elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'):
-                raise self.fault('this word is not supported; give the end point and I, J, K',
-                                 str(name))  # fmt: skip
-            elif isinstance(name, int):
-                try:
-                    self.variables.set_number(name, value)
-                except ExpressionError as problem:
-                    raise self.fault(str(problem), f'#{name}') from None
-            else:
-                self.variables.set_name(name, value)
 
     # --- motion --------------------------------------------------------------------------------
 

@@ -22,6 +22,8 @@ from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.settings.choices import Settings
 
 FARTHEST = 1e5 * MM
+#: Blocks per minute below which a notice tells the duration: an hour and more.
+SLOWEST = 1.0 / 60.0
 #: The word that tool-tip programming has while the tool stands on a tilted plane.
 ORIENTED = 'G53.1'
 #: A larger turn of a rotary axis in one cutting block gives a notice [rad].
@@ -32,8 +34,8 @@ LENGTH_WITH_TCP = (
     'with tool-tip programming the tool length belongs in the machine file '
     '(tip_to_secondary_pivot_mm); set the length in the setup to 0'
 )
-_NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
-_NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
+NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
+NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
 
 
 #: The modal attributes of codes.SETTINGS, the motion first, and those that other words set.
@@ -328,7 +330,7 @@ class ModalState:
             return inf, nan, inf
         if self.feed_mode != 'G93':
             if self.feedrate is None:
-                raise self.fault(_NO_NEW_F if self.feed_changed else _NO_F)
+                raise self.fault(NO_NEW_F if self.feed_changed else NO_F)
             if self.feed_mode == 'G94':
                 return self.feedrate, nan, self.turn_rate
             if not self.spindle_speed > 0.0:
@@ -348,6 +350,9 @@ class ModalState:
             raise self.fault('the feedrate must be greater than zero', word)
         if self.feed_mode == 'G93':
             self.blocks_per_minute = value
+            if value < SLOWEST:
+                hours = f'{1.0 / (60.0 * value):.3g} h'
+                self.notice('G93', f'{word} is a block of {hours}; F counts blocks per minute')
         else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
             self.feedrate, self.turn_rate = value * self.unit / MINUTE, value * DEG / MINUTE
 

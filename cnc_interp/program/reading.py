@@ -24,7 +24,7 @@ from cnc_interp.settings.choices import Settings
 _HEAD_LINES = 2000
 _CL_LINE = re.compile(
     r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]'
-    r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
+    r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
     re.IGNORECASE,
 )
 _GCODE_LINE = re.compile(

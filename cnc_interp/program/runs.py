@@ -11,7 +11,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MINUTE
 from cnc_interp.program import scan
 from cnc_interp.program.arcs import PLANES, arcs_of
-from cnc_interp.program.modal_state import FARTHEST, LONG_WAY
+from cnc_interp.program.modal_state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion import MOST_TURN, Mover
 from cnc_interp.program.moves import (
     AXES,
@@ -150,6 +150,8 @@ def _feeds(
     if (words[given] <= 0.0).any():
         return None
     if mover.feed_mode == 'G93':
+        if (words[given] < SLOWEST).any():
+            return None
         rate = _filled(words, mover.blocks_per_minute or nan)[moves]
         if (np.isnan(rate) & ~rapid).any() or (~given[moves] & ~rapid).any():
             return None

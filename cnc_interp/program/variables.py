@@ -10,6 +10,8 @@ from cnc_interp.program.expressions import ExpressionError
 MOST_LOCAL = 33
 _MOST_VARIABLES = 100_000
 
+UNSET = 'is read before it is set; set it in the program'
+
 
 class ProgramVariables:
     """
@@ -48,7 +50,7 @@ class ProgramVariables:
             return self._numbers[index]
         if index >= 5000 and index in (system := self._system()):
             return system[index]
-        raise ExpressionError(f'#{index} is read before it is set; set it in the program')
+        raise ExpressionError(f'#{index} {UNSET}')
 
     def set_number(self, index: int, value: float) -> None:
         """Set ``#index`` to a value."""
@@ -65,7 +67,7 @@ class ProgramVariables:
         if name in names:
             return names[name]
         shown = f'#{name}' if name.startswith('<') else name
-        raise ExpressionError(f'{shown} is read before it is set; set it in the program')
+        raise ExpressionError(f'{shown} {UNSET}')
 
     def set_name(self, name: str, value: float) -> None:
         """Set a named variable to a value."""

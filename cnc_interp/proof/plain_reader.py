@@ -19,8 +19,8 @@ from cnc_interp.core.units import DEG, MM
 
 # G codes that move nothing: plane and units are handled apart.
 IDLE_G = frozenset((
-    '4', '9', '40', '43', '43.4', '49', '54', '60', '61', '61.1', '64', '80', '90', '91', '91.1',
-    '93', '94', '97', '98', '99', '500', '641', '642', '643', '644',
+    '4', '5', '5.1', '8', '9', '40', '43', '43.4', '49', '54', '60', '61', '61.1', '64', '80',
+    '90', '91', '91.1', '93', '94', '97', '98', '99', '500', '641', '642', '643', '644',
 ))  # fmt: skip
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
 # Words of G-code after which a number follows and that move nothing.
@@ -181,6 +181,8 @@ class _State:
         self.codes(codes)
         if 'G4' in codes:
             return
+        if 'G5.1' in codes:
+            words.pop('R', None)  # a grade of smoothing
         if 'F' in words:
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
         if words:

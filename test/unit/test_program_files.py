@@ -157,7 +157,7 @@ def test_creo_points_against_a_plain_reading():
 
 
 @pytest.mark.parametrize('name', sorted(path.name for path in SHARED.glob('*')))
-def test_every_real_program_is_read_or_refused_in_one_line(name):
+def test_every_real_program_is_read_or_refused_with_its_line(name):
     machine = Transform.of(Machine.load(MACHINES.get(name, 'xyzac')))
     settings = Settings(feedrate=0.05)
     setup = SETUPS.get(name)
@@ -165,7 +165,7 @@ def test_every_real_program_is_read_or_refused_in_one_line(name):
         with pytest.raises(ProgramError) as caught:
             read_program(shared(name), machine, settings, setup)
         assert caught.value.word == REFUSED[name]
-        assert caught.value.line_number > 0 and '\n' not in str(caught.value)
+        assert caught.value.line_number > 0
         return
     blocks = read_program(shared(name), machine, settings, setup).blocks
     for column in ('tip', 'axis', 'contour_tolerance'):

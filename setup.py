@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = 'cnc_interp'
-NODES = ('lookahead', 'feedrate', 'machine', 'program', 'markers', 'joy_jog')
+NODES = ('lookahead', 'feedrate', 'machine', 'program', 'markers', 'joy_jog', 'batch')
 
 
 def shared_files() -> list[tuple[str, list[str]]]:

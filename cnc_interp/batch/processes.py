@@ -21,12 +21,15 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from cnc_interp.core.errors import InterpError
 from cnc_interp.core.fork_server import begin_loading
 
 #: What the fork server loads.
 PRELOADED = ['cnc_interp.batch.preloaded']
 #: Name of a working process in ``ps`` and ``top``.
 PROCESS_NAME = 'cnc_batch'
+#: Time between looks whether all shall end [s].
+LOOK = 0.2
 #: A process that is killed so often is not begun again.
 MOST_KILLS = 20
 #: Signals by which others end a process; by any other signal it ends itself.
@@ -96,11 +99,20 @@ class Processes:
         Most memory that a process may ask for [bytes].
     longest : float
         Longest time of a call [s].
+    stopped : callable, optional
+        Asked again and again whether all shall end.
 
     """
 
-    def __init__(self, workers: int, memory: float, longest: float):
+    def __init__(
+        self,
+        workers: int,
+        memory: float,
+        longest: float,
+        stopped: Callable[[], bool] = lambda: False,
+    ):
         self._workers, self._memory, self._longest = workers, memory, longest
+        self._stopped = stopped
         self._context = begin_loading(PRELOADED)
 
     def run(
@@ -121,6 +133,11 @@ class Processes:
         Ended
             Number of the argument, and the result. To end the iteration ends all processes.
 
+        Raises
+        ------
+        InterpError
+            If ``stopped`` says so.
+
         """
         waiting: deque[tuple[int, Callable[[], A], int]] = deque()
         coming = enumerate(arguments)
@@ -135,6 +152,8 @@ class Processes:
                     self._start(function, *waiting.popleft(), running)
                 if not running:
                     return
+                if self._stopped():
+                    raise InterpError('stopped; what is done is kept')
                 for connection in self._heard(running):
                     call = running.pop(connection)
                     ended: Ended[R] = _end_of(connection, call)
@@ -167,7 +186,7 @@ class Processes:
     def _heard(running: dict[Connection, _Running[A]]) -> list[Connection]:
         """Wait; return the connections of processes that have ended, or work for too long."""
         deadline = min(call.deadline for call in running.values())
-        heard = wait(list(running), max(0.0, deadline - time.monotonic()))
+        heard = wait(list(running), min(max(0.0, deadline - time.monotonic()), LOOK))
         now = time.monotonic()
         late = [c for c, call in running.items() if now > call.deadline and c not in heard]
         return [*heard, *late]  # type: ignore[list-item]

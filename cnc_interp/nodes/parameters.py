@@ -132,6 +132,15 @@ MARKERS = (
     Declared('spacing', 5e-5, 'Least distance between points of a line [m]', 0.0, 0.1),
 )
 
+BATCH = (
+    MACHINE,
+    *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
+    Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
+    Declared('batch_folder', '', 'Folder for tables and pages'),
+    Declared('workers', 1, 'Programs that are planned at the same time', 1, 1024),
+    Declared('longest_planning', 3600.0, 'Longest planning time of a program [s]', 1.0, 1e6),
+)
+
 #: Parameters of the nodes that a run needs.
 NODES = {
     'program_node': PROGRAM,

@@ -1,0 +1,148 @@
+"""The batch node: action ``plan_batch``, many programs planned beside a running machine."""
+
+from __future__ import annotations
+
+import re
+import sys
+import threading
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from cnc_interp_msgs.action import PlanBatch
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+
+from cnc_interp.batch.jobs import Jobs
+from cnc_interp.batch.page import write_page
+from cnc_interp.batch.processes import Processes, total_memory
+from cnc_interp.batch.run import Progress, run_batch
+from cnc_interp.batch.store import Store
+from cnc_interp.batch.table import write_tables
+from cnc_interp.batch.task import Verdict
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.progress_bar import TimeLeft
+from cnc_interp.nodes import parameters
+from cnc_interp.nodes.node_main import run_node
+from cnc_interp.nodes.program_check import require_allowed
+from cnc_interp.wire.settings_messages import settings_from
+
+#: Time between feedbacks [s].
+FEEDBACK = 0.2
+#: What a folder of a batch may be called.
+NAME = re.compile(r'\w[\w. -]{0,99}')
+
+
+class BatchNode(Node):
+    """Carries out one batch at a time, in processes of the lowest priority."""
+
+    def __init__(self) -> None:
+        super().__init__('batch_node')
+        self._values = parameters.declare(self, parameters.BATCH)
+        self._settings = parameters.settings_of(self._values)
+        self._stop = threading.Event()
+        workers, memory = self._values['workers'], total_memory() / self._values['workers']
+        self._processes = Processes(
+            workers, memory, self._values['longest_planning'], self._stop.is_set
+        )
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix='batch')
+        self._handle: Any = None  # the goal that is carried out
+        self._progress = Progress(0, 0, 0, 0.0)
+        self._time_left = TimeLeft()
+        self._server = ActionServer(
+            self, PlanBatch, 'plan_batch', lambda _: PlanBatch.Result(),
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            handle_accepted_callback=self._accept,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )  # fmt: skip
+        self.create_timer(FEEDBACK, self._work)
+
+    def _accept(self, handle: Any) -> None:
+        """Begin with a goal, unless another one is under way."""
+        if self._handle is not None:
+            busy = 'a batch is under way; wait for its end, or cancel it'
+            _answer(handle, PlanBatch.Result(message=busy))
+            return
+        self._handle, self._time_left = handle, TimeLeft()
+        self._progress = Progress(0, 0, 0, 0.0)
+        self._stop.clear()
+        self._result = self._thread.submit(self._planned, handle.request)
+
+    def _work(self) -> None:
+        """Tell how far the batch is, and its end."""
+        handle = self._handle
+        if handle is None:
+            return
+        if handle.is_cancel_requested:
+            self._stop.set()
+        if not self._result.done():
+            now = self._progress
+            handle.publish_feedback(PlanBatch.Feedback(
+                done=now.done, total=now.total, progress=now.share,
+                remaining_time=self._time_left.after(time.monotonic(), now.share),
+            ))  # fmt: skip
+            return
+        self._handle = None
+        try:
+            result = self._result.result()
+        except (InterpError, OSError) as problem:
+            result = PlanBatch.Result(message=str(problem))
+        _answer(handle, result)
+
+    def _planned(self, goal: PlanBatch.Goal) -> PlanBatch.Result:
+        """Carry out a batch; in a thread of its own."""
+        folder = self._values['batch_folder']
+        if not folder:
+            raise InterpError('batch_node was started without batch_folder; give it one')
+        if not NAME.fullmatch(goal.name):
+            raise InterpError('name: letters, digits, dots, blanks and dashes, at most 100')
+        programs = [Path(program) for program in goal.programs]
+        for program in programs:
+            require_allowed(program, self._values['program_folders'])
+        machines = list(goal.machines) or [self._values['machine']]
+        jobs = Jobs(programs, machines, settings_from(goal.settings, self._settings))
+        out = Path(folder) / goal.name
+        results = run_batch(jobs, self._processes, Store(out / 'results'), self._note)
+        table, *_ = write_tables(results, None, out)
+        write_page(results, None, out / 'batch.html')
+        counts = Counter(outcome.row.verdict for _, outcome in results)
+        told = ', '.join(f'{counts[verdict]} {verdict}' for verdict in Verdict if counts[verdict])
+        return PlanBatch.Result(
+            success=True, message=told, table=str(table), total=len(results),
+            proven=counts[Verdict.PROVEN], refused=counts[Verdict.REFUSED],
+            cycle_time=sum(outcome.row.cycle_time or 0.0 for _, outcome in results),
+        )  # fmt: skip
+
+    def _note(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def close(self) -> None:
+        """End the processes; what is planned is kept."""
+        self._stop.set()
+        self._thread.shutdown()
+
+
+def _answer(handle: Any, result: PlanBatch.Result) -> None:
+    """End a goal with its result."""
+
+    def execute(goal: Any) -> PlanBatch.Result:
+        if result.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+    handle.execute(execute)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(BatchNode, arguments, urgent=False)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,13 +1,16 @@
 """
 A batch of all public programs on five machines: wall time, efficiency, and the same table.
 
-    python benchmarks/batch.py [--programs DIR] [--machines M ...] [--small N] [--skip NAME ...]
+    python benchmarks/batch.py [--programs DIR] [--machines M ...] [--skip NAME ...]
+    python benchmarks/batch.py --small N
+    python benchmarks/batch.py --beside PROGRAM
 
 Three batches of the same tasks: one worker, two workers, and two workers of which one is killed
 every five seconds. Told are wall times, the processor time of all workers, the efficiency of two
 workers (time of one worker over twice the time of two) and whether the tables are equal byte for
-byte. With ``--small N``, N small programs besides: seconds for each, and the memory of the command
-in the middle and at the end.
+byte. With ``--small N``, N small programs: time of each, and memory of the command in the middle
+and at most. With ``--beside PROGRAM``, this program runs over ROS while a batch with two workers
+goes on beside it: its setpoints, underruns, and least motion that was ready.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from __future__ import annotations
 import argparse
 import csv
 import hashlib
+import json
 import os
 import random
 import signal
@@ -38,9 +42,12 @@ def main() -> None:
     parser.add_argument('--machines', nargs='+', default=MACHINES)
     parser.add_argument('--small', type=int, default=0, metavar='N')
     parser.add_argument('--skip', nargs='*', default=(), help='programs that are left out')
+    parser.add_argument('--beside', type=Path, metavar='PROGRAM')
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        if options.small:
+        if options.beside:
+            beside(options.beside, Path(folder))
+        elif options.small:
             grow(Path(folder), options.small)
         else:
             compare(options, Path(folder))
@@ -113,8 +120,8 @@ def workers_of(command: int) -> list[int]:
     ]
 
 
-def grow(folder: Path, count: int) -> None:
-    """Plan many small programs, and follow the memory of the command."""
+def small_programs(folder: Path, count: int) -> Path:
+    """Write programs of 20 random lines; return their folder."""
     programs = folder / 'programs'
     programs.mkdir()
     for k in range(count):
@@ -123,6 +130,36 @@ def grow(folder: Path, count: int) -> None:
             f'G1 X{chance.uniform(-20, 20):.3f} Y{chance.uniform(-20, 20):.3f}' for _ in range(20)
         )
         (programs / f'{k:05d}.ngc').write_text(LINE.format(points))
+    return programs
+
+
+def beside(program: Path, folder: Path) -> None:
+    """Run a program over ROS while a batch goes on."""
+    programs = small_programs(folder, 10_000)
+    interp = [sys.executable, '-m', 'cnc_interp']
+    batch = [*interp, 'batch', str(programs), '--out', str(folder / 'out'), '--workers', '2']
+    with (folder / 'batch.txt').open('wb') as output:
+        going = subprocess.Popen(batch, stdout=output, stderr=output, cwd=ROOT)
+        try:
+            while not list((folder / 'out').glob('results/[0-9a-f]*.json')):
+                time.sleep(0.5)
+            words = [*interp, 'run', str(program), '--json']
+            done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+        finally:
+            planned = len(list((folder / 'out').glob('results/[0-9a-f]*.json')))
+            going.send_signal(signal.SIGINT)
+            going.wait()
+    result = json.loads(done.stdout)
+    print(
+        f'{program.name}: {result["samples"]} setpoints, {result["starvations"]} underruns, '
+        f'buffer never below {1e3 * result["least_buffered_time"]:.0f} ms; the batch has planned '
+        f'{planned} programs meanwhile'
+    )
+
+
+def grow(folder: Path, count: int) -> None:
+    """Plan many small programs, and follow the memory of the command."""
+    programs = small_programs(folder, count)
     words = [sys.executable, '-m', 'cnc_interp', 'batch', str(programs), '--out']
     began = time.monotonic()
     process = subprocess.Popen([*words, str(folder / 'out')], stdout=subprocess.DEVNULL, cwd=ROOT)

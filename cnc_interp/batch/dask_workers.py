@@ -195,25 +195,27 @@ def join(address: str, workers: int, say: Callable[[str], None]) -> None:
         except (OSError, ValueError, RuntimeError, TimeoutError):
             raise InterpError(f'{address}: no scheduler answers') from None
         say(f'worker         of {address}, {workers} programs at a time')
-        await _until_interrupted(worker)
+        if not await _until_interrupted(worker):
+            say(f'{address}: the scheduler has ended')
         await worker.close()
 
     _live(live())
 
 
 def _live(life: Coroutine[Any, Any, None]) -> None:
-    """Run a part of a cluster; Dask says nothing but errors."""
-    logging.getLogger('distributed').setLevel(logging.ERROR)
+    """Run a part of a cluster. Dask keeps quiet, also when another part is lost."""
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
     asyncio.run(life)
 
 
-async def _until_interrupted(part: Any) -> None:
-    """Wait until a part of a cluster ends, or the process is told to end."""
+async def _until_interrupted(part: Any) -> bool:
+    """Wait until a part of a cluster ends, or the process is told to end; tell which it was."""
     told = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, told.set)
     waits = [asyncio.ensure_future(part.finished()), asyncio.ensure_future(told.wait())]
     await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+    return told.is_set()
 
 
 def _worker(address: str, workers: int, host: str | None = None) -> Any:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
-from collections import deque
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import AsyncExitStack
 from typing import Any
@@ -133,8 +132,7 @@ def call_there(
             'the same everywhere'
         )
     share = total_memory() / get_worker().state.nthreads
-    calls = deque([lambda: task])
-    return next(Processes(1, memory or share, longest).run(function, calls))
+    return next(Processes(1, memory or share, longest).run(function, [lambda: task]))
 
 
 def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str], None]) -> None:

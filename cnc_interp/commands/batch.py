@@ -65,12 +65,12 @@ def batch_command(options: argparse.Namespace) -> int:
     import json
 
     from cnc_interp.batch.jobs import Jobs
-    from cnc_interp.batch.loading import workers_of
     from cnc_interp.batch.page import write_page
     from cnc_interp.batch.run import Progress, run_batch
     from cnc_interp.batch.store import Store
     from cnc_interp.batch.table import write_tables
     from cnc_interp.batch.task import Verdict
+    from cnc_interp.batch.workers import workers_of
     from cnc_interp.core.errors import InterpError
     from cnc_interp.core.progress_bar import ProgressBar
 

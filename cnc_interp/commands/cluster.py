@@ -37,7 +37,7 @@ def add_cluster_command(commands: Any) -> None:
 
 def cluster_command(options: argparse.Namespace) -> int:
     """Be a part of a cluster until the process is interrupted."""
-    from cnc_interp.batch.loading import dask_workers
+    from cnc_interp.batch.workers import dask_workers
     from cnc_interp.core.errors import InterpError
 
     if options.workers < (1 if options.join else 0):

@@ -55,7 +55,7 @@ def run(program: Path, delay: float, robot: StandIn) -> tuple[str, RunResult]:
     first, last = starts[0], moving[-1] + 2
     place, largest = 0.0, 0.0
     for k in range(first, last):
-        low, reach = int(place), 3 + int(1e3 * (times[k] - times[k - 1]))
+        low, reach = int(place), 20 + int(1e3 * (times[k] - times[k - 1]))
         low, high = max(low - 20, 0), min(low + reach, len(position))
         place, off = place_of(commanded[k], position, velocity, low, high)
         largest = max(largest, off)

@@ -103,7 +103,7 @@ def prove(robot, bench):
     assert between[first : last + 1].all()  # never on a way of the controller's own
     places = [0.0]
     for k in range(first, last + 1):
-        low, reach = int(places[-1]), 3 + int((times[k] - times[k - 1]) / T)
+        low, reach = int(places[-1]), 20 + int((times[k] - times[k - 1]) / T)
         place, off = place_of(x[k], p, v, max(low - 20, 0), min(low + reach, len(p)))
         assert off < 1e-7, (place, off)
         places.append(place)

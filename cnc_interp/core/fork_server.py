@@ -6,17 +6,22 @@ Libraries and compiled kernels are loaded once, and their memory is shared.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Sequence
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker, util
 from multiprocessing.context import ForkServerContext
+from typing import Any
 
 from cnc_interp.core.temporary_folder import TemporaryFolder
 
 #: What every child needs: multiprocessing imports the command in it.
 COMMAND = 'cnc_interp.cli'
+#: When the fork server is ended, in the order of multiprocessing: after all children.
+AFTER_CHILDREN = -50
 #: Where multiprocessing has its sockets.
 _sockets: TemporaryFolder | None = None
 
@@ -45,6 +50,7 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
         # The end of the next run removes this folder if this one is killed.
         _sockets = TemporaryFolder()
         multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
+        util.Finalize(None, _end, exitpriority=AFTER_CHILDREN)
     # They inherit it. A thread cannot ignore signals, nor can it be interrupted by one.
     in_main = threading.current_thread() is threading.main_thread()
     ignored = (signal.SIGINT, signal.SIGHUP) if in_main else ()
@@ -53,3 +59,19 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
     for number, handler in zip(ignored, before, strict=True):
         signal.signal(number, handler)
     return multiprocessing.get_context('forkserver')
+
+
+def _end() -> None:
+    """
+    End the fork server and its helper, and wait until they are gone.
+
+    By itself it would end a moment later than this process, and hold files until then.
+    """
+    server: Any = forkserver._forkserver
+    helper: Any = resource_tracker._resource_tracker
+    with contextlib.suppress(OSError):
+        if server._forkserver_pid is not None:
+            os.kill(server._forkserver_pid, signal.SIGKILL)  # it may still be loading
+        server._stop()
+    with contextlib.suppress(OSError):
+        helper._stop()

@@ -245,6 +245,21 @@ def test_interrupted_and_started_again(programs, tmp_path):
     assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in known.items())
 
 
+def test_nothing_runs_any_more_once_the_command_has_ended(programs, tmp_path):
+    mark = f'CNC_MARK={os.getpid()}'
+    words = [sys.executable, '-m', 'cnc_interp', 'batch', str(programs), '--out']
+    subprocess.run(
+        [*words, str(tmp_path / 'out')],
+        env=os.environ | dict([mark.split('=')]), check=False,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    for environment in Path('/proc').glob('[0-9]*/environ'):
+        try:
+            assert mark.encode() not in environment.read_bytes().split(b'\0'), environment
+        except OSError:
+            continue  # it has just ended
+
+
 def test_names_and_bad_input(programs, tmp_path, capsys):
     named = programs_of([programs / 'deep', programs / 'notes.md', programs / 'deep' / 'wrong.nc'])
     assert [name for _, name in named] == ['deep/wrong.nc', 'deep/zigzag.nc', 'notes.md']

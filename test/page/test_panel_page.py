@@ -153,6 +153,14 @@ def stop_and_reset(panel, tab):
     panel.reset(tab)
 
 
+#: A status that is read just after a press may be that from before.
+WATCH_THE_PLANNING = """
+const mark = document.querySelector('[data-mark="status"]');
+new MutationObserver(() => { window.plansAgain ||= mark.textContent !== 'planned'; })
+  .observe(mark, {childList: true, characterData: true, subtree: true}); 0
+"""
+
+
 def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
     tab = panel.open_in_charge()
     tab.click('settings')
@@ -173,7 +181,9 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
     tab.wait(lambda: tab.run(TOLERANCE) == '0.1')
     tab.click('defaults settings')
     tab.wait(lambda: tab.run(TOLERANCE) == '0.02')
+    tab.run(WATCH_THE_PLANNING)
     tab.click('use settings')
+    tab.wait(lambda: tab.run('window.plansAgain'))
     tab.wait(lambda: tab.text('status') == 'planned')
     panel.begin(tab)
     told = {pair.key: pair.value for pair in panel.loaded[-1].settings}

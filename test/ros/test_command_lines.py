@@ -10,6 +10,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -131,14 +132,14 @@ class Client:
 
     def call(self, name, kind, values):
         client = self.node.create_client(kind, name)
-        client.wait_for_service()
+        assert client.wait_for_service(PATIENCE), f'nobody answers {name}'
         answer = client.call_async(filled(kind.Request, values))
         rclpy.spin_until_future_complete(self.node, answer, self.executor)
         return repr(answer.result())
 
     def send_goal(self, name, kind, values):
         client = ActionClient(self.node, kind, name)
-        client.wait_for_server()
+        assert client.wait_for_server(PATIENCE), f'nobody answers {name}'
         goal = client.send_goal_async(filled(kind.Goal, values))
         rclpy.spin_until_future_complete(self.node, goal, self.executor)
         result = goal.result().get_result_async()
@@ -259,12 +260,25 @@ def test_a_service_answers(nodes, line):
     done(CLEAR, nodes.domain)  # the offset that a touch-off sets
 
 
-@pytest.mark.parametrize('line', of('action'))
+@pytest.mark.parametrize('line', [line for line in of('action') if '/run_program' in line])
 def test_a_program_runs_to_its_end(nodes, line, tmp_path):
     program = tmp_path / 'program.ngc'
     program.write_text(PROGRAM)
     said = done(re.sub(r'/\S+\.ngc', str(program), line), nodes.domain)
     assert 'executed to the end' in said
+
+
+@pytest.mark.parametrize('line', [line for line in of('action') if '/plan_batch' in line])
+def test_a_batch_is_planned(line, tmp_path):
+    (tmp_path / 'program.ngc').write_text(PROGRAM)
+    command = [sys.executable, '-m', 'cnc_interp.nodes.batch_node', '--ros-args']
+    given = f"program_folders:=['{tmp_path}']", f'batch_folder:={tmp_path / "plans"}'
+    words = [word for one in given for word in ('-p', one)]
+    domain = 1 + os.getpid() % 100
+    with subprocess.Popen([*command, *words], env=environment_of(domain)) as node:
+        said = done(line.replace('/parts', str(tmp_path)), domain)
+        node.terminate()
+    assert 'success=True' in said and '1 proven' in said
 
 
 @pytest.mark.parametrize('line', of('launch'))

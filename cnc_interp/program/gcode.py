@@ -158,7 +158,7 @@ class GcodeReader:
 
         """
         flow, targets, refused = self.flow, self.mover.targets, Refusals()
-        while flow.here():
+        while self._goes_on(refused):
             try:
                 self._next_lines(together=not refused)
             except ProgramError as problem:
@@ -179,6 +179,14 @@ class GcodeReader:
             raise refused.error()
         self.splines.end()
         yield from targets.finish()
+
+    def _goes_on(self, refused: Refusals) -> bool:
+        """Tell whether there is another line. Text that cannot be read ends with all refusals."""
+        try:
+            return self.flow.here()
+        except ProgramError as problem:
+            refused.add(problem, of_place=False)
+            raise refused.error() from None
 
     def _next_lines(self, together: bool) -> None:
         """Execute the next lines: plain ones together if wanted, others one by one."""

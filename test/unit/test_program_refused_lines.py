@@ -107,3 +107,10 @@ def test_a_block_of_hours_is_told():
     notices = read('G93 G1 X1 F1\nX2 F0.005\nX3 F1\n', 'part.ngc').notices
     assert notices == ('line 2: G93: F0.005 is a block of 3.33 h; F counts blocks per minute',)
     assert not read('G93 G1 X1 F1\nX2 F0.02\n', 'part.ngc').notices
+
+
+def test_text_that_cannot_be_read_on_does_not_hide_what_was_refused_before():
+    lines = 'X1\n' * 200_000
+    error = str(refused(f'G21 G90 G94\nG0 X0 Y0 Z0\nG1 Xfoo F100\n{lines}{"X" * 200_000}\n'))
+    assert 'part.ngc:3: XFOO' in error.upper().replace('PART.NGC', 'part.ngc')
+    assert 'a line of more than' in error

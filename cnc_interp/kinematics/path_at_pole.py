@@ -1,0 +1,263 @@
+"""
+Segments of which the passages of the pole are not decided yet, and what is known of each.
+
+Places on them are given by path length [m] or by segment and parameter u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from math import comb
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.kinematics.axis_path import septic_coefficients
+from cnc_interp.kinematics.passage_bounds import (
+    TURN,
+    gap_bounds,
+    lengths_of,
+    near_pole,
+    place_at,
+    pole_sine,
+    rates_of,
+    way_to,
+)
+from cnc_interp.kinematics.segment_axes import (
+    BRANCH_AFTER,
+    FOLLOWING,
+    GUIDE,
+    GUIDE_BEGUN,
+    GUIDE_FROM,
+    GUIDE_LENGTH,
+    GUIDE_TO,
+    NO_GUIDE,
+    RESTING,
+    beside_of,
+    sample,
+    shapes_of,
+)
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.program.blocks import POSES
+from cnc_interp.smoothing.segments import PathSegments
+
+#: The path is at the pole where this share of its tolerance reaches it [-].
+AT_POLE = 0.9
+#: Places on the path that are nearer together are the same [m].
+SAME_PLACE = 1e-9
+#: How exact the bound of the deviation should be, over the tolerance that is left [-].
+EXACT = 0.01
+#: From coefficients of a polynomial of degree 6 to its Bezier values; its second row is that of 5.
+TO_BEZIER = [
+    np.array([[comb(j, k) / comb(n, k) for k in range(n + 1)] for j in range(n + 1)])
+    for n in (6, 5)
+]
+
+
+@dataclass(frozen=True)
+class PassageEnd:
+    """
+    One end of a stretch on which the outer axis is given.
+
+    Segment, parameter, path length [m], the outer axis with three derivatives by path length
+    [rad, rad/m ...], branch, and tilt [rad].
+    """
+
+    segment: int
+    u: float
+    s: float
+    jet: FloatArray
+    branch: float
+    tilt: float
+    forbidden: bool = False  # whether travel keeps the tilt from changing its sign
+
+
+@dataclass(frozen=True)
+class Guides:
+    """Where the outer axis is given: a row for each segment, and the bounds of what it does."""
+
+    rows: slice
+    values: FloatArray  # (n, 13)
+    bounds: FloatArray  # of the deviation, (n,) [rad]
+    turning: float  # bound of C' [rad/m]
+
+
+@dataclass(frozen=True)
+class PathAtPole:
+    """
+    Segments whose passages are not decided yet.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's five-axis transformation.
+    height : float
+        Flank height [m].
+    segments : PathSegments
+        The segments, n of them.
+    motion : ndarray of int, shape (n,)
+        How their rotary axes move.
+    guides, bound, turn_first : ndarray
+        What was decided so far, see ``Released``; ``bound`` is that of the deviation [rad].
+    shapes, beside, rates : ndarray
+        Their curves, as the kernels read them.
+    lengths : ndarray, shape (n,)
+        Path length [m].
+    near : ndarray, shape (n, 2)
+        Parameters between which a segment is at the pole; the first is larger where it is not.
+    sine : ndarray, shape (n,)
+        Sine of the angle between tool axis and pole at the start [-].
+
+    """
+
+    transform: Transform
+    height: float
+    segments: PathSegments
+    motion: IntArray
+    guides: FloatArray
+    bound: FloatArray
+    turn_first: FloatArray
+    shapes: FloatArray
+    beside: FloatArray
+    lengths: FloatArray
+    near: FloatArray
+    sine: FloatArray
+    rates: FloatArray
+
+    @classmethod
+    def look_at(
+        cls, transform: Transform, height: float, segments: PathSegments, motion: IntArray
+    ) -> PathAtPole:
+        """Find out what is needed of further segments, and where they are near to the pole."""
+        n = len(segments)
+        shapes, beside, rates = shapes_of(segments), beside_of(segments), rates_of(segments)
+        lengths, sine = np.zeros(n), np.ones(n)
+        near = np.tile([2.0, -1.0], (n, 1))
+        rows = np.flatnonzero(segments.interpolation == POSES)
+        if len(rows):
+            some = (segments.kind[rows], shapes[rows])
+            lengths[rows] = lengths_of(*some, beside[rows], segments.length[rows])
+            limits = AT_POLE * np.maximum(segments.room[rows], 0.0) / height
+            near[rows], sine[rows] = near_pole(
+                transform.packed, *some, segments.parametrization[rows], rates[rows, TURN], limits
+            )
+        return cls(
+            transform, height, segments, motion.copy(), np.tile(NO_GUIDE, (n, 1)), np.zeros(n),
+            np.full(n, np.nan), shapes, beside, lengths, near, sine, rates,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    def __getitem__(self, rows: slice) -> PathAtPole:
+        columns = {name: getattr(self, name)[rows] for name in COLUMNS}
+        return replace(self, segments=self.segments[rows], **columns)
+
+    def and_more(self, more: PathAtPole) -> PathAtPole:
+        """Append further segments."""
+        parts = (self, more)
+        columns = {name: np.concatenate([getattr(x, name) for x in parts]) for name in COLUMNS}
+        segments = PathSegments.concatenate([x.segments for x in parts])
+        return replace(self, segments=segments, **columns)
+
+    def with_poses(self, i: int) -> bool:
+        """Tell whether the rotary axes rest or follow the tool axis on a segment."""
+        return int(self.motion[i]) in (RESTING, FOLLOWING)
+
+    def ends_of(self, first: int, last: int) -> FloatArray:
+        """Return the path length at the ends of segments, counted from the first one [m]."""
+        ends: FloatArray = np.concatenate([[0.0], np.cumsum(self.lengths[first:last])])
+        return ends
+
+    # Places ----------------------------------------------------------------------------------
+
+    def way(self, i: int, u: float) -> float:
+        """Return the path length from the start of a segment to u [m]."""
+        kind, length = self.segments.kind[i], self.segments.length[i]
+        return float(way_to(kind, self.shapes[i], self.beside[i], length, u))
+
+    def sine_at(self, i: int, u: float) -> float:
+        """Return the sine of the angle from the pole [-]."""
+        kind, span = self.segments.kind[i], self.segments.parametrization[i]
+        return float(pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
+
+    def place(self, s: float, first: int, ends: FloatArray) -> tuple[int, float]:
+        """Return segment and parameter at a path length from the start of the first segment."""
+        i = int(np.clip(np.searchsorted(ends, s, 'right') - 1, 0, len(ends) - 2))
+        way, i = s - float(ends[i]), first + i
+        if way <= SAME_PLACE or way >= self.lengths[i] - SAME_PLACE:
+            return i, 0.0 if way <= SAME_PLACE else 1.0
+        kind, length = self.segments.kind[i], self.segments.length[i]
+        return i, float(place_at(kind, self.shapes[i], self.beside[i], length, way))
+
+    def following(self, i: int, u: float, s: float, branch: float, near: float) -> PassageEnd:
+        """Solve the rotary axes for the tool axis at one point, on a branch."""
+        outer, segments = self.transform.outer, self.segments
+        rotary = np.array([0.0, 0.0, branch, self.height])
+        rotary[outer] = near
+        inside = u + (1e-9 if u < 0.5 else -1e-9)
+        # Never read-only: a kernel is compiled for each kind of array.
+        span = segments.parametrization[i].copy()
+        q = sample(
+            self.transform.packed, segments.kind[i], FOLLOWING, self.shapes[i], self.beside[i],
+            span, segments.length[i], rotary, NO_GUIDE, 0.0, u, inside,
+        )[0]  # fmt: skip
+        return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
+
+    def may_change_sign(self, i: int, tilt: float) -> bool:
+        """Tell whether the tilt may go to the other side: its travel there is not the shorter."""
+        transform = self.transform
+        inner = 1 - transform.outer
+        low, high = transform.machine.travel[3 + inner]
+        pole = transform.pole if self.segments.axis[i] @ transform.pole > 0.0 else -transform.pole
+        level = transform.rotary_solutions(pole)
+        upright = float(level[0][inner]) if level else 0.0
+        tilt = upright + (tilt - upright + np.pi) % (2.0 * np.pi) - np.pi
+        down, up = upright - low, high - upright
+        return bool(up >= down - 1e-9 if tilt > upright else down >= up - 1e-9)
+
+    # Stretches -------------------------------------------------------------------------------
+
+    def guides_between(
+        self, first: int, ends: FloatArray, left: PassageEnd, right: PassageEnd
+    ) -> Guides:
+        """Give the outer axis between two ends, and bound what that does."""
+        begin = left.segment + (left.u >= 1.0)
+        end = right.segment + (right.u > 0.0)
+        guides = np.tile(NO_GUIDE, (end - begin, 1))
+        length = right.s - left.s
+        coefficients = np.empty(8)
+        septic_coefficients(left.jet, right.jet, length, coefficients)
+        guides[:, GUIDE_FROM], guides[:, GUIDE_TO] = -1.0, 1.5
+        if begin == left.segment:
+            guides[0, GUIDE_FROM] = left.u
+        guides[-1, GUIDE_TO] = right.u if end == right.segment + 1 else 1.0
+        guides[:, BRANCH_AFTER] = right.branch
+        guides[:, GUIDE_BEGUN] = ends[begin - first : end - first] - left.s
+        guides[:, GUIDE_LENGTH] = length
+        guides[:, GUIDE] = coefficients
+        rows = slice(begin, end)
+        return Guides(rows, guides, *self._bounds(rows, guides))
+
+    def _bounds(self, rows: slice, guides: FloatArray) -> tuple[FloatArray, float]:
+        """Bound the deviation on the segments of a stretch [rad], and C' there [rad/m]."""
+        segments = self.segments[rows]
+        slope, length = guides[0, GUIDE], guides[0, GUIDE_LENGTH]
+        turning = np.zeros(2)
+        for order in (1, 2):
+            slope = slope[1:] * np.arange(1, len(slope)) / length
+            turning[order - 1] = np.abs(TO_BEZIER[order - 1] @ slope).max()
+        exact = EXACT * np.maximum(segments.room, 1e-9) / self.height
+        bounds = gap_bounds(
+            self.transform.packed, segments.kind, self.shapes[rows], self.beside[rows],
+            segments.parametrization, segments.length, guides, self.rates[rows], turning, exact,
+        )  # fmt: skip
+        return np.asarray(bounds), float(turning[0])
+
+
+#: What is known of each segment, beside the segment itself.
+COLUMNS = tuple(
+    field.name
+    for field in fields(PathAtPole)
+    if field.name not in ('transform', 'height', 'segments')
+)

@@ -26,7 +26,7 @@ from cnc_interp.machine.hal_library import (
     shared_memories,
 )
 
-FILE = Path(__file__).resolve().parents[1] / 'config' / 'hal' / 'simulated_axes.hal'
+FOLDER = Path(__file__).resolve().parents[1] / 'config' / 'hal'
 NOBODY = 65534
 #: Longest wait for a command of HAL [s].
 WAIT = 60.0
@@ -45,9 +45,9 @@ def why_not() -> str:
     return ''
 
 
-def witnessed_file() -> str:
-    """Return the bundled file with the second sampler."""
-    text, count = FILE.read_text(encoding='utf-8'), len(AXES)
+def witnessed_file(name: str) -> str:
+    """Return a bundled file with the second sampler."""
+    text, count = (FOLDER / f'{name}.hal').read_text(encoding='utf-8'), len(AXES)
     depths = f'depth=4000,{WITNESSED}'
     text = re.sub(r'depth=4000 cfg=(\w+)', rf'{depths} cfg=\1,{"f" * 2 * count}b', text)
     signals = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
@@ -57,14 +57,25 @@ def witnessed_file() -> str:
 
 
 class Session:
-    """Starts HAL, reads what its pins had in every period, and ends it; use it in ``with``."""
+    """
+    Starts HAL, reads what its pins had in every period, and ends it; use it in ``with``.
+
+    Parameters
+    ----------
+    name : str
+        A file of ``config/hal``, without its suffix.
+
+    """
+
+    def __init__(self, name: str = 'simulated_axes'):
+        self._name = name
 
     def __enter__(self) -> Session:
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_hal_')
         if os.geteuid() == 0:
             os.chown(self._folder.name, NOBODY, NOBODY)
         path = Path(self._folder.name) / 'witnessed.hal'
-        path.write_text(witnessed_file(), encoding='utf-8')
+        path.write_text(witnessed_file(self._name), encoding='utf-8')
         path.chmod(0o644)  # read by the other user
         self._run('halcmd', '-f', str(path))
         self._session = HalSession()
@@ -85,6 +96,14 @@ class Session:
         text = told.read_text(errors='replace')
         assert done.returncode == 0, f'{" ".join(command)}: {text}'
         return text
+
+    def prefer(self, priority: int) -> None:
+        """Give the threads of HAL a real-time priority (SCHED_FIFO); root only."""
+        for name in Path('/proc').glob('[0-9]*/comm'):
+            if name.read_text().startswith('rtapi_app'):
+                for thread in (name.parent / 'task').iterdir():
+                    wanted = os.sched_param(priority)
+                    os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, wanted)
 
     def tell(self, *command: str) -> str:
         """Run a command of halcmd, such as ``sets SIGNAL VALUE``; return what it prints."""

@@ -177,6 +177,31 @@ def test_links_do_not_touch_the_surface_and_passes_keep_their_chords():
     assert np.median(error) < 1 * UM and error.max() < 2 * UM
 
 
+def test_knots_are_dense_only_where_the_curvature_jumps():
+    """A cubic surface of 50 mm with four knot lines, and the same without them."""
+
+    def rows(jump):
+        def pose(s):
+            bend = jump * sum(np.maximum(s - x * MM, 0.0) ** 2 for x in (10.1, 17.3, 29.9, 41.7))
+            return np.stack([s, bend + 2.0 * s**2, *4 * [np.sin(s / 0.02) * MM]], axis=1)
+
+        return pose
+
+    ends = 0.0, 50 * MM
+    fine = np.linspace(*ends, 20001)
+    count = []
+    for jump in (0.0, 10.0):
+        made = SplinePass.following(rows(jump), ends)
+        assert np.abs(made.spline(fine) - rows(jump)(fine)).max() < 0.03 * UM
+        count.append(len(made.spline.c))
+    assert count[0] < 40 and 4 < count[1] - count[0] < 80
+    # The knots that the jumps need lie beside them.
+    knots = made.spline.t[4:-4]
+    short = knots[:-1][np.diff(knots) < 0.4 * MM]
+    gaps = np.abs(short[:, None] / MM - [10.1, 17.3, 29.9, 41.7]).min(axis=1)
+    assert len(short) and gaps.max() < 2.0
+
+
 def test_thinning_keeps_the_motion():
     tip, axis = straight(0.0, 5 * DEG, step=0.01 * MM)
     tip[:, 2] += 0.2 * MM * np.sin(tip[:, 0] / (4 * MM))

@@ -13,7 +13,8 @@ from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
-from cnc_interp.program.setup_requests import work_shift
+from cnc_interp.program.job import ROTATION
+from cnc_interp.program.setup_requests import work_coordinates as coordinates_of
 
 #: Services that change the table.
 SERVICES: dict[str, Any] = {'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff}
@@ -68,9 +69,13 @@ def shown(letter: str, value: float) -> str:
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
-    """Return a work offset with the zero of the machine file where it has no value [m, rad]."""
+    """
+    Return a work offset with its rotation R [m, rad].
+
+    Where it has no value, it has the zero of the machine file.
+    """
     zero = dict(zip(table.axes, table.zero, strict=True))
-    return zero | dict(setup.work_offsets.get(name, {}))
+    return zero | {ROTATION: 0.0} | dict(setup.work_offsets.get(name, {}))
 
 
 def work_coordinates(table: SetupTable, setup: JobSetup, positions: Any) -> dict[str, float]:
@@ -92,8 +97,5 @@ def work_coordinates(table: SetupTable, setup: JobSetup, positions: Any) -> dict
         Coordinate by axis letter [m, rad].
 
     """
-    offset = offset_row(table, setup, setup.offset)
-    return {
-        letter: position - offset[letter] - work_shift(setup, letter)
-        for letter, position in zip(table.axes, positions, strict=False)
-    }
+    machine = dict(zip(table.axes, positions, strict=False))
+    return coordinates_of(setup, '', machine, dict(zip(table.axes, table.zero, strict=True)))

@@ -16,6 +16,7 @@ from cnc_interp.client.setup_client import (
 )
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.program.job import ROTATION
 
 #: Longest wait for the nodes [s].
 PATIENCE = 10.0
@@ -88,10 +89,15 @@ class SetupConsole:
         if setup.g92:
             amounts = dict.fromkeys(table.axes, 0.0) | dict(setup.g92)
             rows.append(('G92' if setup.g92_on else 'G92 off', amounts))
-        lines = [' ' * 10 + ''.join(f'{letter:>12}' for letter in table.axes)]
+        letters = [*table.axes]
+        if any(setup.rotation(name) for name in setup.work_offsets):
+            letters.append(ROTATION)
+        lines = [' ' * 10 + ''.join(f'{letter:>12}' for letter in letters)]
         for name, position in rows:
-            values = ''.join(f'{shown(k, position[k]):>12}' for k in table.axes)
-            lines.append(f'{name:<10}{values}')
+            values = ''.join(
+                f'{shown(k, position[k]) if k in position else "":>12}' for k in letters
+            )
+            lines.append(f'{name:<10}{values}'.rstrip())
         return '\n'.join([*lines, self._file_text()])
 
     def tools_text(self) -> str:

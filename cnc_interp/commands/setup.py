@@ -21,7 +21,8 @@ def add_setup_commands(commands: Any) -> None:
     offsets.add_argument('offset', nargs='?', default='', help='G54 to G59.3, or G92')
     offsets.add_argument(
         'words', nargs='*', metavar='AXIS VALUE',
-        help='letter of an axis, and machine coordinate of the zero [mm, deg]; may be repeated',
+        help='letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
+        'offset about Z [deg]; may be repeated',
     )  # fmt: skip
     offsets.add_argument('--clear', action='store_true', help='remove the values it had before')
     offsets.add_argument('--use', action='store_true', help='make it the active one')

@@ -14,7 +14,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
-from cnc_interp.program.job import SetupChange
+from cnc_interp.program.job import ROTATION, SetupChange
 from cnc_interp.program.setup_requests import (
     offset_changes,
     tool_changes,
@@ -116,7 +116,8 @@ class SetupServices:
                 )
 
     def _offset(self, request: SetOffset.Request) -> tuple[list[SetupChange], str]:
-        values = values_by_axis(request.axes, request.values, tuple(self._zero))
+        turned = (ROTATION,) if request.offset != 'G92' else ()
+        values = values_by_axis(request.axes, request.values, (*self._zero, *turned))
         return offset_changes(
             self._table.setup, request.offset, values, request.clear, request.activate
         ), ''
@@ -141,4 +142,5 @@ class SetupServices:
                 f'; {" and ".join(turned)} not at 0: right for axis positions, with TCP touch off '
                 'at 0'
             )
-        return touch_off_changes(self._table.setup, request.offset, values, machine), note
+        setup = self._table.setup
+        return touch_off_changes(setup, request.offset, values, machine, self._zero), note

@@ -10,6 +10,9 @@ from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
 
+#: Largest rotation of a work offset [deg].
+MOST_ANGLE = 3600.0
+
 
 class AxisCodes:
     """
@@ -50,7 +53,7 @@ class AxisCodes:
             here, amounts = mover.here(), frames.g92.copy()
             for i, value in self._offset_words(values).items():
                 if i < 3:
-                    amounts[:3] += frames.turn[:, i] * (here[i] - value)
+                    amounts[:3] += frames.programmed_turn[:, i] * (here[i] - value)
                 else:
                     amounts[i] += here[i] - value
             mover.change(SetupChange('g92', frames.g92_of(amounts)))
@@ -80,18 +83,17 @@ class AxisCodes:
             raise self.fault(
                 'only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported', 'G10'
             )
-        if 'R' in words.values:
-            raise self.fault(
-                'a turned work offset is not supported; post the program turned', words.texts['R']
-            )
-        mover = self._mover
-        position = None
+        mover, angle, here = self._mover, words.values.pop('R', None), None
+        if angle is not None:
+            if kind == 20.0:
+                raise self.fault('L20 takes no rotation; write it with L2', words.texts['R'])
+            if not abs(angle) <= MOST_ANGLE:
+                raise self.fault('a rotation beyond ten turns; correct it', words.texts['R'])
+            angle *= DEG
         if kind == 20.0:
-            frames = mover.frames
-            position = np.concatenate([mover.point, mover.rotary]) - frames.local - frames.g92
-            position[2] -= frames.length
-        offset = mover.frames.work_change(int(index), self._offset_words(words.values), position)
-        mover.change(offset)
+            here = np.concatenate([mover.point, mover.rotary])
+        given = self._offset_words(words.values)
+        mover.change(mover.frames.work_change(int(index), given, here, angle))
 
     def _write_tool(self, kind: int, number: float, words: BlockWords) -> None:
         """

@@ -1,10 +1,11 @@
 """
 Conversion of program coordinates to points: work offsets, shifts, rotated frames, tool length.
 
-    point = turn @ program + shift + offsets
+    point = work + Rz @ (programmed_turn @ program + shift + G52 + G92) + tool length
 
-With tool-tip programming on, a point is the tool tip in W. With it off, a point is the position of
-X Y Z minus that of the workpiece zero. Both are equal while the rotary axes are at zero.
+Rz is the rotation of the work offset about Z (G10 L2 R). With tool-tip programming on, a point is
+the tool tip in W. With it off, a point is the position of X Y Z minus that of the workpiece zero.
+Both are equal while the rotary axes are at zero.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.program.job import WORK_OFFSETS, JobSetup, Position, SetupChange
+from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, Position, SetupChange
 
 Vector = FloatArray
 
@@ -39,8 +40,8 @@ class Frames:
         self.named = ''
         self.local = np.zeros(5)
         self.length = 0.0
-        self.shift, self.turn = np.zeros(3), np.eye(3)
-        self.rotated = False
+        #: Shift and rotation that the program has set, in the frame of the work offset.
+        self.shift, self.programmed_turn = np.zeros(3), np.eye(3)
         #: The code of the rotation; empty for ROT.
         self.tilt_code = ''
         self.take(setup)
@@ -48,7 +49,7 @@ class Frames:
     def take(self, setup: JobSetup) -> None:
         """Use the work offsets and G92 of a setup from here on."""
         self._setup = setup
-        self._work = self.work(setup.offset)
+        self._work, self._base = self.work(setup.offset), self.base(setup.offset)
         self.g92 = np.zeros(5)
         for i, letter in enumerate(self._letters):
             self.g92[i] = setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
@@ -62,10 +63,14 @@ class Frames:
             offset[i] = position.get(letter, float(self._zero[i])) - self._zero[i]
         return offset
 
+    def base(self, name: str) -> FloatArray:
+        """Return the rotation of a work offset, shape (3, 3)."""
+        return rotation(2, self._setup.rotation(name))
+
     def follow(self, before: Frames) -> None:
         """Take over what another program has set and the setup does not hold."""
         self.named, self.length, self.local = before.named, before.length, before.local.copy()
-        self.shift, self.turn, self.rotated = before.shift, before.turn, before.rotated
+        self.shift, self.programmed_turn = before.shift, before.programmed_turn
         self.tilt_code = before.tilt_code
         self.update()
 
@@ -74,10 +79,13 @@ class Frames:
         return name in self._setup.work_offsets
 
     def work_change(
-        self, index: int, words: dict[int, float], program: Vector | None
+        self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
         """
-        Return the change of a work offset by G10 L2, or by L20 if the program position is given.
+        Return the change of a work offset by G10 L2, or by L20 if the position is given.
+
+        With L20 the coordinates of the offset read the words. Those without a word keep what they
+        read, so both X and Y of a turned offset change.
 
         Parameters
         ----------
@@ -85,8 +93,10 @@ class Frames:
             1 for G54, 2 for G55, ...; 0 for the active one.
         words : dict
             Values of the words by axis number [m, rad].
-        program : ndarray, shape (5,), optional
-            Position of the tool with all offsets except the work offset [m, rad].
+        here : ndarray, shape (5,), optional
+            Point, and rotary positions [m, rad].
+        angle : float, optional
+            New rotation about Z [rad].
 
         Returns
         -------
@@ -96,10 +106,28 @@ class Frames:
         """
         name = WORK_OFFSETS[index - 1] if index else self._setup.offset
         position = dict(self._setup.work_offsets.get(name, {}))
+        if angle is not None:
+            position[ROTATION] = angle
+        if here is not None:
+            words = self._origin_of(name, words, here)
         for i, value in words.items():
-            here = value if program is None else float(program[i] + self._zero[i]) - value
-            position[self._letters[i]] = here
+            position[self._letters[i]] = value
         return SetupChange('work_offsets', position, name)
+
+    def _origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
+        """Return the machine coordinates of a zero where the words are what is read here."""
+        turn, added, zero = self.base(name), self.local + self.g92, self.work(name)
+        gone = here - np.array([0.0, 0.0, self.length, 0.0, 0.0])
+        reads = gone - zero - added
+        reads[:3] = turn.T @ (gone - zero)[:3] - added[:3]
+        for i, value in words.items():
+            reads[i] = value
+        origin = gone - reads - added + self._zero
+        origin[:3] = gone[:3] - turn @ (reads + added)[:3] + self._zero[:3]
+        changed = set(words)
+        if self._setup.rotation(name) and changed & {0, 1}:
+            changed |= {0, 1}
+        return {i: float(origin[i]) for i in sorted(changed)}
 
     def g92_of(self, amounts: Vector) -> Position:
         """Return the amounts of G92, shape (5,), by axis letter."""
@@ -107,15 +135,19 @@ class Frames:
 
     def update(self) -> None:
         """Recompute the sum of the offsets."""
-        total = self._work + self.local + self.g92
-        self.origin = total[:3] + self.shift + np.array([0.0, 0.0, self.length])
-        self.rotary_origin = total[3:]
+        added = self.local + self.g92
+        work, length = self._work[:3], np.array([0.0, 0.0, self.length])
+        self.origin = work + self._base @ (self.shift + added[:3]) + length
+        self.rotary_origin = self._work[3:] + added[3:]
+        #: Rotation from program coordinates to points.
+        self.turn = self._base @ self.programmed_turn
         self.rotated = bool(np.any(self.turn != np.eye(3)))
+        turned = bool(np.any(self.programmed_turn != np.eye(3)))
         found = {
             'G92': self.g92.any(),
             'G52': self.local.any(),
             'TRANS': self.shift.any(),
-            self.tilt_code or 'ROT': self.rotated,
+            self.tilt_code or 'ROT': turned,
         }
         #: Codes of the shifts beside the work offset that are not zero.
         self.shifts = tuple(code for code, counts in found.items() if counts)
@@ -161,7 +193,7 @@ class Frames:
 
     def reset_frame(self) -> None:
         """Cancel the programmed shift and rotation."""
-        self.shift, self.turn, self.tilt_code = np.zeros(3), np.eye(3), ''
+        self.shift, self.programmed_turn, self.tilt_code = np.zeros(3), np.eye(3), ''
 
     def tilt(self, code: str, shift: Vector, turn: FloatArray) -> None:
         """
@@ -178,14 +210,16 @@ class Frames:
 
         """
         self.tilt_code = code
-        self.shift, self.turn = self.shift + self.turn @ shift, self.turn @ turn
+        self.shift = self.shift + self.programmed_turn @ shift
+        self.programmed_turn = self.programmed_turn @ turn
         self.update()
 
     def rotate(self, angles: dict[str, float]) -> None:
         """Rotate the frame about its own Z, Y and X axes, in this order [rad]."""
         for letter in 'ZYX':
             if letter in angles:
-                self.turn = self.turn @ rotation('XYZ'.index(letter), angles[letter])
+                turn = rotation('XYZ'.index(letter), angles[letter])
+                self.programmed_turn = self.programmed_turn @ turn
         self.update()
 
     def move(self, shift: Vector) -> None:
@@ -198,7 +232,7 @@ class Frames:
             Shift [m].
 
         """
-        self.shift = self.shift + self.turn @ shift
+        self.shift = self.shift + self.programmed_turn @ shift
         self.update()
 
 

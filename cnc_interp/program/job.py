@@ -18,6 +18,8 @@ from cnc_interp.settings.choices import Settings
 LETTERS = 'XYZABC'
 WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
 REFERENCE_POINTS = ('G28', 'G30')
+#: Beside the axes of a work offset: its rotation about Z [rad].
+ROTATION = 'R'
 Position = Mapping[str, float]
 
 #: Longest remark of a tool [characters], and its largest number.
@@ -85,7 +87,7 @@ class JobSetup:
     ----------
     work_offsets : mapping of str to position
         Machine coordinates of the workpiece zeros G54 to G59.3, by axis letter [m, rad]. If a zero
-        is missing, the machine file gives the workpiece zero.
+        is missing, the machine file gives the workpiece zero. ``R`` is the rotation about Z [rad].
     tools : mapping of int to Tool
         The tool table, by tool number.
     reference_points : mapping of str to position
@@ -118,6 +120,10 @@ class JobSetup:
     def loaded_length(self) -> float:
         """Length of the tool in the spindle [m]; 0 if it is not in the table."""
         return self.tools.get(self.tool, Tool()).length
+
+    def rotation(self, name: str) -> float:
+        """Return the rotation of a work offset about Z [rad]."""
+        return self.work_offsets.get(name, {}).get(ROTATION, 0.0)
 
     def changed(self, change: SetupChange) -> JobSetup:
         """Return the setup after a change."""
@@ -228,7 +234,7 @@ def _position_shown(position: Position) -> dict[str, float]:
     """Return a position in mm and deg, in the order of the letters."""
     return {
         letter: _shown(position[letter], MM if letter in 'XYZ' else DEG)
-        for letter in LETTERS
+        for letter in (*LETTERS, ROTATION)
         if letter in position
     }
 
@@ -305,9 +311,10 @@ class _Reading:
         if name not in known:
             raise self.fault(f'{name}: unknown; known: {", ".join(known)}')
         words = self._mapping(content, str(name))
+        letters = [*LETTERS, ROTATION] if known is WORK_OFFSETS else list(LETTERS)
         for letter in words:
-            if letter not in list(LETTERS):
-                raise self.fault(f'{name}.{letter}: unknown axis; known: X Y Z A B C')
+            if letter not in letters:
+                raise self.fault(f'{name}.{letter}: unknown axis; known: {" ".join(letters)}')
         return {
             letter: self._number(value, f'{name}.{letter}') * (MM if letter in 'XYZ' else DEG)
             for letter, value in words.items()

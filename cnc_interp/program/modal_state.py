@@ -73,14 +73,15 @@ def modal_words(state: ModalState) -> list[str]:
 
 def frame_words(frames: Frames, unit: float) -> list[str]:
     """Return the words that would set the programmed shift and turn, in units [m]."""
-    if not frames.rotated and not frames.shift.any():
+    turn = frames.programmed_turn
+    rotated = bool(np.any(turn != np.eye(3)))
+    if not rotated and not frames.shift.any():
         return []
     places = ' '.join(
         f'{letter}{value / unit:.9g}' for letter, value in zip('XYZ', frames.shift, strict=True)
     )
-    if not frames.rotated:
+    if not rotated:
         return [f'TRANS {places}']
-    turn = frames.turn
     tilt = np.arccos(np.clip(turn[2, 2], -1.0, 1.0))
     if tilt > UPRIGHT:
         first = np.arctan2(turn[0, 2], -turn[1, 2]), tilt, np.arctan2(turn[2, 0], turn[2, 1])
@@ -372,6 +373,7 @@ class ModalState:
         positions = {5210: none | dict(setup.g92)}
         for index, name in enumerate(WORK_OFFSETS, start=1):
             positions[5200 + 20 * index] = machine | dict(setup.work_offsets.get(name, {}))
+            found[5210 + 20 * index] = setup.rotation(name) / DEG
         for base, name in ((5160, 'G28'), (5180, 'G30')):
             positions[base] = none | dict(setup.reference_points.get(name, {}))
         for base, position in positions.items():

@@ -8,6 +8,7 @@ from math import isfinite
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.program.frames import rotation
 from cnc_interp.program.job import (
     LONGEST_REMARK,
     MOST_TOOL,
@@ -151,12 +152,15 @@ def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Too
 
 
 def touch_off_changes(
-    setup: JobSetup, name: str, values: Position, machine: Position
+    setup: JobSetup, name: str, values: Position, machine: Position, zero: Position
 ) -> list[SetupChange]:
     """
     Return the change of a work offset after which coordinates read given values here.
 
-        machine = value + work offset + G92 + length of the tool in the spindle (Z)
+        machine = work offset + Rz (value + G92) + length of the tool in the spindle (Z)
+
+    Rz is the rotation of the work offset about Z. Where it is not 0, the zeros of X and Y both
+    change, so that the other coordinate reads what it did.
 
     Parameters
     ----------
@@ -168,6 +172,8 @@ def touch_off_changes(
         What the coordinates shall read [m, rad].
     machine : position
         Where the axes stand [m, rad].
+    zero : position
+        Workpiece zero of the machine file [m, rad].
 
     Raises
     ------
@@ -177,14 +183,62 @@ def touch_off_changes(
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
-    zero = {
-        letter: machine[letter] - value - work_shift(setup, letter)
-        for letter, value in values.items()
+    reads = {**work_coordinates(setup, name, machine, zero), **values}
+    angle, changed = setup.rotation(name or setup.offset), set(values)
+    if angle and changed & {'X', 'Y'}:
+        changed |= {'X', 'Y'}
+    added = {letter: reads[letter] + _g92(setup, letter) for letter in reads}
+    turned = _turned(added, angle)
+    origin = {
+        letter: machine[letter] - turned[letter] - _length(setup, letter)
+        for letter in machine
+        if letter in changed
     }
-    return offset_changes(setup, name, zero, clear=False, activate=False)
+    return offset_changes(setup, name, origin, clear=False, activate=False)
 
 
-def work_shift(setup: JobSetup, letter: str) -> float:
-    """Return what is added to a work offset [m, rad]: G92, and the length of the tool on Z."""
-    g92 = setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
-    return g92 + (setup.loaded_length if letter == 'Z' else 0.0)
+def work_coordinates(
+    setup: JobSetup, name: str, machine: Position, zero: Position
+) -> dict[str, float]:
+    """
+    Return what the coordinates read with a work offset, G92 and the tool in the spindle.
+
+    Parameters
+    ----------
+    setup : JobSetup
+        Offsets and tools.
+    name : str
+        The work offset; empty for the active one.
+    machine, zero : position
+        Where the axes stand, and the workpiece zero of the machine file [m, rad].
+
+    Returns
+    -------
+    dict
+        Coordinate by axis letter [m, rad].
+
+    """
+    name = name or setup.offset
+    origin = {**zero, **setup.work_offsets.get(name, {})}
+    gone = {
+        letter: position - origin[letter] - _length(setup, letter)
+        for letter, position in machine.items()
+    }
+    turned = _turned(gone, -setup.rotation(name))
+    return {letter: value - _g92(setup, letter) for letter, value in turned.items()}
+
+
+def _turned(position: Position, angle: float) -> dict[str, float]:
+    """Return a position turned about Z [m, rad]."""
+    x, y = rotation(2, angle)[:2, :2] @ (position['X'], position['Y'])
+    return {**position, 'X': float(x), 'Y': float(y)}
+
+
+def _g92(setup: JobSetup, letter: str) -> float:
+    """Return what G92 adds to a coordinate [m, rad]."""
+    return setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
+
+
+def _length(setup: JobSetup, letter: str) -> float:
+    """Return the length of the tool in the spindle, on Z [m]."""
+    return setup.loaded_length if letter == 'Z' else 0.0

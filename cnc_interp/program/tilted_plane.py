@@ -34,6 +34,8 @@ FIXED = (123, 132, 213, 231, 312, 321)
 SMALL = 1e-6
 #: Where CYCLE800 has its arguments: after retract and name of the swivel data come these.
 STATE, MODE, BEFORE, ANGLES, AFTER, DIRECTION = 2, 3, slice(4, 7), slice(7, 10), slice(10, 13), 13
+#: Kinds of angles of CYCLE800.
+BY_AXES, SOLID, PROJECTED, DIRECT = range(4)
 
 
 class TiltedPlane:
@@ -177,6 +179,7 @@ class TiltedPlane:
             normal = mover.geometry.tool_axis(mover.rotary[None])[0]
         else:
             normal = np.array([0.0, 0.0, 1.0])
+        normal = mover.frames.turn.T @ normal  # in the frame of the work offset
         up = np.array([0.0, 0.0, 1.0])
         along = np.cross(up, normal)
         if np.linalg.norm(along) < SMALL:
@@ -285,7 +288,7 @@ class TiltedPlane:
 
     def swivel(self, given: Sequence[float | None], words: BlockWords) -> None:
         """
-        Process CYCLE800 with angles axis by axis: shift, turn, shift, and turn the tool.
+        Process CYCLE800: shift, turn, shift, and turn the tool.
 
         Parameters
         ----------
@@ -297,23 +300,44 @@ class TiltedPlane:
 
         """
         values = [value or 0.0 for value in given] + [0.0] * (DIRECTION + 1)
-        state, mode, direction = int(values[STATE]), int(values[MODE]), values[DIRECTION]
-        if not 0 <= mode < 64 or sorted((mode & 3, mode >> 2 & 3, mode >> 4)) != [1, 2, 3]:
-            raise self.fault(
-                'give the angles axis by axis (mode 27, 30, 39, 45, 54 or 57)', 'CYCLE800'
-            )
+        state, direction = int(values[STATE]), values[DIRECTION]
         if direction not in (-1.0, 1.0):
             raise self.fault('the direction must be 1 or -1; a frame alone is ROT', 'CYCLE800')
         if values[0]:
             self.notice('CYCLE800', 'no retract; move the tool away in a block before')
-        turn = np.eye(3)
-        for angle, shift in zip(values[ANGLES], (0, 2, 4), strict=True):
-            turn = turn @ rotation((mode >> shift & 3) - 1, angle * DEG)
+        turn = self._swivelled(int(values[MODE]), np.array(values[ANGLES]) * DEG)
         unit, frames = self._mover.unit, self._mover.frames
         self._set('G68.4' if state % 10 else 'G68.2', np.array(values[BEFORE]) * unit, turn, 0.0)
         frames.move(np.array(values[AFTER]) * unit)
         tip_stays = state // 10 % 10 == 1
         self._stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
+
+    def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
+        """
+        Return the rotation that a mode of CYCLE800 makes of three angles, shape (3, 3).
+
+        The mode has the axes of the three rotations in two bits each (1 is X), the first one in
+        the lowest, and the kind of the angles in the next two bits.
+        """
+        kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
+        if kind == DIRECT:
+            raise self.fault('positions of rotary axes give no plane here; turn the axes by G0, '
+                             'then write G68.3', 'CYCLE800')  # fmt: skip
+        if kind == SOLID:
+            if angles[2]:
+                raise self.fault('solid angles are two; leave the third one at 0', 'CYCLE800')
+            return np.asarray(rotation(2, angles[0]) @ rotation(1, angles[1]))
+        if kind == PROJECTED and sorted(axes[:2]) == [0, 1]:
+            return self._projected(angles[[axes.index(1), axes.index(0), 2]])
+        if kind != BY_AXES or sorted(axes) != [0, 1, 2]:
+            raise self.fault(
+                'give the angles axis by axis (mode 27, 30, 39, 45, 54 or 57), as solid angles '
+                '(64) or projected on X and Y (182, 185)', 'CYCLE800',
+            )  # fmt: skip
+        turn = np.eye(3)
+        for axis, angle in zip(axes, angles, strict=True):
+            turn = turn @ rotation(axis, angle)
+        return turn
 
     # --- words ---------------------------------------------------------------------------------
 

@@ -181,6 +181,7 @@ class _Printed:
         self.unit, self.plane, self.tcp = MM, PLANES['17'], False
         self.feed, self.mode, self.spindle = float('nan'), 'G94', 0.0
         self.offsets = {name: np.zeros(6) for name in ('G5X', 'G92', 'TOOL')}
+        self.turn = np.eye(6)  # of the work offset
         self.here = np.zeros(6)
 
     def take(self, name: str, text: str) -> Move | None:
@@ -205,8 +206,9 @@ class _Printed:
         elif name in ('SET_G5X_OFFSET', 'SET_G92_OFFSET', 'USE_TOOL_LENGTH_OFFSET'):
             kind = name.removesuffix('_OFFSET').split('_')[-1].replace('LENGTH', 'TOOL')
             self.offsets[kind] = self.sized(numbers[name == 'SET_G5X_OFFSET' :][:6])
-        elif name == 'SET_XY_ROTATION' and numbers[0]:
-            raise LinuxCNCError("turned coordinates of LinuxCNC's rs274 are not compared")
+        elif name == 'SET_XY_ROTATION':
+            c, s = np.cos(numbers[0] * DEG), np.sin(numbers[0] * DEG)
+            self.turn[:2, :2] = (c, -s), (s, c)
         return None
 
     def switch(self, word: str) -> None:
@@ -223,8 +225,9 @@ class _Printed:
         return np.asarray(np.array(numbers) * np.repeat([self.unit, DEG], 3))
 
     def absolute(self, numbers: list[float]) -> FloatArray:
-        """Return printed coordinates with the offsets added."""
-        return np.asarray(self.sized(numbers) + sum(self.offsets.values()))
+        """Return printed coordinates with the offsets added; G92 turns with the work offset."""
+        work, g92, tool = self.offsets.values()
+        return np.asarray(self.turn @ (self.sized(numbers) + g92) + work + tool)
 
     def move(
         self, rapid: bool, end: FloatArray, centre: FloatArray | None = None, turns: int = 0
@@ -254,6 +257,9 @@ class _Printed:
         end = np.zeros(6)
         end[[a, b, across]] = numbers[0], numbers[1], numbers[5]
         end[3:] = numbers[6:9]
-        offset = np.sum(list(self.offsets.values()), axis=0)[[a, b]]
-        centre = np.asarray(np.array(numbers[2:4]) * self.unit + offset)
+        if across != 2 and self.turn[0, 1]:
+            raise LinuxCNCError('arcs of G18 and G19 in a turned offset are not compared')
+        place = end.copy()
+        place[[a, b]] = numbers[2:4]
+        centre = self.absolute(list(place))[[a, b]]
         return self.move(False, self.absolute(list(end)), centre, int(numbers[4]))

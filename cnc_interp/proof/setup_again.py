@@ -17,6 +17,8 @@ from cnc_interp.kinematics.transform import Transform
 OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
 #: First parameters of the positions, and the unit of LinuxCNC's files [mm].
 G28, G30, G92_ON, ACTIVE, G54, EACH, INCH = 5160, 5180, 5210, 5220, 5220, 20, 25.4
+#: The parameter of the rotation of a work offset, from its first one.
+ROTATION = 10
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,10 @@ def setup_of(text: Any, machine: Machine) -> Setup:
             for place in [{k: v - at_zero.get(k, 0.0) for k, v in given.items()}]
             for i, letter in enumerate('XYZABC')
             if letter in place
+        } | {
+            first + ROTATION: given['R']
+            for first, given in places.items()
+            if given and 'R' in given
         }
         amounts = nowhere | content.get('g92', {})
         for i, letter in enumerate('XYZABC'):

@@ -44,6 +44,11 @@ SNIPPETS = {
     'centres': 'G90.1 G2 X3.5 Y0 I2 J0\nG3 X-0.5 Y0 I1.5 J0\nG91.1 G2 X2.5 Y0 I1.5 J0',
     'offsets': 'G10 L2 P1 X5 Y6\nG10 L2 P3 X-1 Z2\nG54 G0 X1\nG56 X1 Z1\nG55 X1\nG54 X0',
     'here': 'G0 X3 Y4\nG10 L20 P1 X0 Y1\nG0 X1\nG92 X5\nX6\nG92.2\nX7\nG92.3\nX8\nG92.1\nX9',
+    'turned': (
+        'G10 L2 P1 X10 R30\nG1 X10 Y0\nG2 X20 Y0 I5 J0\nG91 G1 X1\nG90 G53 G0 X1 Y1\nG1 X5 Y5\n'
+        'G92 X3\nG1 X1\nG10 L20 P1 X5\nG1 X5 Y6\nG10 L2 P2 Y3 R-100\nG55 G1 X1 Y2\n'
+        'G54 G1 X3\nG92.1\nG10 L2 P1 Y1 R[#5230+10]\nG1 X#5230 Y1\nG28\nG1 X1 Y2 Z3'
+    ),
     'suspended': 'G0 X5 Y5\nG92 X10 Y20\nG92.2\nG92 X1\nG0 X0 Y0\nG92.1\nG92.3\nX1',
     'measured': (
         'G10 L2 P1 Z100\nG10 L2 P9 Z30\nG0 Z5\nG92 Z7\nG43 H2\nG10 L10 P1 Z1\nG43 H1\nG0 Z0\n'

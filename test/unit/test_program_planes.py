@@ -69,6 +69,7 @@ FORMS = {
     'CYCLE800(0,"TC",0,57,10,20,30,30,20,10,0,0,0,1)': turned('XYZ', 30, 20, 10),
     'CYCLE800(0,"TC",0,27,10,20,30,30,20,10,0,0,0,1)': turned('ZYX', 30, 20, 10),
     'CYCLE800(0,"TC",0,39,10,20,30,30,20,10,0,0,0,-1)': turned('ZXY', 30, 20, 10),
+    'CYCLE800(0,"TC",0,64,10,20,30,30,20,0,0,0,0,1)': turned('ZY', 30, 20),
     'ROT X0\nTRANS X10 Y20 Z30\nAROT X20 Y0 Z10': turned('ZX', 10, 20),
 }
 
@@ -249,7 +250,11 @@ def test_before_the_first_motion_the_tool_begins_upright_on_the_plane():
         ('G68 X0 Y0', 'G68: give the angle R'),
         ('G68.3 X1', 'G68.3: give X, Y and Z'),
         ('G68.2 J20\nG53.1 P4', 'P4: P must be 0, 1 or 2'),
-        ('CYCLE800(0,"",0,192,0,0,0,1,0,0,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),
+        ('CYCLE800(0,"",0,192,0,0,0,1,0,0,0,0,0,1)', 'CYCLE800: positions of rotary axes'),
+        ('CYCLE800(0,"",0,64,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: solid angles are two'),
+        ('CYCLE800(0,"",0,155,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),
+        ('CYCLE800(0,"",0,1,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),
+        ('CYCLE800(0,"",0,-8,0,0,0,1,0,9,0,0,0,1)', 'CYCLE800: give the angles axis by axis'),
         ('CYCLE800(0,"",0,57,0,0,0,1,0,0,0,0,0,0)', 'CYCLE800: the direction must be'),
         ('G68.2 J20\nG53.1\nG53 G0 Z0', 'machine coordinates'),
     ],
@@ -276,3 +281,31 @@ def test_the_example_is_milled_upright_on_every_machine(name):
     np.testing.assert_allclose(cuts[:, 2], np.cos(25.0 * DEG), atol=1e-12)
     directions = np.round(np.degrees(np.arctan2(cuts[:, 1], cuts[:, 0])) % 360.0) % 360.0
     assert set(directions) == {0.0, 90.0, 180.0, 270.0}
+
+
+@pytest.mark.parametrize('mode', [185, 182])
+def test_projected_angles_are_seen_in_the_old_planes(mode):
+    """X of the plane seen along Y, and the trace of its Y seen along X, have these angles."""
+    about_x, about_y = 25.0, -40.0
+    first, second = (about_x, about_y) if mode == 185 else (about_y, about_x)
+    swivel = f'CYCLE800(0,"",0,{mode},0,0,0,{first},{second},0,0,0,0,1)'
+    x = last(f'{swivel}\nG0 X1 Y0 Z0')[0]
+    normal = last(f'{swivel}\nG0 X0 Y0 Z1')[0]
+    assert np.degrees(np.arctan2(-x[2], x[0])) == pytest.approx(about_y)
+    assert x[1] == pytest.approx(0, abs=1e-12)
+    trace = np.cross(normal, [1, 0, 0])
+    assert np.degrees(np.arctan2(trace[2], trace[1])) == pytest.approx(about_x)
+
+
+def test_a_plane_lies_in_a_turned_work_offset():
+    zero = AC.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0] / MM
+    offset = f'G10 L2 P1 X{zero[0] + 5:.6f} Y{zero[1]:.6f} Z{zero[2]:.6f} R35\n'
+    outside = Rotation.from_euler('Z', 35, degrees=True)
+    plane = 'G68.2 X1 Y2 Z3 I20 J30 K10\nG53.1\n'
+    tip, axis, _ = last(f'{offset}{plane}G0 X4 Y5 Z6')
+    inner, inner_axis, _ = last(f'{plane}G0 X4 Y5 Z6')
+    np.testing.assert_allclose(tip, [5, 0, 0] + outside.apply(inner), atol=1e-5)
+    np.testing.assert_allclose(axis, outside.apply(inner_axis.copy()), atol=1e-9)
+    # The plane on which the tool stands now is the same one, from where it stands.
+    tool, upright, _ = last(f'{offset}G0 A30 C20\nG68.3 X1 Y2 Z3\nG0 X0 Y0 Z7')
+    np.testing.assert_allclose(tool, [5, 0, 0] + outside.apply([1, 2, 3]) + 7 * upright, atol=1e-5)

@@ -182,7 +182,6 @@ def test_offsets_mean_what_they_mean_in_linuxcnc(tmp_path, text, wanted):
 @pytest.mark.parametrize(
     ('text', 'part'),
     [
-        ('G10 L2 P1 R30 X1', 'R30: a turned work offset'),
         ('G10 L1 Z1', 'G10 L1 needs P'),
         ('G10 L1 P1 X1', 'G10 L1: a tool has a length'),
         ('G10 L1 P1 R-1', 'R-1: the radius must not be below 0'),

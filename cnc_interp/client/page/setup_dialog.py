@@ -13,7 +13,7 @@ from nicegui import ui
 from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.setup_client import SetupClient, shown, unit_of
 from cnc_interp.core.units import MM
-from cnc_interp.program.job import WORK_OFFSETS
+from cnc_interp.program.job import ROTATION, WORK_OFFSETS
 
 Command = Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]]
 LENGTHS = ('length', 'radius')
@@ -47,18 +47,19 @@ class SetupDialog:
         self._dialog.clear()
         self._fields, self._known = {}, {}
         axes = list(table.axes)
-        fields = f'repeat({len(axes)}, minmax(4em, 1fr))'
+        fields = f'repeat({len(axes) + 1}, minmax(4em, 1fr))'
         columns = f'grid-template-columns: 4.5em {fields} auto auto auto'
         with self._dialog, ui.card().classes('setup'):
             ui.label('offsets [mm, deg]').classes('title')
             with ui.element('div').classes('rows').style(columns):
-                for text in ('', *axes, '', '', ''):
+                for text in ('', *axes, ROTATION, '', '', ''):
                     ui.label(text).classes('name')
                 for name in (*WORK_OFFSETS, 'G92'):
                     self._offset_row(name, axes)
                 self._name('here reads')
                 for letter in axes:
                     self._field(f'here {letter}', '')
+                ui.label('')
                 self._key('touch off', partial(self._touch_off, axes), 'touch off')
             ui.label('tools [mm]').classes('title')
             with ui.element('div').classes('rows tools'):
@@ -98,11 +99,14 @@ class SetupDialog:
         position = setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
         active = name == setup.offset or (name == 'G92' and setup.g92_on)
         self._name(f'{name} ●' if active else name)
-        for letter in axes:
+        turned = [ROTATION] if name != 'G92' else []
+        for letter in (*axes, *turned):
             value = position.get(letter)
             text = '' if value is None else shown(letter, value)
             self._field(f'{name} {letter}', text, value)
-        self._key('set', partial(self._set_offset, name, axes), f'set {name}')
+        if not turned:
+            ui.label('')
+        self._key('set', partial(self._set_offset, name, [*axes, *turned]), f'set {name}')
         clear = partial(self._ask, 'set_offset', offset=name, clear=True)
         self._key('clear', clear, f'clear {name}')
         if name == 'G92':

@@ -371,9 +371,8 @@ class TargetColumns:
         rotary_from = np.full((len(row), 2), nan)
         named = linear | moves.rests[row]
         rotary_from[named] = moves.rotary(row[named], piece[named] / counts[row[named]])
-        curved = np.isfinite(end[:, SWEEP]) & (counts[row] > 1)
         # Chords have used a part of the tolerance; the rest remains for the smoothing.
-        share = np.where(curved, 1.0 - CHORD_SHARE, 1.0)
+        share = np.where(moves.beside_arcs(self._settings)[row], 1.0 - CHORD_SHARE, 1.0)
         feedrate, duration = moves.speeds()
         blocks = Blocks(
             tip=tip,

@@ -48,6 +48,8 @@ POLE_TOLERANCES = 4.0
 #: Without tool-tip programming, lines in axes become curves of poses after so many short blocks in
 #: a row. In each of them the tip moves more than this share of the turn at flank height [-].
 FEWEST_DENSE, SLOW_TIP = 32, 0.05
+#: A short line has the tolerance of an arc that is at most so many motions away.
+BESIDE_ARC = 8
 
 #: At most so many motions before one near the pole are joined with it.
 FARTHEST = 1000
@@ -328,6 +330,23 @@ class Moves:
         # A rotation with the tip at rest stays whole, because only the rotary axes move.
         turns &= (self.interpolation == POSES) & self._travels()
         return np.asarray(self._arc | turns)
+
+    def beside_arcs(self, settings: Settings) -> BoolArray:
+        """
+        Return which motions have the tolerance of an arc, shape (n,).
+
+        These are arcs, however short, and short lines beside them. A curve of dense programs ends
+        where the tolerance changes, and both shall become one curve.
+        """
+        row = np.arange(len(self._arc))
+        last = np.maximum.accumulate(np.where(self._arc, row, -FEWEST_DENSE))
+        following = np.where(self._arc, row, len(row) + FEWEST_DENSE)
+        following = np.minimum.accumulate(following[::-1])[::-1]
+        near = np.minimum(row - last, following - row) <= BESIDE_ARC
+        near &= ~self._arc & (self.rows[:, RAPID] == 0.0)
+        lines = np.flatnonzero(near)
+        near[lines] = self._short(lines, settings) if len(lines) else False
+        return np.asarray(self._arc | near)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """

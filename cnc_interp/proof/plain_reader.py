@@ -71,6 +71,8 @@ class Move:
         Last digit of lengths that the reader knows [m]; 0 where it knows all.
     unsure : float
         Share of feed or duration up to which the reader knows it [-].
+    tolerance : float
+        Programmed contour tolerance [m]; NaN for that of the settings.
 
     """
 
@@ -89,6 +91,7 @@ class Move:
     turns: int = 1
     digit: float = 0.0
     unsure: float = 0.0
+    tolerance: float = float('nan')
 
 
 def read_plainly(
@@ -144,6 +147,7 @@ class _State:
         self.absolute, self.inverse, self.tcp = True, False, False
         self.feed = float('nan') if feed is None else feed
         self.ended = False
+        self.tolerance = float('nan')
         # Where the tool tip is in the words that hold after a switch, only the first reader knows.
         self.unknown: set[str] = set()
 
@@ -165,6 +169,8 @@ class _State:
             named, word = _NAMED.match(rest), _WORD.match(rest)
             if named:
                 codes.append(re.split(r'[\s=]', named[1])[0])
+                if codes[-1] == 'CTOL':
+                    self.tolerance = float(named[1].split('=')[1]) * self.unit
             elif word:
                 letter, value = word[1], float(word[2])
                 if letter == 'G' or letter == 'M':
@@ -183,6 +189,9 @@ class _State:
             return
         if 'G5.1' in codes:
             words.pop('R', None)  # a grade of smoothing
+        if 'G64' in codes:
+            found = re.search(r'P\s*(\d*\.?\d*)', line)
+            self.tolerance = float(found[1]) * self.unit if found else float('nan')
         if 'F' in words:
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
         if words:
@@ -283,5 +292,5 @@ class _State:
             self.line, rapid, self.here[:3].copy(), self.here[3 : 3 + rotary].copy(), tool,
             self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
             60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,
-            self.plane, centre, sweep,
+            self.plane, centre, sweep, tolerance=self.tolerance,
         ))  # fmt: skip

@@ -8,7 +8,7 @@ One of them is enough.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -104,10 +104,13 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         raise InterpError(f'{program}: longer than {LONGEST >> 20} MB; cannot be compared')
     feed, skip = settings.get('feedrate'), bool(settings.get('skip_blocks'))
     names = machine.axis_names
+    tolerance = settings.get('contour_tolerance')
+    tolerance = float(tolerance) if isinstance(tolerance, int | float) else float('nan')
+    forced = bool(settings.get('force_tolerances'))
     found, readers = [], []
     try:
         moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']), setup)
-        found.append(compare_places(plan.blocks, machine, moves))
+        found.append(compare_places(plan.blocks, machine, _tolerated(moves, forced), tolerance))
         readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
         readers.append(str(reason))
@@ -116,7 +119,9 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             raise ProgramError('the reader of plain words knows no offsets')
         default = float(feed) if isinstance(feed, int | float) else None
         moves = read_plainly(text, str(program), names, default, skip)
-        found.append(_Comparison(plan.blocks, machine).follow(moves))
+        found.append(
+            _Comparison(plan.blocks, machine, tolerance).follow(_tolerated(moves, forced))
+        )
         readers.append('read by the second reader of plain words')
     except ProgramError as reason:
         readers.append(str(reason))
@@ -128,7 +133,14 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     )  # fmt: skip
 
 
-def compare_places(blocks: Columns, machine: Machine, moves: Iterable[Move]) -> Agreement:
+def _tolerated(moves: Iterable[Move], forced: bool) -> Iterable[Move]:
+    """Return motions without the tolerances of the text where those of the settings rule."""
+    return (replace(move, tolerance=float('nan')) for move in moves) if forced else moves
+
+
+def compare_places(
+    blocks: Columns, machine: Machine, moves: Iterable[Move], tolerance: float = float('nan')
+) -> Agreement:
     """
     Compare rows with motions whose lines are not known.
 
@@ -140,6 +152,8 @@ def compare_places(blocks: Columns, machine: Machine, moves: Iterable[Move]) -> 
         The machine.
     moves : iterable of Move
         All motions of the text in order.
+    tolerance : float
+        Contour tolerance where the text has none [m]; NaN if it is not known.
 
     Returns
     -------
@@ -147,14 +161,14 @@ def compare_places(blocks: Columns, machine: Machine, moves: Iterable[Move]) -> 
         If the end of a motion is not found, what follows is not compared.
 
     """
-    return _FollowPlaces(blocks, machine).follow(moves)
+    return _FollowPlaces(blocks, machine, tolerance).follow(moves)
 
 
 class _Comparison:
     """Follows the rows of a plan with the motions of its text, by the numbers of the lines."""
 
-    def __init__(self, blocks: Columns, machine: Machine):
-        self.blocks, self.machine = blocks, machine
+    def __init__(self, blocks: Columns, machine: Machine, tolerance: float = float('nan')):
+        self.blocks, self.machine, self.tolerance = blocks, machine, tolerance
         self.transform = Transform.of(machine)
         self.faults: list[str] = []
         self.row = self.motions = self.arcs = 0  # row: the first one that is not compared yet
@@ -256,6 +270,7 @@ class _Comparison:
         """Compare the rows inside a motion with its line or arc."""
         tolerance = float(self.blocks['contour_tolerance'][rows].min())
         room = CHORD * tolerance + SAME_PLACE + 3.0 * move.digit
+        self.kept(move, rows, self.chord_error(move, rows) if move.sweep else 0.0)
         if move.sweep:
             self.arc(move, rows, room)
             return
@@ -269,6 +284,27 @@ class _Comparison:
         unsure = SAME_PLACE + move.digit / max(length, 1e-15)
         if off.max() > room or (np.diff(share) < -unsure).any():
             self.fault(move, f'rows {rows[0]} to {rows[-1]} are not on its line')
+
+    def kept(self, move: Move, rows: IntArray, chord_error: float) -> None:
+        """Demand that the rows leave room in the programmed tolerance for their arc."""
+        wanted = self.tolerance if np.isnan(move.tolerance) else move.tolerance
+        used = float(self.blocks['contour_tolerance'][rows].max()) + chord_error
+        if used > wanted * (1.0 + SAME_FEED) + SAME_PLACE:
+            chords = f', and its arc {chord_error / MM:.4g} mm' if chord_error else ''
+            self.fault(
+                move,
+                f'has a tolerance of {wanted / MM:.6g} mm, its rows may use '
+                f'{(used - chord_error) / MM:.6g} mm{chords}',
+            )
+
+    def chord_error(self, move: Move, rows: IntArray) -> float:
+        """Return the largest distance of an arc from the lines of its rows [m]."""
+        if len(move.extra) and not move.tcp:
+            return 0.0
+        arms = _arms(move, self.points(move)[rows[0] - 1 : rows[-1] + 1])
+        turn = np.diff(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
+        radius = np.linalg.norm(arms, axis=1)
+        return float(np.max(np.maximum(radius[1:], radius[:-1]) * (1.0 - np.cos(0.5 * turn))))
 
     def arc(self, move: Move, rows: IntArray, room: float) -> None:
         """Compare rows with an arc or a helix."""
@@ -334,8 +370,8 @@ class _Comparison:
 class _FollowPlaces(_Comparison):
     """Follows the rows by their places, with motions whose lines are not known."""
 
-    def __init__(self, blocks: Columns, machine: Machine):
-        super().__init__(blocks, machine)
+    def __init__(self, blocks: Columns, machine: Machine, tolerance: float = float('nan')):
+        super().__init__(blocks, machine, tolerance)
         self.tiny = 0  # motions shorter than the last digit, which may have rows
         # The row after those of the same line, for each row.
         count = len(blocks['line'])

@@ -17,6 +17,7 @@ PROGRAMS = {
         'G0 X0 Y0\nG2 X10 Y10 I10 J0 F2000\nG3 X20 Y20 R10\nG3 X20 Y20 I-5 J0 Z3\n'
         'G18 G2 X30 Z-2 R12\nG17 G2 X10 Y0 R-20\n'
     ),
+    'kept.ngc': 'G64 P0.02\nG0 X0\nG1 X5 F900\nG64 P0.05\nG2 X5.2 Y-0.1 R0.5\nG1 X9\n',
     'timed.ngc': 'G0 X0\nG93 G1 X10 F30\nY10 F60\nG94 X0 F500\n',
     'tcp.ngc': 'TRAORI\nG0 X0 A10 C0\nG64 P0.02\nG1 X20 A15 C30 F3000\nC60\nY5\n',
     'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
@@ -28,7 +29,7 @@ PROGRAMS = {
 #: Motions and arcs of each.
 MOTIONS = {
     'lines.ngc': (4, 0), 'inch.ngc': (5, 0), 'arcs.ngc': (6, 5), 'timed.ngc': (4, 0),
-    'tcp.ngc': (4, 0), 'axes.ngc': (4, 0), 'path.apt': (3, 0),
+    'tcp.ngc': (4, 0), 'axes.ngc': (4, 0), 'path.apt': (3, 0), 'kept.ngc': (4, 1),
 }  # fmt: skip
 #: One word of a program changed: what the comparison must say.
 CHANGED = [
@@ -43,6 +44,8 @@ CHANGED = [
     ('arcs.ngc', 'X20 Y20 R10', 'X20 Y20 R11', 'line 3 of the program: '),
     ('arcs.ngc', 'R-20', 'R20', 'line 6 of the program: its rows are not on the arc'),
     ('arcs.ngc', 'I-5 J0 Z3', 'I-6 J0 Z3', 'line 4 of the program: its rows are not on the arc'),
+    ('kept.ngc', 'P0.02', 'P0.01', 'line 3 of the program: has a tolerance of 0.01 mm'),
+    ('kept.ngc', 'P0.05', 'P0.047', 'may use 0.045 mm, and its arc 0.003'),
     ('timed.ngc', 'F60', 'F59', 'line 3 of the program: lasts'),
     ('tcp.ngc', 'A15', 'A15.001', 'line 4 of the program: its tool axis'),
     ('tcp.ngc', 'C60', 'C420', 'line 5 of the program: its rotary words'),

@@ -54,7 +54,7 @@ def test_centre_arcs_and_helices(plane, code, sweep):
     middle = turned(0.5 * (tips[1:] + tips[:-1]), centre, axes)[1]
     assert (10.0 - middle).max() <= 2e-3 + 1e-6
     assert len(tips) - 1 <= 1.1 * np.radians(sweep) / (2 * np.arccos(1 - 2e-4)) + 4
-    np.testing.assert_allclose(blocks.contour_tolerance[1:], 0.9 * 2e-5 if len(tips) > 2 else 2e-5)
+    np.testing.assert_allclose(blocks.contour_tolerance[1:], 0.9 * 2e-5)
     np.testing.assert_allclose(blocks.feedrate[1:], 0.01)
 
 
@@ -145,3 +145,38 @@ def test_any_radius_arc_is_within_its_share_of_the_tolerance(
     angle, _ = turned(np.c_[tips, np.zeros(len(tips))], np.r_[centre, 0.0], 'XY')
     assert (abs(angle) > np.pi) == long_way or half == pytest.approx(radius, rel=1e-6)
     assert np.sign(angle) == (1 if code == 'G3' else -1)
+
+
+@settings(deadline=None)
+@given(
+    radius=st.floats(0.02, 200.0),
+    angles=st.tuples(st.floats(0, 6.28), st.floats(-1.0, 1.0)),
+    rise=st.floats(-3.0, 3.0),
+    grown=st.floats(-1e-3, 1e-3),
+    tolerance=st.sampled_from([0.001, 0.02, 0.3]),
+)
+def test_chords_and_smoothing_together_keep_the_tolerance_of_any_arc(
+    radius, angles, rise, grown, tolerance
+):
+    """LHchips4, lines 8195 and 8196: an arc of one chord left the whole tolerance to smoothing."""
+    first, sweep = angles
+    sweep = 2.0 * np.pi * np.sign(sweep or 1.0) * abs(sweep) ** 3  # many are short
+    last, outer = first + sweep, radius + grown * min(radius, 1.0)
+    start, end = radius * np.exp(1j * first), outer * np.exp(1j * last)
+    assume(abs(end - start) > 2e-3)
+    code = 'G3' if sweep > 0 else 'G2'
+    blocks = read(
+        f'G64 P{tolerance}\nG0 X{start.real:.9f} Y{start.imag:.9f}\n{code} X{end.real:.9f} '
+        f'Y{end.imag:.9f} Z{rise:.9f} I{-start.real:.9f} J{-start.imag:.9f} F600\nG1 X900\nM2'
+    )
+    rows = np.flatnonzero(blocks.line_number == 3)
+    pieces = len(rows)
+    for i, row in enumerate(rows):
+        share = (i + np.linspace(0.0, 1.0, 33)) / pieces
+        at = (radius + share * (outer - radius)) * np.exp(1j * (first + share * sweep))
+        arc = np.c_[at.real, at.imag, share * rise]
+        a, b = blocks.tip[row - 1] * 1e3, blocks.tip[row] * 1e3
+        along = np.clip((arc - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        off = np.linalg.norm(arc - a - along[:, None] * (b - a), axis=1).max()
+        assert off + blocks.contour_tolerance[row] * 1e3 <= tolerance * (1 + 1e-9) + 1e-8
+    assert blocks.contour_tolerance[rows[-1] + 1] * 1e3 == pytest.approx(tolerance)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cnc_interp.core.units import DEG
@@ -122,7 +124,10 @@ class AxisCodes:
                 length = float(mover.point[2] - frames.work('G59.3')[2]) - length
         if given:
             raise self.fault('a tool has a length (Z) and a radius (R) only', f'G10 L{kind}')
-        mover.change(SetupChange('tools', Tool(length, radius, tool.remark), int(number)))
+        measured = replace(tool, length=length, radius=radius)
+        if measured.corner_radius is not None and measured.corner_radius > radius:
+            raise self.fault('the corner radius of the tool is larger', words.texts['R'])
+        mover.change(SetupChange('tools', measured, int(number)))
 
     def _reference(self, code: str, words: BlockWords) -> None:
         """Process G28 and G30: rapid over the point of the block to the reference point."""

@@ -44,7 +44,9 @@ TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
     'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
 }  # fmt: skip
-RADIUS = {'G40', 'G41', 'G41.1', 'G42', 'G42.1'}
+RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
+#: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
+RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
 CYCLES = {'G73', 'G74', 'G81', 'G82', 'G83', 'G84', 'G85', 'G86', 'G89'}
 
 _OFF = 'nothing to switch off'
@@ -69,7 +71,6 @@ LOOK_AHEAD = {'G5': 'P', 'G5.1': 'QR', 'G8': 'P'}
 SPLINE_LETTERS = frozenset('XYZIJ')
 
 _LINEAR = 'post the program with linear moves'
-_RADIUS = 'compensation in space is not supported; post the path of the tool centre'
 _FRAME = 'changing the coordinate system is not supported this way; post in one workpiece frame'
 REFUSED_G: dict[str, str] = {
     'G5': f'spline moves are not supported; {_LINEAR}',
@@ -81,8 +82,6 @@ REFUSED_G: dict[str, str] = {
     'G33': 'thread cutting is not supported',
     'G33.1': 'thread cutting is not supported',
     'G38.2': 'probing is not supported',
-    'G41.2': _RADIUS,
-    'G42.2': _RADIUS,
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
     'G51': 'scaling is not supported; post at full size',
     'G54.1': _FRAME,
@@ -120,6 +119,8 @@ _LOOP = (
 )
 # Reasons by the beginning of the word; the first match counts.
 REFUSED_KEYS: dict[str, str] = {
+    'CUT2': 'write CUT2D; the compensation turns with the frame',
+    'CUT3': 'of compensation in space only CUT3DF with normals A5= B5= C5= is supported',
     'CYCLE': _SIEMENS_CYCLE,
     'MCALL': _SIEMENS_CYCLE,
     'HOLES': _SIEMENS_CYCLE,
@@ -164,6 +165,6 @@ INTERPOLATION_KEYS = {
 
 def refused_key(key: str) -> str:
     """Return the reason why a word of several letters is refused; empty if it is not."""
-    if key == 'ROT' or key == 'AROT' or key == 'CYCLE832' or key == 'CYCLE800':
+    if key in RADIUS_KEYS or key in ('ROT', 'AROT', 'CYCLE832', 'CYCLE800'):
         return ''
     return next((why for head, why in REFUSED_KEYS.items() if key.startswith(head)), '')

@@ -24,6 +24,7 @@ Position = Mapping[str, float]
 
 #: Longest remark of a tool [characters], and its largest number.
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
+_TOOL_KEYS = {'length', 'radius', 'corner_radius', 'remark'}
 #: Digits after the point in setup files [mm, deg].
 _DIGITS = 9
 
@@ -39,6 +40,8 @@ class Tool:
         Length along the tool that G43 uses [m].
     radius : float
         Radius of the cutter [m].
+    corner_radius : float, optional
+        Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
     remark : str
         Anything that tells it from others, in one line.
 
@@ -47,6 +50,7 @@ class Tool:
     length: float = 0.0
     radius: float = 0.0
     remark: str = ''
+    corner_radius: float | None = None
 
 
 @dataclass(frozen=True)
@@ -148,6 +152,8 @@ class JobSetup:
         entry = value if change.key is None else value.get(change.key)
         if isinstance(entry, Tool):
             words = f'length {_shown(entry.length, MM):g} radius {_shown(entry.radius, MM):g}'
+            if entry.corner_radius is not None:
+                words += f' corner radius {_shown(entry.corner_radius, MM):g}'
             return f'{words} {entry.remark}'.strip()
         shown = _position_shown(entry or {})
         return ' '.join(f'{letter} {value:g}' for letter, value in shown.items()) or 'not set'
@@ -240,10 +246,12 @@ def _position_shown(position: Position) -> dict[str, float]:
 
 
 def _tool_shown(tool: Tool) -> dict[str, Any]:
-    """Return a tool in mm; what is 0 or empty is left out, but for the length."""
+    """Return a tool in mm; what is 0, empty or not known is left out, but for the length."""
     shown: dict[str, Any] = {'length': _shown(tool.length, MM)}
     if tool.radius:
         shown['radius'] = _shown(tool.radius, MM)
+    if tool.corner_radius is not None:
+        shown['corner_radius'] = _shown(tool.corner_radius, MM)
     if tool.remark:
         shown['remark'] = tool.remark
     return shown
@@ -329,20 +337,26 @@ class _Reading:
     def _tool(self, content: Any, key: Any) -> Tool:
         """Return a tool [m], from mm."""
         words = self._mapping(content, f'tools.{key}')
-        if 'length' not in words or not set(words) <= {'length', 'radius', 'remark'}:
+        if 'length' not in words or not set(words) <= _TOOL_KEYS:
             raise self.fault(
-                f'tools.{key}: must have a length, perhaps a radius and a remark, as '
-                '{length: 75.0, radius: 5.0, remark: ball}'
+                f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
+                'remark, as {length: 75.0, radius: 5.0, remark: ball}'
             )
         radius = self._number(words.get('radius', 0.0), f'tools.{key}.radius') * MM
         remark = words.get('remark', '')
         if radius < 0.0:
             raise self.fault(f'tools.{key}.radius: must not be below 0')
+        corner = None
+        if 'corner_radius' in words:
+            corner = self._number(words['corner_radius'], f'tools.{key}.corner_radius') * MM
+            if not 0.0 <= corner <= radius:
+                raise self.fault(f'tools.{key}.corner_radius: must be from 0 to the radius')
         if not isinstance(remark, str) or not fits_as_remark(remark):
             raise self.fault(
                 f'tools.{key}.remark: must be a text in one line of {LONGEST_REMARK} characters'
             )
-        return Tool(self._number(words['length'], f'tools.{key}.length') * MM, radius, remark)
+        length = self._number(words['length'], f'tools.{key}.length') * MM
+        return Tool(length, radius, remark, corner)
 
 
 def fits_as_remark(remark: str) -> bool:

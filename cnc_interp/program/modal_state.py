@@ -13,6 +13,7 @@ from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
 from cnc_interp.program.columns import TargetColumns
+from cnc_interp.program.contact_normal import ContactPath
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import WORK_OFFSETS, JobSetup, SetupChange, Tool
@@ -135,6 +136,11 @@ class ModalState:
         self.tcp = ''
         #: G41 or G42, and the plane in which that counts; empty without.
         self.radius_code = self.radius_plane = ''
+        #: Whether G41 and G42 compensate along normals (CUT3DF), the path that does so, and the
+        #: last normal in W.
+        self.along_normals = False
+        self.contact: ContactPath | None = None
+        self.normal: FloatArray | None = None
         self.oriented = False  # whether the tool was turned to a tilted plane, until that ends
         self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG

@@ -7,7 +7,8 @@ import numpy as np
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.job import SetupChange
+from cnc_interp.program.contact_normal import Cutter
+from cnc_interp.program.job import SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
@@ -60,7 +61,11 @@ class Modes:
         frames.update()
 
     def cutter_radius(self, code: str, words: BlockWords, tool: int) -> None:
-        """Process G40, and G41, G42, G41.1 and G42.1 with D: the tool runs beside the contour."""
+        """
+        Process G40, and G41, G42, G41.1, G42.1 with D: the tool runs beside the contour.
+
+        G41.2, G42.2, and G41, G42 after CUT3DF, follow contact normals.
+        """
         mover = self._mover
         if code == 'G40':
             if not mover.radius_code:
@@ -69,22 +74,61 @@ class Modes:
             return
         if mover.radius_code:
             raise self.fault(f'{mover.radius_code} is on; write G40 before', code)
-        named = words.values.pop('D', None)
+        if code in ('G41.2', 'G42.2') or (mover.along_normals and code in ('G41', 'G42')):
+            self._contact_normals(code, words, tool)
+            return
+        named = words.values.get('D')
         if code in ('G41.1', 'G42.1'):
+            words.values.pop('D', None)
             if named is None:
                 raise self.fault('give the diameter of the cutter as D', code)
             radius = 0.5 * named * mover.unit
         else:
-            number = tool if named is None else round(min(abs(named), 1e6))
-            tools = mover.setup.tools
-            if number and number not in tools:
-                why = 'the setup has no radius of this tool; add it (--setup)'
-                raise self.fault(why, f'D{number}')
-            mover.used.add(f'tool {number}')
-            radius = tools[number].radius if number else 0.0
+            radius = self._cutter(words, tool).radius
         if not 0.0 <= abs(radius) < FARTHEST:
             raise self.fault('a radius beyond 100,000 mm; correct it', words.texts.get('D', code))
         mover.begin_radius(code, radius if code.startswith('G41') else -radius)
+
+    def _cutter(self, words: BlockWords, tool: int) -> Tool:
+        """Take D out of a block, and return the tool that it names, else that in the spindle."""
+        named = words.values.pop('D', None)
+        number = tool if named is None else round(min(abs(named), 1e6))
+        tools = self._mover.setup.tools
+        if number and number not in tools:
+            why = 'the setup has no radius of this tool; add it (--setup)'
+            raise self.fault(why, f'D{number}')
+        self._mover.used.add(f'tool {number}')
+        return tools[number] if number else Tool()
+
+    def _contact_normals(self, code: str, words: BlockWords, tool: int) -> None:
+        """
+        Process G41.2 and G42.2: D is the tool, R its corner radius.
+
+        With Q and P, X Y Z are tips of a tool with this radius and corner radius.
+        """
+        mover, values, chosen = self._mover, words.values, self._cutter(words, tool)
+        corner = chosen.corner_radius
+        if 'R' in values:
+            corner = values.pop('R') * mover.unit
+        if corner is None:
+            raise self.fault('the corner radius of the tool is not known; write R (0: flat end, '
+                             'the radius: ball), or corner_radius in the setup', code)  # fmt: skip
+        cutter = Cutter(chosen.radius, corner)
+        self._demand_corner(cutter, words.texts.get('R', code))
+        if ('Q' in values) != ('P' in values):
+            raise self.fault('Q is the radius and P the corner radius of the tool of the program; '
+                             'write both', code)  # fmt: skip
+        if 'Q' in values:
+            posted = Cutter(values.pop('Q') * mover.unit, values.pop('P') * mover.unit)
+            self._demand_corner(posted, words.texts['P'])
+            cutter = cutter.beyond(posted)
+        mover.begin_contact(code, cutter)
+
+    def _demand_corner(self, cutter: Cutter, word: str) -> None:
+        """Raise if a corner is larger than its tool."""
+        if not 0.0 <= cutter.corner_radius <= cutter.radius < FARTHEST:
+            radius = cutter.radius / self._mover.unit
+            raise self.fault(f'the corner radius must be from 0 to the radius, {radius:g}', word)
 
     def stay_beside_contour(self, words: BlockWords) -> None:
         """Raise for words that cannot stand between G41 or G42 and G40."""

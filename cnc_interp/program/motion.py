@@ -16,12 +16,15 @@ from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
 from cnc_interp.program.columns import NO_ARC
+from cnc_interp.program.contact_normal import ContactPath, Cutter
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.words import BlockWords
 
 #: Two directions agree if their cosine is 1 within this [-].
 SAME_AXIS = 1e-9
+#: Words of the contact normal at the end of a block.
+NORMAL_WORDS = ('A5', 'B5', 'C5')
 MOST_TURN = 1e3 * 360.0 * DEG
 
 
@@ -51,6 +54,8 @@ class Mover(ModalState):
         if self.motion is None:
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
         vector = self._vector_of(words, arc_words)
+        if self.contact is not None:
+            self._take_normal(words)
         if machine:
             self.refuse_machine_words()
             target, point = self.here(), self.machine_target(words)
@@ -113,9 +118,27 @@ class Mover(ModalState):
         if distance:
             self.targets.begin_radius(distance, frame)
 
+    def begin_contact(self, code: str, cutter: Cutter) -> None:
+        """Take points from here on as those at which the cutter touches, by G41.2 or G42.2."""
+        if self.targets.empty:
+            raise self.fault('move to a place beside the part before', code)
+        if self.by_axes:
+            raise self.fault(f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code)
+        if self.tcp == 'G43.5':
+            raise self.fault('with G43.5 I J K are the tool direction; use G43.4, or A5= B5= C5=',
+                             code)  # fmt: skip
+        self.radius_code, self.radius_plane = code, self.plane
+        self.contact, self.normal = ContactPath(cutter), None
+
     def end_radius(self) -> None:
-        """End the compensation; the tool stays where it is."""
-        if self.radius_code:
+        """
+        End the compensation; the tool stays where it is.
+
+        After contact normals the next block leads to its end as programmed.
+        """
+        if self.contact is not None:
+            self.contact, self.radius_code, self.radius_plane = None, '', ''
+        elif self.radius_code:
             self.radius_code = self.radius_plane = ''
             self.point = self.targets.end_radius()
 
@@ -278,7 +301,6 @@ class Mover(ModalState):
             Whether the motion is a rapid. Without it, the modal motion code decides.
 
         """
-        self.check_point(point)
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
             raise self.fault(
@@ -293,6 +315,8 @@ class Mover(ModalState):
             self.vector = vector
         elif self.named and self.vector is not None and not self.tcp:
             self.vector = None
+        place = point if self.contact is None else self._touching(point, rapid)
+        self.check_point(place)
         axis = (nan, nan, nan) if self.rotary_letters else (0.0, 0.0, 1.0)
         named, circle = self.named, self.on_great_circle
         if self.vector is not None:
@@ -300,11 +324,44 @@ class Mover(ModalState):
         feedrate, duration, turn_rate = feed
         self.targets.add(
             (
-                *point, *axis, *rotary, named, float(circle), feedrate, duration, rapid,
+                *place, *axis, *rotary, named, float(circle), feedrate, duration, rapid,
                 self.stop_always or self.stop_once, self.contour, self.orientation,
                 self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
             )
         )  # fmt: skip
+
+    # --- contact normals ---------------------------------------------------------------------
+
+    def _take_normal(self, words: BlockWords) -> None:
+        """Take the normal of a block: I J K, or A5 B5 C5. Without one, the last one counts."""
+        if self.motion is not None and self.motion >= 2:
+            raise self.fault('arcs have no contact normals; post lines', self.radius_code)
+        named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
+        given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
+        if not named:
+            if not {'I', 'J', 'K'} & set(words.values):
+                return
+            given = [words.values.pop(letter, 0.0) for letter in 'IJK']
+        length = float(np.linalg.norm(given))
+        if not length > 1e-6:
+            raise self.fault('the contact normal is zero; correct I, J, K', self.radius_code)
+        self.normal = np.asarray(self.frames.turn @ (np.array(given) / length))
+
+    def _touching(self, point: FloatArray, rapid: bool) -> FloatArray:
+        """Return the tool tip where the cutter touches at a point, shape (3,) [m]."""
+        if self.normal is None:
+            raise self.fault('write the contact normal in the block: I J K, or A5= B5= C5=; '
+                             'without normals post the path of the tool centre',
+                             self.radius_code)  # fmt: skip
+        axis = np.array([0.0, 0.0, 1.0])
+        if self.vector is not None:
+            axis = self.vector
+        elif self.rotary_letters:
+            axis = self.geometry.tool_axis(self.rotary[None])[0]
+        assert self.contact is not None
+        return self.contact.tip(
+            point, self.normal, axis, not rapid, lambda text: self.fault(text, self.radius_code)
+        )
 
     # --- arcs and tool vectors -----------------------------------------------------------------
 

@@ -7,7 +7,7 @@ from cnc_interp.program import codes
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
-from cnc_interp.program.motion import Mover
+from cnc_interp.program.motion import NORMAL_WORDS, Mover
 from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.variables import ProgramVariables
@@ -81,6 +81,8 @@ class NamedWords:
             self._plane.swivel(given, words)
         elif key == 'CYCLE800':
             self._plane.cancel()
+        elif key in codes.RADIUS_KEYS:
+            mover.along_normals = codes.RADIUS_KEYS[key]
         elif key == 'BSPLINE':
             pass  # the curve is opened after the settings of the block
         elif key in codes.HARMLESS_KEYS:
@@ -93,7 +95,7 @@ class NamedWords:
         """Execute the assignments of a block; some names are words with a meaning."""
         mover = self._mover
         for name, value in words.sets:
-            if name in ('A3', 'B3', 'C3', 'RPL') or name in CURVE_WORDS:
+            if name in ('A3', 'B3', 'C3', 'RPL', *CURVE_WORDS, *NORMAL_WORDS):
                 continue
             if name == 'CR':
                 words.values['R'], words.texts['R'] = value, f'CR={value:g}'

@@ -146,6 +146,8 @@ def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Too
             raise InterpError(f'tool {number}: a {name} beyond 100,000 mm; correct it or its unit')
     if tool.radius < 0.0:
         raise InterpError(f'tool {number}: the radius must not be below 0')
+    if (tool.corner_radius or 0.0) > tool.radius:
+        raise InterpError(f'tool {number}: the corner radius is larger than the radius')
     if not fits_as_remark(tool.remark):
         raise InterpError(f'tool {number}: a remark is one line of {LONGEST_REMARK} characters')
     return tool

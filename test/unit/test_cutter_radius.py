@@ -186,7 +186,7 @@ def test_random_contours_are_followed_at_the_radius_or_refused(radii, radius, le
         ('G41 D1\nG1 X0 Y0\nX40\nG3 X44 I2\nX50', r'part\.ngc:5: the cutter does not fit'),
         ('G41 D1\nG1 X0 Y0\nX20\nX23 Y-4\nX26 Y0\nX40\nG40 X50', 'does not fit'),
         ('G41 D1\nG1 X0 Y0\nX40\nY8\nX0\nG40 X-9', 'the cutter does not fit'),
-        ('G41.2 D1\nG1 X0', 'compensation in space'),
+        ('CUT3DC\nG41 D1\nG1 X0', 'of compensation in space only CUT3DF'),
     ],
 )
 def test_what_cannot_be_compensated_is_refused_with_its_line(text, part):

@@ -46,7 +46,7 @@ SYNTAX = [
     ('\x00\x01', "'\\x00\\x01'", 'no text'),
 ]
 UNSUPPORTED = [
-    'G5 X1', 'G7', 'G16', 'G41.2 D1', 'G42.2', 'G51 X0', 'G54.1 P1', 'G254', 'G76', 'G88',
+    'G5 X1', 'G7', 'G16', 'CUT3DC', 'CUT3DFS', 'G51 X0', 'G54.1 P1', 'G254', 'G76', 'G88',
     'G96 S100', 'G38.2 Z-5', 'G66 P1', 'G10 L3 P1', 'M97', 'M73', 'M430', 'G123', 'CYCLE81(1,2)',
     'MCALL', 'CALL "X"', 'FOR R1=1 TO 5', 'CSPLINE', 'SCALE X5', 'L54',
     'DEF STRING[5] A', 'X=FROB(1)', 'MIRROR X0', 'CIP X1 I1=2',

@@ -1,0 +1,146 @@
+"""
+Cutter compensation in space: from contact points and surface normals to the tip of the tool.
+
+The cutter has a corner of radius r on a circle of radius R about its axis: R is 0 for a ball, r is
+0 for a flat end. It touches the surface at c. With the unit normal n, which points away from the
+part, and the tool axis o, its tip is at
+
+    tip = c + r (n - o) + R side,   side = unit(n - (n . o) o).
+
+The shift is linear in r and R. So the same equation leads from the tip of the tool for which the
+program was posted to that of another tool, with the differences of r and R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+
+#: With a smaller sine of the angle to the tool axis a normal counts as parallel. Up to the second
+#: value the side on which the tool touches is not sure.
+PARALLEL, UNSURE = 1e-6, 1e-3
+#: A normal may point down the tool by this cosine, because programs round.
+ROUNDED = 1e-4
+#: The flank of the tool touches if the cosine of normal and tool axis is less.
+FLANK = 1e-3
+#: A shorter way between two contact points has no direction [m].
+SHORTEST = 1e-9
+_NO_FIT = 'the cutter does not fit in here; take a smaller tool'
+Fault = Callable[[str], ProgramError]
+
+
+@dataclass(frozen=True)
+class Cutter:
+    """
+    A filleted cutter.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of its cylinder [m].
+    corner_radius : float
+        Radius of its corner, at most ``radius`` [m].
+
+    """
+
+    radius: float
+    corner_radius: float
+
+    def beyond(self, other: Cutter) -> Cutter:
+        """Return the differences to another cutter; they may be negative."""
+        return Cutter(self.radius - other.radius, self.corner_radius - other.corner_radius)
+
+    def shift(self, normal: FloatArray, axis: FloatArray) -> FloatArray:
+        """
+        Return the way from the contact point to the tip.
+
+        Parameters
+        ----------
+        normal, axis : ndarray, shape (3,)
+            Unit normal of the surface, and unit tool axis [-].
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Shift [m].
+
+        """
+        across = normal - (normal @ axis) * axis
+        sine = float(np.linalg.norm(across))
+        side = across / sine if sine > PARALLEL else np.zeros(3)
+        ring = self.radius - self.corner_radius
+        return np.asarray(self.corner_radius * (normal - axis) + ring * side)
+
+
+class ContactPath:
+    """
+    One stretch of compensation along contact normals, from G41.2 or G42.2 to G40.
+
+    Parameters
+    ----------
+    cutter : Cutter
+        The cutter, or what it differs by from that of the program.
+
+    """
+
+    def __init__(self, cutter: Cutter):
+        self._cutter = cutter
+        self._before: tuple[FloatArray, FloatArray, float] | None = None
+
+    def tip(
+        self, point: FloatArray, normal: FloatArray, axis: FloatArray, cuts: bool, fault: Fault
+    ) -> FloatArray:
+        """
+        Return the tip of the tool at the end of a block.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Programmed point [m].
+        normal, axis : ndarray, shape (3,)
+            Unit normal and unit tool axis at the point [-].
+        cuts : bool
+            Whether the motion there is a feed.
+        fault : callable
+            Returns the error for the line.
+
+        Raises
+        ------
+        ProgramError
+            If the tool cannot touch the surface there, or would cut into it.
+
+        """
+        cosine = float(normal @ axis)
+        if cosine < -ROUNDED:
+            raise fault('the normal points down the tool, which cannot touch there; '
+                        'the normal points away from the part')  # fmt: skip
+        sine = float(np.linalg.norm(np.cross(normal, axis)))
+        ring = self._cutter.radius - self._cutter.corner_radius
+        if PARALLEL < sine < UNSURE and ring:
+            raise fault('the normal is almost parallel to the tool, so the side on which it '
+                        'touches is not sure; write it parallel, or tilt the tool')  # fmt: skip
+        self._demand_room(point, normal, cosine, cuts, fault)
+        return np.asarray(point + self._cutter.shift(normal, axis))
+
+    def _demand_room(
+        self, point: FloatArray, normal: FloatArray, cosine: float, cuts: bool, fault: Fault
+    ) -> None:
+        """
+        Raise if the surface is more hollow than the cutter.
+
+        Then the centre of the corner, or the axis where the flank cuts, runs backwards.
+        """
+        before, self._before = self._before, (point, normal, cosine)
+        if before is None or not cuts:
+            return
+        by_flank = max(abs(cosine), abs(before[2])) < FLANK
+        reach = self._cutter.radius if by_flank else self._cutter.corner_radius
+        way = point - before[0]
+        centre = way + reach * (normal - before[1])
+        if np.linalg.norm(way) > SHORTEST and centre @ way < 0.0:
+            raise fault(_NO_FIT)

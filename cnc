@@ -27,7 +27,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test | panel | step | batch) set -- "requirements/$part.txt" ;;
+      test | panel | step | batch | tiles | warp) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -101,7 +101,9 @@ main() {
   case ${1-} in
     test)
       shift
-      ensure "${parts[@]}" test panel step batch
+      parts+=(test panel step batch tiles)
+      case " $* " in *' --all '*) parts+=(warp) ;; esac
+      ensure "${parts[@]}"
       cd "$root"
       case " $* " in *' --all '*) try_everything_else ;; esac
       exec "$venv/bin/python" -m pytest "$@"
@@ -126,6 +128,9 @@ main() {
       [ "$*" != panel ] || set -- panel "$root/examples/pyramid.ngc"
       case " $* " in ' panel '* | *' --panel '*) parts+=(panel) ;; esac
       case $1 in batch | cluster) parts+=(batch) ;; esac
+      case " $* " in ' cam '*' --tiles'*) parts+=(tiles) ;; esac
+      case " $* " in ' cam '*' --scheduler'*) parts+=(batch) ;; esac
+      case " $* " in ' cam '*' --device'*warp* | ' cam '*' --device'*cuda*) parts+=(warp) ;; esac
       case " ${*,,} " in ' cam '*.step' '* | ' cam '*.stp' '* | ' cam '*.p21' '*) parts+=(step) ;; esac
       ensure "${parts[@]}"
       exec "$venv/bin/cnc-interp" "$@"

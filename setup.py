@@ -31,12 +31,20 @@ setup(
     author='cnc_interp maintainers',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={f'{NAME}.client.page': ['*.css', '*.js'], f'{NAME}.nodes': ['*.xml']},
+    package_data={
+        f'{NAME}.client.page': ['*.css', '*.js'],
+        f'{NAME}.cam': ['*.html', '*.js'],
+        f'{NAME}.nodes': ['*.xml'],
+    },
     data_files=shared_files(),
     python_requires='>=3.11,<3.13',
     install_requires=['setuptools'],
     # LGPL-2.1 with an exception (OpenCASCADE); its bindings are Apache-2.0.
-    extras_require={'step': ['cadquery-ocp-novtk>=8.0,<9']},
+    extras_require={
+        'step': ['cadquery-ocp-novtk>=8.0,<9'],
+        'tiles': ['zarr>=3.1,<4'],
+        'warp': ['warp-lang>=1.19,<2'],
+    },
     zip_safe=False,
     entry_points={
         'console_scripts': [

@@ -13,7 +13,8 @@ import time
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.nbuffer import Needles, cut_needles
+from cnc_interp.cam.nbuffer import cut_needles
+from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM

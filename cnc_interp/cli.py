@@ -25,6 +25,7 @@ from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
 from cnc_interp.commands.setup import add_setup_commands
 from cnc_interp.commands.sweep import add_sweep_command
+from cnc_interp.commands.tile_workers import tile_workers
 from cnc_interp.commands.urdf import add_urdf_command
 from cnc_interp.core.errors import InterpError
 
@@ -92,7 +93,7 @@ def parser() -> argparse.ArgumentParser:
     add_urdf_command(commands)
     add_bag_commands(commands)
     add_identify_commands(commands)
-    add_cam_commands(commands)
+    add_cam_commands(commands, tile_workers)
     return top
 
 

@@ -28,7 +28,8 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
-from cnc_interp.cam.nbuffer import Needles, cut_needles
+from cnc_interp.cam.nbuffer import cut_needles
+from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.next_posture import conditions, nearest_places, resting
 from cnc_interp.cam.passes import Pass, constant_tilt
 from cnc_interp.cam.scallop import scallop_points

@@ -4,7 +4,7 @@
 # (requirements, messages, project files) is brought up to date in place.
 
 log=$venv/setup.log
-optional=(test panel step batch) # parts that only some commands need
+optional=(test panel step batch tiles warp) # parts that only some commands need
 pip_install=("$venv/bin/python" -m pip install --quiet --no-deps --no-compile
   --no-warn-script-location --disable-pip-version-check)
 
@@ -136,7 +136,7 @@ start_over() {
 # The kernels compile while ROS is fetched and the messages are built.
 complete_environment() {
   local had compiling='' kept_parts='' part wanted=" $* "
-  had=$(grep -E '^(base|project|messages|test|panel|step|batch) ' "$stamp" 2>/dev/null || true)
+  had=$(grep -E '^(base|project|messages|test|panel|step|batch|tiles|warp) ' "$stamp" 2>/dev/null || true)
   out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
   forget_parts
   if out_of_date base; then install_packages; fi

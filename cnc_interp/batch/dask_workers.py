@@ -13,14 +13,21 @@ import logging
 import signal
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import AsyncExitStack
-from typing import Any
+from typing import Any, TypeVar
 
 import dask
 from distributed import Client, Future, Scheduler, Worker, as_completed, get_worker
 from distributed.scheduler import KilledWorker
 
-from cnc_interp.batch.processes import Ended, Loss, Processes, total_memory
-from cnc_interp.batch.task import Outcome, Task, engine
+from cnc_interp.batch.processes import (
+    PRELOADED,
+    TILES_PRELOADED,
+    Ended,
+    Loss,
+    Processes,
+    total_memory,
+)
+from cnc_interp.batch.task import engine
 from cnc_interp.core.errors import InterpError
 
 #: Time for the scheduler to answer [s].
@@ -29,6 +36,9 @@ PATIENCE = 10
 MOST_LOST_WORKERS = 20
 #: Tasks that are given out ahead, for each thread of the workers.
 AHEAD = 2
+
+A = TypeVar('A')
+R = TypeVar('R')
 
 
 class DaskWorkers:
@@ -61,8 +71,8 @@ class DaskWorkers:
             ) from None
 
     def run(
-        self, function: Callable[[Task], Outcome], arguments: Iterator[Callable[[], Task]]
-    ) -> Iterator[Ended[Outcome]]:
+        self, function: Callable[[A], R], arguments: Iterator[Callable[[], A]]
+    ) -> Iterator[Ended[R]]:
         """
         Call a function with each task; see ``Processes.run``.
 
@@ -99,24 +109,24 @@ class DaskWorkers:
         return AHEAD * max(1, sum(int(n) for n in self._client.nthreads().values()))
 
 
-def _end_of(future: Future, number: int) -> Ended[Outcome]:
+def _end_of(future: Future, number: int) -> Ended[Any]:
     """Return what a task has become."""
     if future.status == 'error':
         problem = future.exception()
         if isinstance(problem, KilledWorker):
             return Ended(number, Loss.KILLED, MOST_LOST_WORKERS)
         raise problem
-    there: Ended[Outcome] = future.result()
+    there: Ended[Any] = future.result()
     return Ended(number, there.result, there.kills, there.why)
 
 
 def call_there(
-    function: Callable[[Task], Outcome],
-    task: Task,
+    function: Callable[[A], R],
+    task: A,
     version: str,
     memory: float | None,
     longest: float,
-) -> Ended[Outcome]:
+) -> Ended[R]:
     """
     Call a function in a new process on the computer of a worker.
 
@@ -132,7 +142,9 @@ def call_there(
             'the same everywhere'
         )
     share = total_memory() / get_worker().state.nthreads
-    return next(Processes(1, memory or share, longest).run(function, [lambda: task]))
+    loaded = (*PRELOADED, *TILES_PRELOADED)
+    there = Processes(1, memory or share, longest, preloaded=loaded)
+    return next(there.run(function, [lambda: task]))
 
 
 def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str], None]) -> None:

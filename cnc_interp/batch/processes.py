@@ -13,7 +13,7 @@ import resource
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from multiprocessing.connection import Connection, wait
@@ -24,8 +24,9 @@ from typing import Generic, TypeVar
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.fork_server import begin_loading
 
-#: What the fork server loads.
-PRELOADED = ['cnc_interp.batch.preloaded']
+#: What the fork server loads for programs, and for tiles of needles.
+PRELOADED = ('cnc_interp.batch.preloaded',)
+TILES_PRELOADED = ('cnc_interp.cam.preloaded',)
 #: Name of a working process in ``ps`` and ``top``.
 PROCESS_NAME = 'cnc_batch'
 #: Time between looks whether all shall end [s].
@@ -101,6 +102,8 @@ class Processes:
         Longest time of a call [s].
     stopped : callable, optional
         Asked again and again whether all shall end.
+    preloaded : sequence of str
+        Modules that are loaded before the processes are forked.
 
     """
 
@@ -110,10 +113,11 @@ class Processes:
         memory: float,
         longest: float,
         stopped: Callable[[], bool] = lambda: False,
+        preloaded: Sequence[str] = PRELOADED,
     ):
         self._workers, self._memory, self._longest = workers, memory, longest
         self._stopped = stopped
-        self._context = begin_loading(PRELOADED)
+        self._context = begin_loading(preloaded)
 
     def run(
         self, function: Callable[[A], R], arguments: Iterable[Callable[[], A]]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 
-from cnc_interp.batch.processes import Processes, total_memory
+from cnc_interp.batch.processes import PRELOADED, Processes, total_memory
 from cnc_interp.batch.run import Workers
 from cnc_interp.core.errors import InterpError
 
@@ -29,7 +30,11 @@ def dask_workers() -> ModuleType:
 
 
 def workers_of(
-    scheduler: str | None, workers: int, memory: float | None, longest: float
+    scheduler: str | None,
+    workers: int,
+    memory: float | None,
+    longest: float,
+    preloaded: Sequence[str] = PRELOADED,
 ) -> Workers:
     """
     Return who carries out a batch.
@@ -44,9 +49,12 @@ def workers_of(
         Most memory of a task [bytes]; None for a share of the computer.
     longest : float
         Longest time of a task [s].
+    preloaded : sequence of str
+        Modules that processes of this computer load once.
 
     """
     if scheduler is not None:
         found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)
         return found
-    return Processes(workers, memory or total_memory() / workers, longest)
+    share = memory or total_memory() / workers
+    return Processes(workers, share, longest, preloaded=preloaded)

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from cnc_interp.command_options import command, machine_option, number, positive
 
+#: Returns who cuts tiles; see ``tile_work.Pool``.
+Pool = Callable[[str | None, int], Any]
 
-def add_cam_commands(commands: Any) -> None:
-    """Declare `cam` and its commands."""
+
+def add_cam_commands(commands: Any, pool: Pool) -> None:
+    """
+    Declare `cam` and its commands.
+
+    Parameters
+    ----------
+    commands : argparse subparsers
+        Where they are added.
+    pool : callable
+        Returns who cuts tiles of needles: address of a scheduler, or number of processes here.
+
+    """
     cam = commands.add_parser(
         'cam',
         help='5-axis iso-scallop programs from surfaces, and the simulated surface',
@@ -85,7 +99,8 @@ def add_cam_commands(commands: Any) -> None:
     simulate = command(
         inner, 'simulate', _simulate,
         'cut a surface with a program or a plan and measure what is left',
-        'cnc-interp cam simulate out/bumps/program.mpf --surface examples/bumps.json',
+        'cnc-interp cam simulate out/bumps/program.mpf --surface examples/bumps.json '
+        '--spacing 0.02 --tiles out/tiles',
     )  # fmt: skip
     simulate.add_argument(
         'motion', type=Path, metavar='PROGRAM_OR_DIR', help='part program, or folder of a plan'
@@ -102,7 +117,29 @@ def add_cam_commands(commands: Any) -> None:
     )
     simulate.add_argument('--html', type=Path, metavar='FILE', help='page to write')
     _cutting(simulate)
+    _tiles(simulate, pool)
     simulate.add_argument('--json', action='store_true', help='print the figures as JSON')
+
+
+def _tiles(added: argparse.ArgumentParser, pool: Pool) -> None:
+    """Add the options for many needles."""
+    added.add_argument(
+        '--tiles', type=Path, metavar='DIR',
+        help='cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
+        'that zooms; a second start goes on',
+    )  # fmt: skip
+    added.add_argument(
+        '--workers', type=int, metavar='N',
+        help='tiles that are cut at the same time (one for each processor)',
+    )  # fmt: skip
+    added.add_argument(
+        '--scheduler', metavar='ADDRESS', help='let the workers of `cluster` cut the tiles'
+    )
+    added.add_argument(
+        '--device', choices=('cpu', 'warp-cpu', 'cuda'), default='cpu',
+        help='what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
+    )  # fmt: skip
+    added.set_defaults(pool=pool)
 
 
 def _mill(added: argparse.ArgumentParser) -> None:

@@ -1,64 +1,64 @@
-"""Compiled loops of the N-buffer: where needles enter the mill, and where on its way first."""
+"""
+Compiled loops of the N-buffer: where needles enter the mill, and where on its way first.
+
+What happens to a needle depends on this needle and on the motion alone. Groups of needles are
+skipped only where the test of each needle would skip it, too. So a needle ends at the same
+height, bit for bit, in whatever tile it stands. The functions of one needle are written in the
+part of Python that ``warp_cuts.py`` can translate for graphics cards: scalars, rows of arrays, no
+literal that is overwritten in a loop.
+"""
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from math import sqrt
 
-import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import MM
 
 #: Depth at which needles begin below the surface, and height at which they end above it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM
 #: Distance below the end of a needle at which the search for a cut begins [m].
 SHORT = 0.05 * MM
+#: Rounding of distances; a group of needles is skipped only this much further away [m].
+ROUNDING = 1e-9 * MM
 
 
 @njit(cache=True, nogil=True, inline='always')
-def _distance(
-    x: float, y: float, z: float, pose: FloatArray, i: int, R: float
-) -> tuple[float, float, float, float, float]:
-    """
-    Return the distance of a point from the cylinder of radius R on C_L, and its parts.
-
-    The arguments are x, y, z [m] and row i of ``pose``, shape (n, 6): C_L [m] and unit axis [-].
-    The results are the distance, its parts along and across the axis, and the coordinates across
-    and along the axis [m].
-    """
-    dx, dy, dz = x - pose[i, 0], y - pose[i, 1], z - pose[i, 2]
-    along = dx * pose[i, 3] + dy * pose[i, 4] + dz * pose[i, 5]
-    across = sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
-    low, out = min(along, 0.0), max(across - R, 0.0)
-    return sqrt(low * low + out * out), low, out, across, along
-
-
-@njit(cache=True, nogil=True, inline='always')
-def _gap(
-    needle: FloatArray, j: int, h: float, pose: FloatArray, i: int, R: float, skin: float
-) -> tuple[float, float]:
+def gap(
+    needle: FloatArray, j: int, h: float, x: float, y: float, z: float, a: float, b: float,
+    c: float, R: float, skin: float,
+) -> tuple[float, float]:  # fmt: skip
     """
     Return the distance of a point of a needle from the mill [m], and its derivative by height [-].
 
     The point lies at height h [m] on row j of ``needle``, shape (k, 6): base [m] and normal [-].
+    The mill has C_L at x, y, z [m] and the unit axis a, b, c [-]. Its surface lies ``skin`` [m]
+    outside the cylinder of radius R [m] that stands on C_L.
     """
     nx, ny, nz = needle[j, 3], needle[j, 4], needle[j, 5]
-    x, y, z = needle[j, 0] + h * nx, needle[j, 1] + h * ny, needle[j, 2] + h * nz
-    distance, low, out, across, along = _distance(x, y, z, pose, i, R)
+    dx = needle[j, 0] + h * nx - x
+    dy = needle[j, 1] + h * ny - y
+    dz = needle[j, 2] + h * nz - z
+    along = dx * a + dy * b + dz * c
+    across = sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
+    low, out = min(along, 0.0), max(across - R, 0.0)
+    distance = sqrt(low * low + out * out)
     # d(distance)/dh = (low low' + out out') / distance
-    nu = nx * pose[i, 3] + ny * pose[i, 4] + nz * pose[i, 5]
+    nu = nx * a + ny * b + nz * c
     rise = low * nu
     if out > 0.0:
-        inward = (x - pose[i, 0]) * nx + (y - pose[i, 1]) * ny + (z - pose[i, 2]) * nz
+        inward = dx * nx + dy * ny + dz * nz
         rise += out * (inward - along * nu) / across
     return distance - skin, rise / max(distance, 1e-15)
 
 
 @njit(cache=True, nogil=True)
-def _entry(
-    needle: FloatArray, j: int, pose: FloatArray, i: int, R: float, skin: float, begin: float
-) -> float:
+def entry(
+    needle: FloatArray, j: int, x: float, y: float, z: float, a: float, b: float, c: float,
+    R: float, skin: float, begin: float,
+) -> float:  # fmt: skip
     """
     Return the height at which a needle enters the mill, or TOP if it misses the mill [m].
 
@@ -66,99 +66,166 @@ def _entry(
     therefore ends before the root. A distance that no longer falls means a miss.
     """
     h = begin
-    gap, rise = _gap(needle, j, h, pose, i, R, skin)
-    if gap < 0.0:
+    distance, rise = gap(needle, j, h, x, y, z, a, b, c, R, skin)
+    if distance < 0.0:
         h = -DEPTH
-        gap, rise = _gap(needle, j, h, pose, i, R, skin)
+        distance, rise = gap(needle, j, h, x, y, z, a, b, c, R, skin)
     for _ in range(60):
-        if gap < 1e-11:
+        if distance < 1e-11:
             return h
         if rise >= 0.0:
             return TOP
-        h -= gap / rise
+        h -= distance / rise
         if h >= TOP:
             return TOP
-        gap, rise = _gap(needle, j, h, pose, i, R, skin)
+        distance, rise = gap(needle, j, h, x, y, z, a, b, c, R, skin)
     return h
 
 
 @njit(cache=True, nogil=True)
-def _entry_at(
-    needle: FloatArray, j: int, pose: FloatArray, i: int, share: float, R: float, skin: float,
-    most: float, mixed: FloatArray,
+def entry_at(
+    needle: FloatArray, j: int, first: FloatArray, last: FloatArray, i: int, share: float,
+    R: float, skin: float, most: float,
 ) -> float:  # fmt: skip
     """
-    Return the entry height at a share of the motion from pose i to pose i + 1 [m].
+    Return the entry height at a share of piece i of the motion [m].
 
-    ``most`` is the present height of the needle [m]. ``mixed``, shape (1, 6), is overwritten.
+    Rows of ``first`` and ``last``, shape (n, 6), are the poses at the ends of the pieces: C_L [m]
+    and unit axis [-]. ``most`` is the present height of the needle [m].
     """
-    for a in range(6):
-        mixed[0, a] = pose[i, a] + share * (pose[i + 1, a] - pose[i, a])
-    size = sqrt(mixed[0, 3] ** 2 + mixed[0, 4] ** 2 + mixed[0, 5] ** 2)
-    for a in range(3, 6):
-        mixed[0, a] /= size
-    height: float = _entry(needle, j, mixed, 0, R, skin, max(most - SHORT, -DEPTH))
+    x = first[i, 0] + share * (last[i, 0] - first[i, 0])
+    y = first[i, 1] + share * (last[i, 1] - first[i, 1])
+    z = first[i, 2] + share * (last[i, 2] - first[i, 2])
+    a = first[i, 3] + share * (last[i, 3] - first[i, 3])
+    b = first[i, 4] + share * (last[i, 4] - first[i, 4])
+    c = first[i, 5] + share * (last[i, 5] - first[i, 5])
+    size = sqrt(a * a + b * b + c * c)
+    begin = max(most - SHORT, -DEPTH)
+    height: float = entry(needle, j, x, y, z, a / size, b / size, c / size, R, skin, begin)
     return height
 
 
 @njit(cache=True, nogil=True)
-def _lowest(first: float, half: float, last: float) -> tuple[float, float]:
-    """Return the place and value of the minimum in [0, 1] of the parabola through 3 values."""
+def lowest(first: float, half: float, last: float) -> float:
+    """Return the place in [0, 1] of the minimum of the parabola through 3 values."""
     bend = first - 2.0 * half + last
     if bend > 0.0:
         share = 0.5 + 0.25 * (first - last) / bend
-        if 0.0 < share < 1.0:
-            away = 2.0 * share - 1.0
-            return share, half + 0.5 * away * (last - first) + 0.5 * away * away * bend
-    return (0.0, first) if first < last else (1.0, last)
+        if share > 0.0 and share < 1.0:
+            return share
+    if first < last:
+        return 0.0
+    return 1.0
+
+
+@njit(cache=True, nogil=True, inline='always')
+def cut_roughly(
+    needle: FloatArray, j: int, most: float, middle: FloatArray, i: int, R: float, skin: float
+) -> float:
+    """Return the height of a needle after the mill stood in the middle of piece i [m]."""
+    x, y, z = middle[i, 0], middle[i, 1], middle[i, 2]
+    a, b, c = middle[i, 3], middle[i, 4], middle[i, 5]
+    distance, rise = gap(needle, j, most, x, y, z, a, b, c, R, skin)
+    if distance < 0.0 or (rise > 0.0 and distance <= SHORT):
+        begin = max(most - SHORT, -DEPTH)
+        height: float = entry(needle, j, x, y, z, a, b, c, R, skin, begin)
+        return min(most, height)
+    return most
+
+
+@njit(cache=True, nogil=True, inline='always')
+def cut_finely(
+    needle: FloatArray, j: int, most: float, first: FloatArray, middle: FloatArray,
+    last: FloatArray, slack: float, i: int, stages: int, widest: float, R: float, skin: float,
+) -> float:  # fmt: skip
+    """
+    Return the height of a needle after the mill has moved along piece i [m].
+
+    The arguments are those of ``cut``; ``most`` is the height before [m].
+    """
+    half, rise = gap(
+        needle, j, most, middle[i, 0], middle[i, 1], middle[i, 2], middle[i, 3], middle[i, 4],
+        middle[i, 5], R, skin,
+    )  # fmt: skip
+    # A cut below the end of the needle lies within SHORT of it.
+    if half > slack and (rise <= 0.0 or half > slack + SHORT):
+        return most
+    begin, rise_first = gap(
+        needle, j, most, first[i, 0], first[i, 1], first[i, 2], first[i, 3], first[i, 4],
+        first[i, 5], R, skin,
+    )  # fmt: skip
+    end, rise_last = gap(
+        needle, j, most, last[i, 0], last[i, 1], last[i, 2], last[i, 3], last[i, 4],
+        last[i, 5], R, skin,
+    )  # fmt: skip
+    # The distance is convex along a straight piece: this bounds its minimum. A needle is clear
+    # from its end down if the distance falls with the height.
+    if min(half, 2.0 * half - max(begin, end)) > 0.0:
+        if rise <= 0.0 and rise_first <= 0.0 and rise_last <= 0.0:
+            return most
+    share = lowest(begin, half, end)
+    least: float = most
+    reach = widest
+    for _ in range(stages):
+        low, high = max(share - reach, 0.0), min(share + reach, 1.0)
+        begin = entry_at(needle, j, first, last, i, low, R, skin, most)
+        half = entry_at(needle, j, first, last, i, 0.5 * (low + high), R, skin, most)
+        end = entry_at(needle, j, first, last, i, high, R, skin, most)
+        least = min(min(least, begin), min(half, end))
+        share = low + lowest(begin, half, end) * (high - low)
+        reach = reach * 0.5
+    height: float = entry_at(needle, j, first, last, i, share, R, skin, most)
+    if height < least:
+        return height
+    return least
+
+
+@njit(cache=True, nogil=True, inline='always')
+def _away(ball: FloatArray, g: int, middle: FloatArray, i: int, R: float) -> float:
+    """Return the distance of the centre of ball g from the cylinder of radius R [m]."""
+    dx, dy, dz = ball[g, 0] - middle[i, 0], ball[g, 1] - middle[i, 1], ball[g, 2] - middle[i, 2]
+    along = dx * middle[i, 3] + dy * middle[i, 4] + dz * middle[i, 5]
+    across = sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
+    low, out = min(along, 0.0), max(across - R, 0.0)
+    return sqrt(low * low + out * out)
 
 
 @njit(cache=True, nogil=True)
-def _coarse(
-    needle: FloatArray, order: IntArray, starts: IntArray, tile: int, ball: FloatArray,
-    middle: FloatArray, stride: int, R: float, skin: float, height: FloatArray,
-) -> None:  # fmt: skip
-    """Cut the needles of a tile by every ``stride``-th pose, which removes most material."""
-    first, last = starts[tile], starts[tile + 1]
-    for i in range(0, len(middle), stride):
-        far = _distance(ball[tile, 0], ball[tile, 1], ball[tile, 2], middle, i, R)[0]
-        if far > ball[tile, 3] + skin + TOP:
-            continue
-        for k in range(first, last):
-            j = order[k]
-            gap, rise = _gap(needle, j, height[j], middle, i, R, skin)
-            if gap < 0.0 or rise > 0.0:
-                begin = max(height[j] - SHORT, -DEPTH)
-                height[j] = min(height[j], _entry(needle, j, middle, i, R, skin, begin))
+def _reach(order: IntArray, begin: int, end: int, height: FloatArray) -> float:
+    """Return the largest distance of an end of a needle of a group from its base [m]."""
+    reach = 0.0
+    for k in range(begin, end):
+        reach = max(reach, abs(height[order[k]]))
+    return reach
 
 
 @njit(cache=True, nogil=True)
 def cut(
-    needle: FloatArray, order: IntArray, starts: IntArray, ball: FloatArray, pose: FloatArray,
-    middle: FloatArray, slack: FloatArray, stride: int, stages: int, widest: float, R: float,
-    skin: float, height: FloatArray,
+    needle: FloatArray, order: IntArray, starts: IntArray, ball: FloatArray, first: FloatArray,
+    middle: FloatArray, last: FloatArray, slack: FloatArray, rough: BoolArray, batch: IntArray,
+    stages: int, widest: float, R: float, skin: float, height: FloatArray,
 ) -> None:  # fmt: skip
     """
-    Cut all needles by the pieces of motion between successive poses.
+    Cut needles by pieces of motion.
 
     Parameters
     ----------
     needle : ndarray, shape (k, 6)
         Base [m] and unit normal [-] of each needle.
     order : ndarray of int, shape (k,)
-        Numbers of the needles, tile by tile.
-    starts : ndarray of int, shape (tiles + 1,)
-        Place in ``order`` where each tile begins.
-    ball : ndarray, shape (tiles, 4)
-        Centre and radius of a ball around each tile [m].
-    pose : ndarray, shape (n + 1, 6)
-        C_L [m] and unit tool axis [-].
-    middle : ndarray, shape (n, 6)
-        Poses in the middle of the pieces.
+        Numbers of the needles, group by group.
+    starts : ndarray of int, shape (groups + 1,)
+        Place in ``order`` where each group begins.
+    ball : ndarray, shape (groups, 4)
+        Centre and radius of a ball around the bases of each group [m].
+    first, middle, last : ndarray, shape (n, 6)
+        C_L [m] and unit tool axis [-] at the beginning, in the middle and at the end of a piece.
     slack : ndarray, shape (n,)
         Largest motion of the mill between the middle and an end of a piece [m].
-    stride : int
-        Distance of the poses of the first, coarse cut.
+    rough : ndarray of bool, shape (n,)
+        Pieces of the first cut of a batch, which removes most material.
+    batch : ndarray of int, shape (n,)
+        Batch of each piece, in increasing order.
     stages : int
         Number of times that the search interval of the lowest height is halved.
     widest : float
@@ -169,41 +236,32 @@ def cut(
         Heights of the needles, which are lowered in place [m].
 
     """
-    mixed = np.empty((1, 6))
-    for tile in range(len(starts) - 1):
-        _coarse(needle, order, starts, tile, ball, middle, stride, R, skin, height)
-        highest = -inf
-        for k in range(starts[tile], starts[tile + 1]):
-            highest = max(highest, height[order[k]])
-        for i in range(len(middle)):
-            # The ball around the tile and its needles must touch the mill.
-            far = _distance(ball[tile, 0], ball[tile, 1], ball[tile, 2], middle, i, R)[0]
-            if far > ball[tile, 3] + skin + max(highest, 0.0) + slack[i]:
-                continue
-            for k in range(starts[tile], starts[tile + 1]):
-                j = order[k]
-                most = height[j]
-                half, rise = _gap(needle, j, most, middle, i, R, skin)
-                if half > slack[i] and rise <= 0.0:
+    for g in range(len(starts) - 1):
+        begin, end = starts[g], starts[g + 1]
+        i = 0
+        while i < len(batch):
+            after = i
+            while after < len(batch) and batch[after] == batch[i]:
+                after += 1
+            # ``cut_roughly`` and ``cut_finely`` skip every needle that these distances exclude.
+            clear = ball[g, 3] + skin + SHORT + ROUNDING
+            reach = _reach(order, begin, end, height)
+            for p in range(i, after):
+                if not rough[p] or _away(ball, g, middle, p, R) > clear + reach:
                     continue
-                first, rise_first = _gap(needle, j, most, pose, i, R, skin)
-                last, rise_last = _gap(needle, j, most, pose, i + 1, R, skin)
-                # The distance is convex along a straight piece: this bounds its minimum. A needle
-                # is clear from its end down if the distance falls with the height.
-                clear = min(half, 2.0 * half - max(first, last)) > 0.0
-                if clear and rise <= 0.0 and rise_first <= 0.0 and rise_last <= 0.0:
+                for k in range(begin, end):
+                    j = order[k]
+                    height[j] = cut_roughly(needle, j, height[j], middle, p, R, skin)
+                    reach = max(reach, -height[j])
+            reach = _reach(order, begin, end, height)
+            for p in range(i, after):
+                if _away(ball, g, middle, p, R) > clear + reach + slack[p]:
                     continue
-                share, least = _lowest(first, half, last)
-                least = TOP
-                reach = widest
-                for _ in range(stages):
-                    low, high = max(share - reach, 0.0), min(share + reach, 1.0)
-                    first = _entry_at(needle, j, pose, i, low, R, skin, most, mixed)
-                    half = _entry_at(needle, j, pose, i, 0.5 * (low + high), R, skin, most, mixed)
-                    last = _entry_at(needle, j, pose, i, high, R, skin, most, mixed)
-                    least = min(least, first, half, last)
-                    at, _ = _lowest(first, half, last)
-                    share = low + at * (high - low)
-                    reach *= 0.5
-                least = min(least, _entry_at(needle, j, pose, i, share, R, skin, most, mixed))
-                height[j] = min(most, least)
+                for k in range(begin, end):
+                    j = order[k]
+                    height[j] = cut_finely(
+                        needle, j, height[j], first, middle, last, slack[p], p, stages, widest,
+                        R, skin,
+                    )  # fmt: skip
+                    reach = max(reach, -height[j])
+            i = after

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.nbuffer import Needles, cut_needles
+from cnc_interp.cam.nbuffer import cut_needles
+from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.spline_pass import ARM, chord_error
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import norm

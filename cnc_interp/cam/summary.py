@@ -67,14 +67,18 @@ def results(heights: Heights, section: Section) -> dict[str, Any]:
         Statistics of heights and ridges in SI units.
 
     """
-    found = heights.statistics()
-    if len(section.ridges):
-        low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()
-        found |= {
-            'ridges': len(section.ridges), 'ridge_5': low, 'ridge_50': middle, 'ridge_95': high,
-            'ridge_highest': float(section.ridges.max()),
-        }  # fmt: skip
-    return found
+    return heights.statistics() | ridges_of(section)
+
+
+def ridges_of(section: Section) -> dict[str, Any]:
+    """Return the figures of the scallop ridges for summary.json; none if there are no ridges."""
+    if not len(section.ridges):
+        return {}
+    low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()
+    return {
+        'ridges': len(section.ridges), 'ridge_5': low, 'ridge_50': middle, 'ridge_95': high,
+        'ridge_highest': float(section.ridges.max()),
+    }  # fmt: skip
 
 
 def describe(summary: dict[str, Any]) -> str:
@@ -126,5 +130,13 @@ def heights_in_words(found: dict[str, Any]) -> str:
         text += (
             f'\n{"":15}ridges {um["ridge_5"]:.2f} / {um["ridge_50"]:.2f} / {um["ridge_95"]:.2f} '
             f'um (5, 50, 95 % of {found["ridges"]}), highest {um["ridge_highest"]:.2f} um'
+        )
+    if 'tiles' in found:
+        tiles = found['tiles']
+        known = f', {tiles["known_before"]} of them known before' if tiles['known_before'] else ''
+        text += (
+            f'\n{"":15}{tiles["needles"]} needles ({tiles["rows"]} x {tiles["columns"]}) in '
+            f'{tiles["tiles"]} tiles{known}\n{"written":<15}{tiles["folder"]}: index.html, '
+            'heights.zarr'
         )
     return text

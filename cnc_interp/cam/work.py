@@ -16,7 +16,8 @@ from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
-from cnc_interp.cam.nbuffer import Heights, Needles, cut_needles
+from cnc_interp.cam.nbuffer import Heights, cut_needles
+from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.pole_turn import pole_turn
 from cnc_interp.cam.program_text import write_tool_path
@@ -32,6 +33,7 @@ from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.summary import describe, facts_of, heights_in_words, results
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
 from cnc_interp.cam.tool_path import LinkOptions, link
 from cnc_interp.cam.vectors import cross, unit
 from cnc_interp.core.arrays import FloatArray
@@ -148,6 +150,7 @@ def _model(options: argparse.Namespace) -> Machine | None:
 
 def simulate_motion(options: argparse.Namespace) -> int:
     """Cut a surface with the motion of a program or a plan."""
+    refuse_options(options)
     surface = _surface(options)
     cutter = _cutter(options)
     machine = Machine.load(options.machine)
@@ -159,9 +162,13 @@ def simulate_motion(options: argparse.Namespace) -> int:
     else:
         reading = Settings(feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM)
         motion = programmed(read_program(options.motion, Transform.of(machine), reading))
-    heights, section = _cut(
-        surface, cutter, motion, across(surface, options.direction * DEG), options
-    )
+    normal = across(surface, options.direction * DEG)
+    if options.tiles:
+        section = cross_sections(surface, cutter, motion, normal, options.margin * MM)
+        summary = {motion.name: simulate_in_tiles(surface, cutter, motion, section, options)}
+        print(json.dumps(summary, indent=2) if options.json else describe(summary))
+        return 0
+    heights, section = _cut(surface, cutter, motion, normal, options)
     summary = {motion.name: results(heights, section)}
     if options.html:
         from cnc_interp.cam.page import page
@@ -214,7 +221,9 @@ def _cut(
     needles = Needles.on(surface, options.spacing * MM, options.margin * MM)
     progress = _progress(options)
     show = progress.of(f'cutting, {motion.name}')
-    heights = cut_needles(needles, cutter, motion.tip, motion.axis, show)
+    heights = cut_needles(
+        needles, cutter, motion.tip, motion.axis, show, getattr(options, 'device', 'cpu')
+    )
     progress.end(complete=True)
     return heights, cross_sections(surface, cutter, motion, normal, options.margin * MM)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.nbuffer import Needles, cut_needles
+from cnc_interp.cam.nbuffer import cut_needles
+from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import programmed

@@ -9,7 +9,8 @@ from scipy.optimize import brentq
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
-from cnc_interp.cam.nbuffer import TOP, Heights, Needles, cut_needles
+from cnc_interp.cam.nbuffer import TOP, Heights, cut_needles
+from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections, thinned
 from cnc_interp.cam.spline_pass import SplinePass, chord_error, sampled

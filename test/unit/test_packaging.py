@@ -27,6 +27,8 @@ WITHOUT_KEY = {
     'rosbags',
     'ruckig',
     'starlette',
+    'warp',
+    'zarr',
 }
 RENAMED = {
     'toppra': 'python3-toppra-pip',
@@ -64,7 +66,20 @@ def test_package_xml_declares_what_is_imported():
 
 
 @pytest.mark.parametrize(
-    'name', ['ros-jazzy', 'run', 'build', 'source', 'test', 'panel', 'step', 'batch', 'colcon']
+    'name',
+    [
+        'ros-jazzy',
+        'run',
+        'build',
+        'source',
+        'test',
+        'panel',
+        'step',
+        'batch',
+        'tiles',
+        'warp',
+        'colcon',
+    ],
 )
 def test_every_requirement_is_pinned(name):
     assert pins(name)

@@ -1,0 +1,247 @@
+"""
+Heights on the disk: a Zarr store, chunk by chunk, and a record of each tile that is whole.
+
+    DIR/heights.zarr   height (rows, columns) [m], NaN where nothing was cut; u, v: where needles
+                       stand; level/N/lowest, highest, mean: the same with 2 ** N needles a cell
+    DIR/tiles          one small file for each tile: what it was cut from, and its figures
+    DIR/index.html     the page, with DIR/page
+
+A record is written after its chunk. A tile without a record is cut again.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.cam.height_figures import Figures, deviations, is_cut
+from cnc_interp.cam.needle_cuts import TOP
+from cnc_interp.cam.needles import NeedleGrid, patches
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
+
+#: Needles in each direction of a tile, which is a chunk of the store and an image of the page.
+TILE = 256
+#: What a cell of a level says about the needles in it.
+KINDS = ('lowest', 'highest', 'mean')
+#: Faults of a record that is cut again.
+UNREADABLE = (OSError, UnreadableError, ValueError, TypeError, KeyError)
+
+
+class HeightStore:
+    """
+    The heights of one simulation.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if missing.
+    grid : NeedleGrid
+        The needles. If the folder holds those of another grid, they are removed.
+    about : dict
+        What was cut, for the attributes of the store.
+
+    Raises
+    ------
+    InterpError
+        If Zarr is not installed.
+
+    """
+
+    def __init__(self, folder: Path, grid: NeedleGrid, about: dict[str, Any]):
+        self.folder, self.shape = folder, grid.shape
+        self._zarr = _zarr()
+        place = folder / 'heights.zarr'
+        if not self._fits(place, grid):
+            for old in (place, folder / 'tiles', folder / 'page'):
+                shutil.rmtree(old, ignore_errors=True)
+            place.mkdir(parents=True)
+            group = self._zarr.open_group(place, mode='w')
+            self._array(group, 'height', self.shape)
+            for name, values in (('u', grid.u), ('v', grid.v)):
+                group.create_array(name, data=values)
+        (folder / 'tiles').mkdir(exist_ok=True)
+        self._group = self._zarr.open_group(place, mode='r+')
+        self._group.attrs.update(about | {'unit': 'm'})
+        self._height = self._group['height']
+
+    def _fits(self, place: Path, grid: NeedleGrid) -> bool:
+        """Tell whether a store has been made for a grid."""
+        try:
+            found = self._zarr.open_group(place, mode='r')
+            return (
+                found['height'].shape == grid.shape
+                and np.array_equal(found['u'][:], grid.u)
+                and np.array_equal(found['v'][:], grid.v)
+            )
+        except (OSError, ValueError, KeyError):
+            return False
+
+    @staticmethod
+    def _array(group: Any, name: str, shape: tuple[int, int]) -> Any:
+        """Make an array of heights whose chunks are tiles."""
+        return group.create_array(
+            name, shape=shape, chunks=(TILE, TILE), dtype='float64', fill_value=np.nan,
+            overwrite=True,
+        )  # fmt: skip
+
+    def knows(self, row: int, column: int, key: str) -> bool:
+        """Tell whether a tile was cut from the same."""
+        found = self._record(row, column)
+        return found is not None and found.get('key') == key
+
+    def keep(self, row: int, column: int, key: str, height: FloatArray, figures: Figures) -> None:
+        """Write a tile, and then its record."""
+        rows, columns = height.shape
+        self._height[row : row + rows, column : column + columns] = np.where(
+            is_cut(height), height, np.nan
+        )
+        record = {'key': key} | figures.to_json()
+        write_whole(self._file(row, column), json.dumps(record) + '\n')
+
+    def tile(self, row: int, column: int, level: int = 0, kind: str = 'mean') -> FloatArray:
+        """Return a tile of a level [m]; NaN where nothing was cut."""
+        array = self._height if level == 0 else self._group[f'level/{level}/{kind}']
+        return np.asarray(array[row : row + TILE, column : column + TILE])
+
+    def figures(self) -> Figures:
+        """
+        Return the figures of all tiles together.
+
+        Raises
+        ------
+        InterpError
+            If a tile is missing.
+
+        """
+        total = Figures()
+        for place in patches(*self.shape, TILE, TILE):
+            try:
+                total += Figures.of_json(read_json(self._file(*place)))
+            except UNREADABLE:
+                raise InterpError(f'{self._file(*place)}: the tile is missing') from None
+        return total
+
+    def make_levels(
+        self, mean: float, seen: Callable[[int, int, int, list[FloatArray]], None]
+    ) -> int:
+        """
+        Make the levels of the image pyramid: cells of 2 x 2 cells of the level below.
+
+        A cell keeps lowest, highest and mean height, so a gouge of one needle is never lost.
+
+        Parameters
+        ----------
+        mean : float
+            Mean height [m].
+        seen : callable
+            Told level, row, column and the values of each tile: the heights, or the ``KINDS``.
+
+        Returns
+        -------
+        int
+            Sum of ``height_figures.deviations`` over all tiles.
+
+        """
+        away = 0
+        for place in patches(*self.shape, TILE, TILE):
+            height = self.tile(*place)
+            away += deviations(np.where(np.isnan(height), TOP, height), mean)
+            seen(0, *place, [height])
+        for level in range(1, self.levels):
+            shape = self.level_shape(level)
+            arrays = [self._array(self._group, f'level/{level}/{k}', shape) for k in KINDS]
+            for row, column in patches(*shape, TILE, TILE):
+                below = [self._below(level, row, column, kind) for kind in KINDS]
+                made = [reduced(cells, kind) for cells, kind in zip(below, KINDS, strict=True)]
+                for array, cells in zip(arrays, made, strict=True):
+                    rows, columns = cells.shape
+                    array[row : row + rows, column : column + columns] = cells
+                seen(level, row, column, made)
+        return away
+
+    @cached_property
+    def levels(self) -> int:
+        """Number of levels; the last one is a single tile."""
+        count = 1
+        while max(self.level_shape(count - 1)) > TILE:
+            count += 1
+        return count
+
+    def level_shape(self, level: int) -> tuple[int, int]:
+        """Return rows and columns of a level."""
+        rows, columns = self.shape
+        return -(-rows // (1 << level)), -(-columns // (1 << level))
+
+    def _below(self, level: int, row: int, column: int, kind: str) -> FloatArray:
+        """Return the cells of the level below from which a tile is made."""
+        array = self._height if level == 1 else self._group[f'level/{level - 1}/{kind}']
+        return np.asarray(array[2 * row : 2 * (row + TILE), 2 * column : 2 * (column + TILE)])
+
+    def _record(self, row: int, column: int) -> dict[str, Any] | None:
+        """Return the record of a tile; None if there is none that can be read."""
+        try:
+            found = read_json(self._file(row, column))
+            Figures.of_json(found)
+        except UNREADABLE:
+            return None
+        return found if isinstance(found, dict) else None
+
+    def _file(self, row: int, column: int) -> Path:
+        return self.folder / 'tiles' / f'{row // TILE}_{column // TILE}.json'
+
+
+def reduced(cells: FloatArray, kind: str) -> FloatArray:
+    """
+    Reduce cells 2 x 2 to one.
+
+    Parameters
+    ----------
+    cells : ndarray, shape (rows, columns)
+        Values; NaN where nothing was cut.
+    kind : str
+        One of ``KINDS``.
+
+    Returns
+    -------
+    ndarray, shape (ceil(rows / 2), ceil(columns / 2))
+        NaN only where all four are.
+
+    """
+    rows, columns = (n + n % 2 for n in cells.shape)
+    filled = np.full((rows, columns), np.nan)
+    filled[: cells.shape[0], : cells.shape[1]] = cells
+    four = np.stack([filled[i::2, j::2] for i in (0, 1) for j in (0, 1)])
+    if kind == 'lowest':
+        return np.asarray(np.fmin.reduce(four))
+    if kind == 'highest':
+        return np.asarray(np.fmax.reduce(four))
+    known = ~np.isnan(four)
+    total = np.where(known, four, 0.0).sum(axis=0)
+    return np.asarray(np.where(known.any(axis=0), total, np.nan) / np.maximum(known.sum(0), 1))
+
+
+def _zarr() -> Any:
+    """
+    Return the module that writes Zarr.
+
+    Raises
+    ------
+    InterpError
+        If it is not installed.
+
+    """
+    try:
+        import zarr
+    except ModuleNotFoundError as problem:
+        raise InterpError(
+            f'--tiles needs Zarr ({problem.name} is missing): pip install zarr'
+        ) from None
+    return zarr

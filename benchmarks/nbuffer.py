@@ -1,25 +1,38 @@
 """
-How fast the N-buffer cuts, and how its time grows with needles and poses.
+How fast the N-buffer cuts, and how its time grows with needles, poses and workers.
 
-    python benchmarks/nbuffer.py
+    python benchmarks/nbuffer.py            # needles x poses / s on one core
+    python benchmarks/nbuffer.py --tiles    # 1e5 to 1e7 needles in tiles over 1 and 2 workers
 
-Straight passes 2 mm apart with a filleted mill over a plane; processor time of one core.
+Straight passes 2 mm apart with a filleted mill over a plane. The first table has the processor
+time of one core, the second the time on the clock with its largest use of memory.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
+import resource
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.nbuffer import cut_needles
-from cnc_interp.cam.needles import Needles
+from cnc_interp.cam.height_store import HeightStore
+from cnc_interp.cam.nbuffer import cut_needles, cut_part
+from cnc_interp.cam.needle_tiles import TileCutter
+from cnc_interp.cam.needles import NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
+from cnc_interp.cam.sweep import Sweep
+from cnc_interp.cam.tile_page import TilePage
+from cnc_interp.commands.tile_workers import tile_workers
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core.units import DEG, MM, UM
 
 MILL, SIDE, STEPOVER, TILT = Cutter(5 * MM, 1.5 * MM), 30 * MM, 2 * MM, 5 * DEG
+POSES = 0.2 * MM
 
 
 def passes(step: float) -> tuple[FloatArray, FloatArray]:
@@ -36,10 +49,9 @@ def passes(step: float) -> tuple[FloatArray, FloatArray]:
     return tip, np.tile(u, (len(tip), 1))
 
 
-def main() -> None:
+def one_core() -> None:
     """Print one line for each size."""
     surface = Plane((SIDE, SIDE))
-    cut_needles(Needles.on(surface, 2 * MM), MILL, *passes(2 * MM))  # compiles
     print('needles    poses   seconds   needles x poses / s')
     for spacing, step in ((0.2, 0.2), (0.1, 0.2), (0.05, 0.2), (0.1, 0.1), (0.1, 0.05)):
         needles = Needles.on(surface, spacing * MM)
@@ -51,6 +63,67 @@ def main() -> None:
             f'{needles.base[..., 0].size:7d}  {len(tip):7d}  {seconds:8.2f}   '
             f'{found.pairs / seconds:.2e}'
         )
+
+
+def in_tiles(sizes: list[int]) -> None:
+    """Print one line for each number of needles and workers."""
+    sweep = Sweep.of(MILL, *passes(POSES))
+    print('   needles  workers  cut s  levels, page s  needles x poses / s   memory  heights')
+    for size in sizes:
+        grid = NeedleGrid.on(Plane((SIDE, SIDE)), SIDE / (np.sqrt(size) - 1.0))
+        for workers in (1, 2):
+            with tempfile.TemporaryDirectory() as folder:
+                out = Path(folder)
+                store = HeightStore(out, grid, {})
+                pool = tile_workers(None, workers)
+                list(pool.run(abs, iter([lambda: 1] * workers)))  # loads
+                begin = time.perf_counter()
+                TileCutter(grid, sweep).run(pool, store, lambda _: None)
+                cut = time.perf_counter() - begin
+                figures = store.figures()
+                store.make_levels(figures.mean, TilePage(store, grid, 10 * UM).add_tile)
+                after = time.perf_counter() - begin - cut
+                digest = hashlib.sha256()
+                for file in sorted((out / 'heights.zarr/height').rglob('*')):
+                    digest.update(file.read_bytes() if file.is_file() else b'')
+            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+            pairs = figures.needles * len(sweep)
+            print(
+                f'{figures.needles:10d}  {workers:7d}  {cut:5.1f}  {after:14.1f}  '
+                f'{pairs / cut:19.2e}  {memory:4.0f} MB  {digest.hexdigest()[:8]}', flush=True,
+            )  # fmt: skip
+
+
+def devices() -> None:
+    """Print the speed of both kernels on one core."""
+    sweep = Sweep.of(MILL, *passes(POSES))
+    needles = Needles.on(Plane((SIDE, SIDE)), 0.1 * MM)
+    expected = cut_part(needles, sweep)
+    for device in ('cpu', 'warp-cpu'):
+        cut_part(needles, sweep, device)  # type: ignore[arg-type]
+        begin = time.process_time()
+        found = cut_part(needles, sweep, device)  # type: ignore[arg-type]
+        seconds = time.process_time() - begin
+        print(
+            f'{device:10}{seconds:6.2f} s, {found.size * len(sweep) / seconds:.2e} needles x '
+            f'poses / s, apart {np.abs(found - expected).max():.1e} m'
+        )
+
+
+def main() -> None:
+    """Print the table that was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--tiles', action='store_true', help='tiles over workers')
+    parser.add_argument('--devices', action='store_true', help='numba and Warp on one core')
+    parser.add_argument('--needles', type=float, nargs='+', default=[1e5, 1e6, 1e7])
+    options = parser.parse_args()
+    cut_needles(Needles.on(Plane((SIDE, SIDE)), 2 * MM), MILL, *passes(2 * MM))  # compiles
+    if options.tiles:
+        in_tiles([int(n) for n in options.needles])
+    elif options.devices:
+        devices()
+    else:
+        one_core()
 
 
 if __name__ == '__main__':

@@ -126,7 +126,21 @@ function drawNow() {
   // Coarser tiles stand in for those that are still loading.
   for (let l = facts.levels - 1; l >= level; l--) drawLevel(brush, l, l === level);
   if (marked) drawMark(brush);
+  drawLength(brush);
   forget();
+}
+
+function drawLength(brush) {
+  const ratio = devicePixelRatio, rough = 110 * ratio / view.scale;
+  const decade = 10 ** Math.floor(Math.log10(rough));
+  const length = decade * [5, 2, 1].find((n) => n * decade <= rough);
+  const long = length * view.scale, y = canvas.height - 14 * ratio, x = 14 * ratio;
+  brush.fillStyle = 'rgba(255, 255, 255, 0.85)';
+  brush.fillRect(x - 6 * ratio, y - 22 * ratio, Math.max(long, 150 * ratio) + 12 * ratio, 30 * ratio);
+  words(brush, 12);
+  brush.fillRect(x, y, long, 3 * ratio);
+  brush.textAlign = 'left';
+  brush.fillText(`${+length.toPrecision(1)} mm, u to the right, v up`, x, y - 6 * ratio);
 }
 
 function drawLevel(brush, level, wanted) {

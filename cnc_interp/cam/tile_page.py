@@ -95,11 +95,12 @@ class TilePage:
             'classes': [[n * CLASS / UM, figures.classes[n]] for n in numbers],
             'width': CLASS / UM,
         }  # fmt: skip
+        words = '\n'.join(line.strip() for line in heights_in_words(found).splitlines())
         here = Path(__file__).parent
         html = (here / 'tile_page.html').read_text(encoding='utf-8')
         for mark, text in (
             ('TITLE', escape(title)), ('MOTION', escape(motion)), ('STYLE', STYLE),
-            ('WORDS', escape(heights_in_words(found))),
+            ('WORDS', escape(words)),
             ('FACTS', json.dumps(facts).replace('</', '<\\/')),
             ('SCRIPT', (here / 'tile_page.js').read_text(encoding='utf-8')),
         ):  # fmt: skip

@@ -103,14 +103,17 @@ class SetupConsole:
     def tools_text(self) -> str:
         """Return the tool table in mm; a star marks the tool in the spindle."""
         setup = self._setup.setup
-        lines = [f'{"tool":<8}{"length":>12}{"radius":>12}  remark']
+        lines = [f'{"tool":<8}{"length":>12}{"radius":>12}{"corner":>12}  remark']
         for number in sorted({*setup.tools} | ({setup.tool} if setup.tool else set())):
             star = ' *' if number == setup.tool else ''
             tool = setup.tools.get(number)
             values = 'not in the table'
             if tool is not None:
-                length, radius = (f'{v / MM:12.3f}' for v in (tool.length, tool.radius))
-                values = f'{length}{radius}  {tool.remark}'
+                sizes = ''.join(
+                    f'{"" if v is None else f"{v / MM:.3f}":>12}'
+                    for v in (tool.length, tool.radius, tool.corner_radius)
+                )
+                values = f'{sizes}  {tool.remark}'
             lines.append(f'{number}{star:<{8 - len(str(number))}}{values}'.rstrip())
         return '\n'.join([*lines, self._file_text()])
 

@@ -33,6 +33,10 @@ def add_setup_commands(commands: Any) -> None:
     tools.add_argument('number', nargs='?', type=int, help='number of the tool')
     tools.add_argument('--length', type=float, metavar='MM', help='its length')
     tools.add_argument('--radius', type=float, metavar='MM', help='its radius')
+    tools.add_argument(
+        '--corner-radius', type=float, metavar='MM',
+        help='radius of its corner: 0 for a flat end, the radius for a ball',
+    )  # fmt: skip
     tools.add_argument('--remark', metavar='TEXT', help='what tells it from others')
     tools.add_argument('--remove', action='store_true', help='take it out of the table')
     tools.add_argument('--load', action='store_true', help='it is in the spindle; 0: none is')
@@ -60,7 +64,8 @@ def offsets_command(options: argparse.Namespace) -> int:
 
 def tools_command(options: argparse.Namespace) -> int:
     """Show or change tools."""
-    given = {name: getattr(options, name) for name in ('length', 'radius', 'remark')}
+    names = ('length', 'radius', 'corner_radius', 'remark')
+    given = {name: getattr(options, name) for name in names}
     given = {
         name: value if name == 'remark' else value * MM
         for name, value in given.items()

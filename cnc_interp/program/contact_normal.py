@@ -20,6 +20,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.program.words import BlockWords
 
 #: With a smaller sine of the angle to the tool axis a normal counts as parallel. Up to the second
 #: value the side on which the tool touches is not sure.
@@ -30,6 +31,8 @@ ROUNDED = 1e-4
 FLANK = 1e-3
 #: A shorter way between two contact points has no direction [m].
 SHORTEST = 1e-9
+#: Words of the normal, and a shorter one has no direction [-].
+NORMAL_WORDS, SMALLEST = ('A5', 'B5', 'C5'), 1e-6
 _NO_FIT = 'the cutter does not fit in here; take a smaller tool'
 Fault = Callable[[str], ProgramError]
 
@@ -90,11 +93,40 @@ class ContactPath:
 
     def __init__(self, cutter: Cutter):
         self._cutter = cutter
+        self._normal: FloatArray | None = None  # the last one
         self._before: tuple[FloatArray, FloatArray, float] | None = None
 
-    def tip(
-        self, point: FloatArray, normal: FloatArray, axis: FloatArray, cuts: bool, fault: Fault
-    ) -> FloatArray:
+    def take(self, words: BlockWords, turn: FloatArray, fault: Fault) -> None:
+        """
+        Take the normal out of a block: I J K, or A5 B5 C5. Without one, the last one counts.
+
+        Parameters
+        ----------
+        words : BlockWords
+            The block.
+        turn : ndarray, shape (3, 3)
+            Rotation from its coordinates to W.
+        fault : callable
+            Returns the error for the line.
+
+        Raises
+        ------
+        ProgramError
+            If it has no direction.
+
+        """
+        named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
+        given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
+        if not named:
+            if not {'I', 'J', 'K'} & set(words.values):
+                return
+            given = [words.values.pop(letter, 0.0) for letter in 'IJK']
+        length = float(np.linalg.norm(given))
+        if not length > SMALLEST:
+            raise fault('the contact normal is zero; correct I, J, K')
+        self._normal = np.asarray(turn @ (np.array(given) / length))
+
+    def tip(self, point: FloatArray, axis: FloatArray, cuts: bool, fault: Fault) -> FloatArray:
         """
         Return the tip of the tool at the end of a block.
 
@@ -102,8 +134,8 @@ class ContactPath:
         ----------
         point : ndarray, shape (3,)
             Programmed point [m].
-        normal, axis : ndarray, shape (3,)
-            Unit normal and unit tool axis at the point [-].
+        axis : ndarray, shape (3,)
+            Unit tool axis at the point [-].
         cuts : bool
             Whether the motion there is a feed.
         fault : callable
@@ -112,9 +144,13 @@ class ContactPath:
         Raises
         ------
         ProgramError
-            If the tool cannot touch the surface there, or would cut into it.
+            If there is no normal, or the tool cannot touch the surface or would cut into it.
 
         """
+        normal = self._normal
+        if normal is None:
+            raise fault('write the contact normal in the block: I J K, or A5= B5= C5=; without '
+                        'normals post the path of the tool centre')  # fmt: skip
         cosine = float(normal @ axis)
         if cosine < -ROUNDED:
             raise fault('the normal points down the tool, which cannot touch there; '

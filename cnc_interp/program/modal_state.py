@@ -136,11 +136,9 @@ class ModalState:
         self.tcp = ''
         #: G41 or G42, and the plane in which that counts; empty without.
         self.radius_code = self.radius_plane = ''
-        #: Whether G41 and G42 compensate along normals (CUT3DF), the path that does so, and the
-        #: last normal in W.
+        #: Whether G41 and G42 compensate along normals (CUT3DF), and the path that does so.
         self.along_normals = False
         self.contact: ContactPath | None = None
-        self.normal: FloatArray | None = None
         self.oriented = False  # whether the tool was turned to a tilted plane, until that ends
         self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG

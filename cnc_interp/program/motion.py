@@ -23,8 +23,6 @@ from cnc_interp.program.words import BlockWords
 
 #: Two directions agree if their cosine is 1 within this [-].
 SAME_AXIS = 1e-9
-#: Words of the contact normal at the end of a block.
-NORMAL_WORDS = ('A5', 'B5', 'C5')
 MOST_TURN = 1e3 * 360.0 * DEG
 
 
@@ -55,7 +53,9 @@ class Mover(ModalState):
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
         vector = self._vector_of(words, arc_words)
         if self.contact is not None:
-            self._take_normal(words)
+            if arc_words is not None:
+                raise self.fault('arcs have no contact normals; post lines', self.radius_code)
+            self.contact.take(words, self.frames.turn, self._contact_fault)
         if machine:
             self.refuse_machine_words()
             target, point = self.here(), self.machine_target(words)
@@ -128,7 +128,19 @@ class Mover(ModalState):
             raise self.fault('with G43.5 I J K are the tool direction; use G43.4, or A5= B5= C5=',
                              code)  # fmt: skip
         self.radius_code, self.radius_plane = code, self.plane
-        self.contact, self.normal = ContactPath(cutter), None
+        self.contact = ContactPath(cutter)
+
+    def _contact_fault(self, text: str) -> ProgramError:
+        return self.fault(text, self.radius_code)
+
+    def _touching(self, contact: ContactPath, point: FloatArray, rapid: bool) -> FloatArray:
+        """Return the tool tip where the cutter touches at a point, shape (3,) [m]."""
+        axis = np.array([0.0, 0.0, 1.0])
+        if self.vector is not None:
+            axis = self.vector
+        elif self.rotary_letters:
+            axis = self.geometry.tool_axis(self.rotary[None])[0]
+        return contact.tip(point, axis, not rapid, self._contact_fault)
 
     def end_radius(self) -> None:
         """
@@ -315,7 +327,7 @@ class Mover(ModalState):
             self.vector = vector
         elif self.named and self.vector is not None and not self.tcp:
             self.vector = None
-        place = point if self.contact is None else self._touching(point, rapid)
+        place = point if self.contact is None else self._touching(self.contact, point, rapid)
         self.check_point(place)
         axis = (nan, nan, nan) if self.rotary_letters else (0.0, 0.0, 1.0)
         named, circle = self.named, self.on_great_circle
@@ -329,39 +341,6 @@ class Mover(ModalState):
                 self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
             )
         )  # fmt: skip
-
-    # --- contact normals ---------------------------------------------------------------------
-
-    def _take_normal(self, words: BlockWords) -> None:
-        """Take the normal of a block: I J K, or A5 B5 C5. Without one, the last one counts."""
-        if self.motion is not None and self.motion >= 2:
-            raise self.fault('arcs have no contact normals; post lines', self.radius_code)
-        named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
-        given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
-        if not named:
-            if not {'I', 'J', 'K'} & set(words.values):
-                return
-            given = [words.values.pop(letter, 0.0) for letter in 'IJK']
-        length = float(np.linalg.norm(given))
-        if not length > 1e-6:
-            raise self.fault('the contact normal is zero; correct I, J, K', self.radius_code)
-        self.normal = np.asarray(self.frames.turn @ (np.array(given) / length))
-
-    def _touching(self, point: FloatArray, rapid: bool) -> FloatArray:
-        """Return the tool tip where the cutter touches at a point, shape (3,) [m]."""
-        if self.normal is None:
-            raise self.fault('write the contact normal in the block: I J K, or A5= B5= C5=; '
-                             'without normals post the path of the tool centre',
-                             self.radius_code)  # fmt: skip
-        axis = np.array([0.0, 0.0, 1.0])
-        if self.vector is not None:
-            axis = self.vector
-        elif self.rotary_letters:
-            axis = self.geometry.tool_axis(self.rotary[None])[0]
-        assert self.contact is not None
-        return self.contact.tip(
-            point, self.normal, axis, not rapid, lambda text: self.fault(text, self.radius_code)
-        )
 
     # --- arcs and tool vectors -----------------------------------------------------------------
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
+from cnc_interp.program.contact_normal import NORMAL_WORDS
 from cnc_interp.program.expressions import ExpressionError
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
-from cnc_interp.program.motion import NORMAL_WORDS, Mover
+from cnc_interp.program.motion import Mover
 from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.variables import ProgramVariables

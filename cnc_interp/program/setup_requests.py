@@ -22,6 +22,8 @@ from cnc_interp.program.job import (
 
 #: Larger values are taken for a wrong unit [m, rad].
 LARGEST = 1e5 * MM
+#: What can be changed of a tool.
+TOOL_FIELDS = ('length', 'radius', 'corner_radius', 'remark')
 _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
@@ -136,18 +138,18 @@ def tool_changes(
 
 def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Tool:
     """Return a tool with the fields that were given."""
-    unknown = set(given) - {'length', 'radius', 'remark'}
+    unknown = set(given) - set(TOOL_FIELDS)
     if unknown:
-        raise InterpError(f'tool {number}: no {unknown.pop()}; there are length, radius, remark')
+        raise InterpError(f'tool {number}: no {unknown.pop()}; there are {", ".join(TOOL_FIELDS)}')
     tool = replace(setup.tools.get(number, Tool()), **given)  # type: ignore[arg-type]
-    for name in ('length', 'radius'):
-        value = getattr(tool, name)
+    for name in ('length', 'radius', 'corner_radius'):
+        value = getattr(tool, name) or 0.0
         if not isfinite(value) or abs(value) > LARGEST:
             raise InterpError(f'tool {number}: a {name} beyond 100,000 mm; correct it or its unit')
     if tool.radius < 0.0:
         raise InterpError(f'tool {number}: the radius must not be below 0')
-    if (tool.corner_radius or 0.0) > tool.radius:
-        raise InterpError(f'tool {number}: the corner radius is larger than the radius')
+    if not 0.0 <= (tool.corner_radius or 0.0) <= tool.radius:
+        raise InterpError(f'tool {number}: the corner radius must be from 0 to the radius')
     if not fits_as_remark(tool.remark):
         raise InterpError(f'tool {number}: a remark is one line of {LONGEST_REMARK} characters')
     return tool

@@ -50,6 +50,7 @@ _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
 
 #: A program with cutter radius compensation, anywhere outside of a comment.
 _COMPENSATED = re.compile(r'(?mi)^[^;(]*G0*4[12]\b')
+_BY_NORMALS = re.compile(r'(?mi)^[^;(]*(?:G0*4[12]\.2\b|CUT3DF)')
 
 
 class LinuxCNCError(InterpError):
@@ -102,6 +103,8 @@ def read_by_linuxcnc(
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
     if len(axis_names) > 5:
         raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
+    if _BY_NORMALS.search(text):
+        raise LinuxCNCError('LinuxCNC has no compensation along normals')
     if _COMPENSATED.search(text):
         raise LinuxCNCError('LinuxCNC begins a compensated contour at another place')
     setup = setup or Setup()

@@ -1,14 +1,16 @@
 """
 A second reader of part programs, for plain words only; it shares no code with the first one.
 
-G-code: G0 to G3 (I J K or R), G17 to G19, G20, G21, G90, G91, G93, G94, F, axis words, and words
-that move nothing. CL data: GOTO, FEDRAT, RAPID, UNITS, TLAXIS, and words that move nothing. All
-else is refused, because a word that is not understood cannot be compared.
+G-code: G0 to G3 (I J K or R), G17 to G19, G20, G21, G90, G91, G93, G94, F, axis words, contact
+normals (G41.2 D R Q P, I J K), and words that move nothing. CL data: GOTO, FEDRAT, RAPID, UNITS,
+TLAXIS, and words that move nothing. All else is refused, because a word that is not understood
+cannot be compared.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +21,9 @@ from cnc_interp.core.units import DEG, MM
 
 # G codes that move nothing: plane and units are handled apart.
 IDLE_G = frozenset((
-    '4', '5', '5.1', '8', '9', '40', '43', '43.4', '49', '54', '60', '61', '61.1', '64', '80',
-    '90', '91', '91.1', '93', '94', '97', '98', '99', '500', '641', '642', '643', '644',
+    '4', '5', '5.1', '8', '9', '40', '41.2', '42.2', '43', '43.4', '49', '54', '60', '61', '61.1',
+    '64', '80', '90', '91', '91.1', '93', '94', '97', '98', '99', '500', '641', '642', '643',
+    '644',
 ))  # fmt: skip
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
 # Words of G-code after which a number follows and that move nothing.
@@ -73,6 +76,10 @@ class Move:
         Share of feed or duration up to which the reader knows it [-].
     tolerance : float
         Programmed contour tolerance [m]; NaN for that of the settings.
+    normal : ndarray, shape (3,), or None
+        Normal of the part, where ``end`` is the point at which the cutter touches it.
+    cutter : tuple of float
+        Radius of the cutter beyond its corner, and radius of the corner [m].
 
     """
 
@@ -92,10 +99,17 @@ class Move:
     digit: float = 0.0
     unsure: float = 0.0
     tolerance: float = float('nan')
+    normal: FloatArray | None = None
+    cutter: tuple[float, float] = (0.0, 0.0)
 
 
 def read_plainly(
-    text: str, name: str, axis_names: tuple[str, ...], feed: float | None, skip: bool
+    text: str,
+    name: str,
+    axis_names: tuple[str, ...],
+    feed: float | None,
+    skip: bool,
+    tools: Mapping[int, tuple[float, float]] | None = None,
 ) -> list[Move]:
     """
     Read a program.
@@ -110,6 +124,8 @@ def read_plainly(
         Feed where the program has no F [m/s].
     skip : bool
         Leave out lines that begin with a slash.
+    tools : mapping of int to tuple of float, optional
+        Radius and corner radius of each tool [m]; a corner radius that is not known is NaN.
 
     Returns
     -------
@@ -122,7 +138,7 @@ def read_plainly(
         If a word is not plain; names the line.
 
     """
-    state = _State(name, axis_names, feed)
+    state = _State(name, axis_names, feed, tools or {})
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
     for number, line in enumerate(text.splitlines(), start=1):
         state.line = number
@@ -138,7 +154,15 @@ def read_plainly(
 class _State:
     """What holds while a program is read, and its motions."""
 
-    def __init__(self, name: str, axis_names: tuple[str, ...], feed: float | None):
+    def __init__(
+        self,
+        name: str,
+        axis_names: tuple[str, ...],
+        feed: float | None,
+        tools: Mapping[int, tuple[float, float]],
+    ):
+        self.tools, self.cutter = tools, (0.0, 0.0)
+        self.by_normals, self.normal = False, np.zeros(3)
         self.name, self.names, self.line = name, axis_names, 0
         self.moves: list[Move] = []
         self.here = np.zeros(len(axis_names))  # in m and rad
@@ -192,10 +216,30 @@ class _State:
         if 'G64' in codes:
             found = re.search(r'P\s*(\d*\.?\d*)', line)
             self.tolerance = float(found[1]) * self.unit if found else float('nan')
+        if 'G40' in codes:
+            self.by_normals = False
+        if {'G41.2', 'G42.2'} & set(codes):
+            self.take_cutter(line, words)
+        if self.by_normals and {'I', 'J', 'K'} & set(words):
+            given = np.array([words.pop(letter, 0.0) for letter in 'IJK'])
+            self.normal = given / np.linalg.norm(given)
         if 'F' in words:
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
         if words:
             self.move(words)
+
+    def take_cutter(self, line: str, words: dict[str, float]) -> None:
+        """Take the cutter of a block with G41.2: D R, less that of the program: Q P."""
+        found = {letter: re.search(rf'{letter}\s*(\d+\.?\d*)', line) for letter in 'DQP'}
+        number = int(float(found['D'][1])) if found['D'] else -1
+        if number not in self.tools:
+            raise self.refuse('G41.2 without D of a tool')
+        radius, corner = self.tools[number]
+        corner = words.pop('R') * self.unit if 'R' in words else corner
+        if found['Q'] and found['P']:
+            radius -= float(found['Q'][1]) * self.unit
+            corner -= float(found['P'][1]) * self.unit
+        self.by_normals, self.cutter = True, (radius - corner, corner)
 
     def codes(self, codes: list[str]) -> None:
         """Take the G and M codes of a block."""
@@ -293,4 +337,5 @@ class _State:
             self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
             60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,
             self.plane, centre, sweep, tolerance=self.tolerance,
+            normal=self.normal if self.by_normals else None, cutter=self.cutter,
         ))  # fmt: skip

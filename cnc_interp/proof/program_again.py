@@ -21,7 +21,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.linuxcnc_reader import LAST_DIGIT, LinuxCNCError, read_by_linuxcnc
 from cnc_interp.proof.plain_reader import Move, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
-from cnc_interp.proof.setup_again import setup_of
+from cnc_interp.proof.setup_again import cutters_of, setup_of
 
 # Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
 # share [-].
@@ -29,6 +29,8 @@ SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
 # A row inside a motion may lie beside it by this share of the tolerances: some curves of the
 # machine become lines of poses.
 CHORD = 0.11
+# Sine of the angle up to which a normal is parallel to the tool.
+PARALLEL = 1e-6
 # Longest program that is read [bytes].
 LONGEST = 64 << 20
 
@@ -115,10 +117,11 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     except LinuxCNCError as reason:
         readers.append(str(reason))
     try:
-        if plan.summary.get('setup'):
-            raise ProgramError('the reader of plain words knows no offsets')
+        tools = cutters_of(plan.summary.get('setup'))
+        if tools is None:
+            raise ProgramError('the reader of plain words knows no offsets and tool lengths')
         default = float(feed) if isinstance(feed, int | float) else None
-        moves = read_plainly(text, str(program), names, default, skip)
+        moves = read_plainly(text, str(program), names, default, skip, tools)
         found.append(
             _Comparison(plan.blocks, machine, tolerance).follow(_tolerated(moves, forced))
         )
@@ -207,6 +210,8 @@ class _Comparison:
                 axis = np.array([0.0, 0.0, 1.0])
                 if self.machine.has_rotary:
                     axis = self.transform.tool_axis(move.rotary[None])[0]
+            if move.normal is not None:
+                return _tip_of(move, axis), axis
             return move.end, axis
         q = self.zero.copy()
         q[0, :3] += move.end
@@ -427,6 +432,18 @@ class _FollowPlaces(_Comparison):
         turned = move.sweep * (turned[1:] - turned[0])
         wanted = self.turn_of(move, points[0])
         return np.asarray(turned >= wanted - 1e-6 - _blur(move, points[0]))
+
+
+def _tip_of(move: Move, axis: FloatArray) -> FloatArray:
+    """Return the tip of the cutter that touches the part at the end of a motion [m]."""
+    assert move.normal is not None
+    ring, corner = move.cutter
+    # The corner touches where its centre lies along the normal; from there to the axis, and down.
+    beside = np.cross(axis, np.cross(move.normal, axis))
+    length = float(np.linalg.norm(beside))
+    centre = move.end + corner * move.normal
+    inward = beside / length if length > PARALLEL else np.zeros(3)
+    return np.asarray(centre + ring * inward - corner * axis)
 
 
 def _place(move: Move) -> float:

@@ -42,6 +42,31 @@ class Setup:
     tool: int = 0
 
 
+def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
+    """
+    Return radius and corner radius of the tools of a setup that has nothing else [m].
+
+    A corner radius that is not known is NaN. With offsets, reference points or tool lengths, the
+    result is None.
+    """
+    if not text:
+        return {}
+    try:
+        content = parse_yaml(str(text)) or {}
+        tools = content.get('tools', {})
+        if set(content) - {'tools', 'tool'} or any(tool['length'] for tool in tools.values()):
+            return None
+        return {
+            int(number): (
+                float(tool.get('radius', 0.0)) * MM,
+                float(tool.get('corner_radius', 'nan')) * MM,
+            )
+            for number, tool in tools.items()
+        }
+    except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
+        raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None
+
+
 def setup_of(text: Any, machine: Machine) -> Setup:
     """
     Read the setup that stands in the summary of a plan.

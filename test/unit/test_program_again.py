@@ -116,6 +116,37 @@ def test_what_is_not_plain_is_refused(text, tmp_path, capsys, monkeypatch):
     assert 'lines.ngc:2: ' in error and error.count('\n') == 1
 
 
+NORMALS = (
+    'G21 G90\nG0 X0 Y0 Z9 A0 C0\nG43.4\nG41.2 D1 R1\nG1 X1 Y2 Z-1 A5 C10 I3 K4 F900\n'
+    'X4 C20 I1 J1 K3\nG40\nX9 Z3\n'
+)
+
+
+@pytest.mark.parametrize(
+    ('word', 'other', 'wanted'),
+    [
+        ('', '', ''),
+        ('J1 K3', 'J1.001 K3', 'line 6 of the program: ends '),
+        ('R1', 'R1.001', 'line 5 of the program: ends '),
+        ('G40', '', 'line 8 of the program: ends '),
+        ('D1 R1', 'D1 R1 Q5 P1', 'line 5 of the program: ends '),
+    ],
+)
+def test_contact_normals_are_read_again(word, other, wanted, tmp_path, capsys):
+    setup = tmp_path / 'setup.yaml'
+    setup.write_text('tools:\n  1: {length: 0, radius: 5}\n')
+    program = tmp_path / 'normals.ngc'
+    program.write_text(NORMALS)
+    plan = ['plan', str(program), '--setup', str(setup), '--out', str(tmp_path / 'plan')]
+    assert main([*plan, '--machine', 'xyzac']) == 0
+    program.write_text(NORMALS.replace(word, other, 1))
+    capsys.readouterr()
+    failed = main(['check', str(tmp_path / 'plan'), '--program', str(program)])
+    said = capsys.readouterr().out
+    assert failed == bool(word) and wanted in said
+    assert 'read by the second reader of plain words' in said or word
+
+
 needs_linuxcnc = pytest.mark.skipif(not interpreter(), reason='no rs274: run tools/get_rs274')
 LOOP = 'G21 G0 X0 Y0 Z0\n#1=0\nO1 while [#1 LT 5]\nG1 X[#1*2+1] Y[SIN[#1*30]] F900\n#1=[#1+1]\n'
 LOOP += 'O1 endwhile\nG2 X20 Y0 I2 J-3 Z1 P2\nG81 X25 Z-2 R2\nX30\nG80\nM428\nG93 G1 X0 F9\nM2\n'

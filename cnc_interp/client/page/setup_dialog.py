@@ -16,7 +16,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
 
 Command = Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]]
-LENGTHS = ('length', 'radius')
+LENGTHS = ('length', 'radius', 'corner_radius')
 
 
 class SetupDialog:
@@ -63,7 +63,7 @@ class SetupDialog:
                 self._key('touch off', partial(self._touch_off, axes), 'touch off')
             ui.label('tools [mm]').classes('title')
             with ui.element('div').classes('rows tools'):
-                for text in ('number', *LENGTHS, 'remark', '', '', ''):
+                for text in ('number', 'length', 'radius', 'corner', 'remark', '', '', ''):
                     ui.label(text).classes('name')
                 for number in sorted(self._setup.setup.tools):
                     self._tool_row(number)

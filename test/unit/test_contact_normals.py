@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.program.setup_requests import tool_changes
 from cnc_interp.settings.choices import Settings
 
 FIVE_AXES = ['xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzacw']
@@ -143,6 +144,16 @@ def test_a_hollow_surface_that_the_tool_does_not_fit_is_refused_with_its_line():
 def test_what_cannot_be_compensated_is_refused_in_one_line(text, part):
     with pytest.raises(ProgramError, match=part):
         read(text)
+
+
+def test_the_corner_radius_can_be_set_while_the_machine_is_on():
+    (change,) = tool_changes(SETUP, 4, {'corner_radius': 2 * MM}, remove=False, load=False)
+    after = SETUP.changed(change)
+    assert after.tools[4] == Tool(0.0, 5 * MM, '', 2 * MM)
+    assert after.told(change) == 'length 0 radius 5 corner radius 2'
+    for wrong in ({'corner_radius': 6 * MM}, {'corner_radius': -1 * MM}, {'radius': 0.5 * MM}):
+        with pytest.raises(InterpError, match='corner radius must be from 0 to the radius'):
+            tool_changes(after, 4, wrong, remove=False, load=False)
 
 
 def test_the_corner_radius_is_kept_in_the_setup_file():

@@ -65,13 +65,13 @@ def one_core() -> None:
         )
 
 
-def in_tiles(sizes: list[int]) -> None:
+def in_tiles(sizes: list[int], counts: list[int]) -> None:
     """Print one line for each number of needles and workers."""
     sweep = Sweep.of(MILL, *passes(POSES))
     print('   needles  workers  cut s  levels, page s  needles x poses / s   memory  heights')
     for size in sizes:
         grid = NeedleGrid.on(Plane((SIDE, SIDE)), SIDE / (np.sqrt(size) - 1.0))
-        for workers in (1, 2):
+        for workers in counts:
             with tempfile.TemporaryDirectory() as folder:
                 out = Path(folder)
                 store = HeightStore(out, grid, {})
@@ -116,10 +116,11 @@ def main() -> None:
     parser.add_argument('--tiles', action='store_true', help='tiles over workers')
     parser.add_argument('--devices', action='store_true', help='numba and Warp on one core')
     parser.add_argument('--needles', type=float, nargs='+', default=[1e5, 1e6, 1e7])
+    parser.add_argument('--workers', type=int, nargs='+', default=[1, 2])
     options = parser.parse_args()
     cut_needles(Needles.on(Plane((SIDE, SIDE)), 2 * MM), MILL, *passes(2 * MM))  # compiles
     if options.tiles:
-        in_tiles([int(n) for n in options.needles])
+        in_tiles([int(n) for n in options.needles], options.workers)
     elif options.devices:
         devices()
     else:

@@ -69,6 +69,23 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_lost(scheduler, tmp_p
     assert part.end(signal.SIGINT) == FINE
 
 
+def test_a_cluster_cuts_needles_with_the_same_bits(scheduler, tmp_path, capsys):
+    pytest.importorskip('zarr', reason='needs the optional part tiles')
+    _, address = scheduler
+    (tmp_path / 'plane.json').write_text('{"kind": "plane", "size_mm": [12, 9]}')
+    (tmp_path / 'line.ngc').write_text('G21 G90 G94\nG0 X-7 Y0 Z0.01\nG1 X7 F1000\nM30\n')
+    words = ['cam', 'simulate', str(tmp_path / 'line.ngc'), '--surface']
+    words += [str(tmp_path / 'plane.json'), '--spacing', '0.03']
+    chunks = []
+    for where in (['--workers', '1'], ['--scheduler', address]):
+        out = tmp_path / where[0]
+        assert main([*words, '--tiles', str(out), *where]) == FINE
+        files = sorted((out / 'heights.zarr' / 'height').rglob('*'))
+        chunks.append([file.read_bytes() for file in files if file.is_file()])
+    assert len(chunks[0]) == 3 and chunks[0] == chunks[1]  # 267 x 167 needles, and their shape
+    assert '2 tiles' in capsys.readouterr().out
+
+
 def test_what_cannot_be_is_said(scheduler, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('cnc_interp.batch.dask_workers.PATIENCE', 2)
     part, address = scheduler

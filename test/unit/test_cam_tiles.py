@@ -53,10 +53,10 @@ def gouging():
     tip = np.vstack(
         [
             np.column_stack([x[:: 1 - 2 * (k % 2)], np.full_like(x, y), 0.5 * MM + 0 * x])
-            for k, y in enumerate(np.arange(-4.5, 4.6, 0.3) * MM)
+            for k, y in enumerate(np.arange(-4.5, 4.6, 0.9) * MM)
         ]
     )
-    tip[14 * 41 + 20, 2] -= 0.16 * MM
+    tip[5 * 41 + 20, 2] -= 0.16 * MM
     return tip @ TILTED.T, np.tile([0, 0, 1.0], (len(tip), 1)) @ TILTED.T
 
 
@@ -131,7 +131,7 @@ def test_figures_of_parts_are_those_of_the_whole():
 
 @pytest.fixture
 def grid():
-    return NeedleGrid.on(SURFACE, 0.025 * MM)  # 361 x 321: 2 x 2 tiles
+    return NeedleGrid.on(SURFACE, 0.03 * MM)  # 301 x 268: 2 x 2 tiles
 
 
 def cut(folder, grid, pool, motion=None, mill=MILL):
@@ -148,7 +148,7 @@ def heights(folder):
 
 
 def test_tiles_that_are_known_are_not_cut_again(grid, tmp_path):
-    whole = cut_needles(Needles.on(SURFACE, 0.025 * MM), MILL, *gouging()).height
+    whole = cut_needles(Needles.on(SURFACE, 0.03 * MM), MILL, *gouging()).height
     with pytest.raises(KeyboardInterrupt):
         cut(tmp_path, grid, Here(stop=1))
     with pytest.raises(InterpError, match='missing'):
@@ -169,7 +169,7 @@ def test_tiles_that_are_known_are_not_cut_again(grid, tmp_path):
     other = Here()
     cut(tmp_path, grid, other, mill=Cutter(2 * MM, 1.001 * MM))
     assert other.calls == 4
-    HeightStore(tmp_path, NeedleGrid.on(SURFACE, 0.03 * MM), {})
+    HeightStore(tmp_path, NeedleGrid.on(SURFACE, 0.04 * MM), {})
     assert not list((tmp_path / 'tiles').iterdir()) and np.isnan(heights(tmp_path)).all()
 
 
@@ -184,9 +184,9 @@ def test_no_level_loses_a_gouge(grid, tmp_path):
     total = store.figures()
     assert total.lowest.height == pytest.approx(-60 * UM, abs=40 * UM)
     page = TilePage(store, grid, 10 * UM)
-    whole = cut_needles(Needles.on(SURFACE, 0.025 * MM), MILL, *gouging()).height
+    whole = cut_needles(Needles.on(SURFACE, 0.03 * MM), MILL, *gouging()).height
     assert store.make_levels(total.mean, page.add_tile) == deviations(whole, total.mean)
-    assert store.levels == 2 and store.level_shape(1) == (181, 161)
+    assert store.levels == 2 and store.level_shape(1) == (151, 134)
     found = {kind: store.tile(0, 0, 1, kind) for kind in KINDS}
     row, column = total.lowest.row // 2, total.lowest.column // 2
     assert found['lowest'][row, column] == total.lowest.height == np.nanmin(found['lowest'])

@@ -17,7 +17,7 @@ class AxisDrive:
     The drive of one axis; the values are those of ideal drives.
 
     Inertia, largest torque, Coulomb and viscous friction are those of ``DriveLoad``.
-    ``machine/drive_model.py`` has the equations.
+    ``drives/drive_model.py`` has the equations.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ from numba import njit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
+from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.kinematics.transform import Transform
@@ -21,9 +22,6 @@ from cnc_interp.machine.setpoint_checks import beyond_travel
 
 #: A setpoint that asks an axis for this many times its largest velocity is an error of the sender.
 GROSS = 1.5
-#: The path on which the contour error is measured reaches back by this many lags of the drives.
-LAGS_REMEMBERED = 5.0
-SHORTEST_MEMORY, LONGEST_MEMORY = 2, 1000
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,6 @@ class Recording:
     contour_error: FloatArray
     feedrate: FloatArray
     largest_use: FloatArray
-
-
-def memory_of(period: float, lag: float) -> int:
-    """Return how many commanded tips the contour error is measured against."""
-    wanted = int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1
-    return min(LONGEST_MEMORY, max(SHORTEST_MEMORY, wanted))
 
 
 class AxisMotion:

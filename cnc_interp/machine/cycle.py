@@ -21,6 +21,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import StreamError
+from cnc_interp.core.native import (
+    publish,
+)
 from cnc_interp.machine.cycle_kernels import (
     CHUNK,
     COLUMNS,
@@ -44,9 +47,6 @@ from cnc_interp.machine.cycle_kernels import (
     Memory,
     advance,
     run_periods,
-)
-from cnc_interp.machine.native import (
-    publish,
 )
 from cnc_interp.machine.realtime import RECORD, Lateness
 from cnc_interp.run.chunk import Chunk

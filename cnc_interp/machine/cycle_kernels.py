@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.machine.native import (
+from cnc_interp.core.native import (
     NANOSECONDS,
     call_drives,
     fence,

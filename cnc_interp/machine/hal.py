@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.native import publish
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine import hal_step
@@ -29,7 +30,6 @@ from cnc_interp.machine.hal_library import (
     HalStream,
     thread_period,
 )
-from cnc_interp.machine.native import publish
 
 STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
 #: HAL's period may differ by so much from the interpolation period [-].

@@ -18,7 +18,7 @@ import numpy as np
 from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.machine.native import NANOSECONDS, call_c, pointer, publish, time_now
+from cnc_interp.core.native import NANOSECONDS, call_c, pointer, publish, time_now
 
 #: Words of the memory: addresses of HAL's functions and streams, ...
 WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.drives.drive_kernels import follow_all
+from cnc_interp.drives.drive_model import lag_of, memory_of, words_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.axis_motion import memory_of, path_errors
-from cnc_interp.machine.drive_kernels import follow_all
-from cnc_interp.machine.drive_model import lag_of, words_of
+from cnc_interp.machine.axis_motion import path_errors
 
 
 class Uncompensated:

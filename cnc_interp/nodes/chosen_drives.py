@@ -8,7 +8,7 @@ import numpy as np
 
 from cnc_interp.core.errors import InterpError, MachineError
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.compensation import CompensatedDrives
+from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.drives import CycleDrives, Drives
 from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOptions

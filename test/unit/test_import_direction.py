@@ -14,6 +14,7 @@ FLOW = (
     'program',
     'smoothing',
     'kinematics',
+    'drives',
     'feedrate',
     'run',
     'machine',

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numba import carray, cfunc, types
 
+from cnc_interp.core.native import pointer, time_now
 from cnc_interp.machine.cycle import Cycle
-from cnc_interp.machine.native import pointer, time_now
 from cnc_interp.machine.realtime import CLASS, CLASSES, RECORD, Lateness, note_lateness
 
 NANO = 1e-9

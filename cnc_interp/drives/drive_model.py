@@ -29,13 +29,16 @@ import math
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.drives import drive_kernels as kernels
 from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
 from cnc_interp.kinematics.drive_loads import DriveLoad
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine import drive_kernels as kernels
 
 #: Longest step where one exact step does not do [s].
 STEP = 1e-4
+#: The path on which the contour error is measured reaches back by this many lags of the drives.
+LAGS_REMEMBERED = 5.0
+SHORTEST_MEMORY, LONGEST_MEMORY = 2, 1000
 
 
 def words_of(machine: Machine, period: float, position: FloatArray) -> FloatArray:
@@ -75,6 +78,12 @@ def room_of_delay(delay: float, period: float) -> int:
 def lag_of(machine: Machine) -> float:
     """Return how much later than their setpoints the axes are there, about [s]."""
     return max(machine.drives.get(j, IDEAL).lag for j in range(len(machine.axis_names)))
+
+
+def memory_of(period: float, lag: float) -> int:
+    """Return how many commanded tips the contour error is measured against."""
+    wanted = int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1
+    return min(LONGEST_MEMORY, max(SHORTEST_MEMORY, wanted))
 
 
 def place(words: FloatArray, position: float) -> None:

@@ -27,11 +27,10 @@ from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
+from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
 from cnc_interp.kinematics.drive_loads import DriveLoad
 from cnc_interp.kinematics.machine import Machine
-from cnc_interp.machine.drives import CycleDrives
-from cnc_interp.machine.native import call_drives, pointer
 
 #: Setpoints to each side of the one that is sent: time [s], and their least number.
 BESIDE, FEWEST = 8e-3, 5
@@ -273,50 +272,3 @@ def _bump(edges: FloatArray, width: float, period: float) -> FloatArray:
     curves: FloatArray = np.stack([whole, inside**3, -6.0 * u * inside**2]) * 35.0 / 32.0
     steps: FloatArray = np.diff(curves, axis=1)
     return np.asarray(steps / (width * period) ** np.arange(3)[:, None])
-
-
-class CompensatedDrives:
-    """
-    Drives of the cycle that are sent the inverse of their model.
-
-    Parameters
-    ----------
-    inner : CycleDrives
-        The drives.
-    model : Machine
-        Its drives and loads are the model.
-    period : float
-        Interpolation period [s].
-
-    """
-
-    def __init__(self, inner: CycleDrives, model: Machine, period: float):
-        compensation = Compensation(model, period, inner.position)
-        self._inner, self._shape = inner, compensation.words.shape
-        self.lag, self.step = compensation.lead, int(compensate_once.address)
-        head = [inner.step, inner.memory.ctypes.data, self._shape[1], compensation.known]
-        told = np.zeros(2 * self._shape[0])
-        self.memory = np.concatenate([np.array(head, float), compensation.words.ravel(), told])
-        self._newest = HEAD + FIRST + STATE * compensation.known
-
-    @property
-    def position(self) -> FloatArray:
-        """The last setpoint, where the axes stand or settle [m, rad]."""
-        held: FloatArray = self.memory[self._newest :: self._shape[1]][: self._shape[0]].copy()
-        return held
-
-    def switch_on(self) -> None:
-        """Switch the drives on."""
-        self._inner.switch_on()
-
-    def switch_off(self) -> None:
-        """Switch the drives off."""
-        self._inner.switch_off()
-
-    def close(self) -> None:
-        """Let the drives go."""
-        self._inner.close()
-
-    def fault(self, number: int) -> str:
-        """Say what a fault number of the drives means."""
-        return self._inner.fault(number)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.machine.native import pointer
+from cnc_interp.core.native import pointer
 
 #: Words of an axis. Substeps of a period; 0 where one exact step does for all of it.
 SUBSTEPS = 0

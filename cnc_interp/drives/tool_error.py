@@ -1,0 +1,180 @@
+"""What the drives leave of a motion at the tool: how far tip and axis are off their path."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.drives.compensation import Compensation, compensate_all
+from cnc_interp.drives.drive_kernels import follow_all
+from cnc_interp.drives.drive_model import lag_of, memory_of, words_of
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+
+#: Distances that differ by less are equal [m].
+SAME = 1e-6
+#: Time after the last setpoint in which the axes settle [s].
+SETTLING = 0.1
+
+
+@dataclass(frozen=True)
+class ToolError:
+    """
+    Errors of the executed motion, one row per period; they do not count lags along the path.
+
+    Parameters
+    ----------
+    tip : ndarray, shape (K,)
+        Distance of the tip from the path of the commanded tips [m].
+    axis : ndarray, shape (K,)
+        Angle between tool axis and the commanded one at that place [rad].
+
+    """
+
+    tip: FloatArray
+    axis: FloatArray
+
+
+class ToolMotion:
+    """
+    Simulated drives and the error that they leave at the tool, some setpoints at a time.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine with its true drives.
+    period : float
+        Interpolation period [s].
+    position : ndarray, shape (n_axes,)
+        Where the axes stand at rest [m, rad].
+    model : Machine, optional
+        Compensate its drives.
+
+    """
+
+    def __init__(
+        self, machine: Machine, period: float, position: FloatArray, model: Machine | None = None
+    ):
+        self._words, self.lag = words_of(machine, period, position), lag_of(machine)
+        self._transform = Transform.of(machine)
+        self._compensation, self._known = np.empty((0, 0)), 0
+        if model is not None:
+            compensation = Compensation(model, period, position)
+            self._compensation, self._known = compensation.words, compensation.known
+            self.lag = compensation.lead
+        self._memory = memory_of(period, self.lag)
+        self.last = position
+        tip, axis = self._transform.forward(position[None, :])
+        self._tips, self._axes = (np.repeat(x, self._memory, axis=0) for x in (tip, axis))
+
+    def copy(self) -> ToolMotion:
+        """Return the same state, which moves on by itself."""
+        found = copy(self)
+        found._words, found._compensation = self._words.copy(), self._compensation.copy()
+        return found
+
+    def push(self, positions: FloatArray, velocities: FloatArray) -> ToolError:
+        """
+        Take the next setpoints, and measure the error at the tool in their periods.
+
+        Parameters
+        ----------
+        positions, velocities : ndarray, shape (K, n_axes)
+            Setpoints [m, rad, per s].
+
+        """
+        if not len(positions):
+            return ToolError(np.empty(0), np.empty(0))
+        sent = np.ascontiguousarray(positions, dtype=float)
+        rates = np.ascontiguousarray(velocities, dtype=float)
+        self.last = sent[-1]
+        tips, axes = self._transform.forward(sent)
+        if self._known:
+            sent, rates = compensate_all(self._compensation, self._known, sent)
+        x, _ = follow_all(self._words, sent, rates)
+        tip, axis = self._transform.forward(x)
+        tips, axes = np.concatenate([self._tips, tips]), np.concatenate([self._axes, axes])
+        self._tips, self._axes = tips[-self._memory :], axes[-self._memory :]
+        found = _errors(tips, axes, tip, axis, self._memory)
+        return ToolError(found[:, 0], found[:, 1])
+
+    def settle(self, period: float) -> ToolError:
+        """Measure the error while the axes settle after the last setpoint."""
+        rest = np.tile(self.last, (round((SETTLING + self.lag) / period), 1))
+        return self.push(rest, np.zeros_like(rest))
+
+
+def tool_error(
+    machine: Machine,
+    period: float,
+    positions: FloatArray,
+    velocities: FloatArray,
+    model: Machine | None = None,
+) -> ToolError:
+    """
+    Simulate the drives of a machine, and measure the error at the tool.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine with its true drives.
+    period : float
+        Interpolation period [s].
+    positions, velocities : ndarray, shape (K, n_axes)
+        Setpoints [m, rad, per s].
+    model : Machine, optional
+        Compensate its drives.
+
+    Returns
+    -------
+    ToolError
+        One row for each setpoint, and for the time in which the axes settle.
+
+    """
+    motion = ToolMotion(machine, period, np.asarray(positions[0], dtype=float), model)
+    moving, resting = motion.push(positions, velocities), motion.settle(period)
+    return ToolError(
+        np.concatenate([moving.tip, resting.tip]), np.concatenate([moving.axis, resting.axis])
+    )
+
+
+@njit(cache=True, nogil=True)
+def _errors(
+    tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
+) -> FloatArray:
+    """
+    Compare each pose with the last ``memory`` commanded chords; return errors of tip and axis.
+
+    There are ``memory`` commanded poses before the first one. Where the tip stands or goes back on
+    its way, many chords are as near as the nearest one. The axis is compared with the one on them
+    that is most like it.
+    """
+    found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory), np.zeros(memory)
+    for i in range(len(tip)):
+        for k in range(i, i + memory):
+            along, length_sq = 0.0, 0.0
+            for c in range(3):
+                chord = tips[k + 1, c] - tips[k, c]
+                along += (tip[i, c] - tips[k, c]) * chord
+                length_sq += chord * chord
+            part = 0.0
+            if length_sq > 0.0:
+                part = min(1.0, max(0.0, along / length_sq))
+            distance_sq = turn_sq = 0.0
+            for c in range(3):
+                gap = tip[i, c] - tips[k, c] - part * (tips[k + 1, c] - tips[k, c])
+                lean = axis[i, c] - axes[k, c] - part * (axes[k + 1, c] - axes[k, c])
+                distance_sq += gap * gap
+                turn_sq += lean * lean
+            away[k - i], turn[k - i] = np.sqrt(distance_sq), np.sqrt(turn_sq)
+        nearest = away.min()
+        least = np.inf
+        for k in range(memory):
+            if away[k] <= nearest + SAME:
+                least = min(least, turn[k])
+        found[i, 0], found[i, 1] = nearest, least
+    return found

@@ -17,6 +17,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.limit_table import has_loads
+from cnc_interp.feedrate import tool_limit
 from cnc_interp.feedrate.braking import without_braking
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
@@ -35,6 +36,12 @@ AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
 
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
 """The same two for cells of an older plan, and the part by which their limits are relaxed."""
+
+RELAXED_TOOL = 1e-3
+"""Part by which the limit on the error at the tool is relaxed for cells of an older plan."""
+
+TOOL_PASSES = 8
+"""Further corrections where the error at the tool is limited."""
 
 EXCESS_FACTOR = 1.3
 """Factor on the excess in a correction, because neighbouring cells take over a part of it."""
@@ -122,7 +129,14 @@ class StretchProblem:
         self.m = _first_coefficients(self.h, grid.bounds, guess)
         self.use = np.empty((2, n, 4, n_axes))
         self.loaded = has_loads(table)
-        self.slack = np.ones(((8 if self.loaded else 6) * n_axes + 2, n))
+        self.tool_rows, self.tool_part, self.tool_use = np.empty((0, 4, n)), np.empty((2, n)), 0.0
+        if options.tool is not None:
+            self.tool_rows = options.tool.rows(self.left, self.right)
+            self.tool_part[:] = tool_limit.FIRST_PART
+            if kept.tool is not None:
+                self.tool_part[:, :k] = np.minimum(kept.tool + RELAXED_TOOL, 1.0)
+        self.places = 4 if self.loaded or options.tool is not None else 3
+        self.slack = np.ones((2 * self.places * (n_axes + len(self.tool_rows)) + 2, n))
         self.dual = np.zeros_like(self.slack)
         self.changed = np.zeros(n, dtype=np.bool_)  # cells whose limits fell since the last law
         self.width, self.v, self.a = self.h, np.zeros(n + 1), np.zeros(n + 1)  # of the last law
@@ -198,8 +212,12 @@ class StretchProblem:
             np.ascontiguousarray(x[:, cells])
             for x in (self.left, self.right, self.slack, self.dual)
         )
-        rows = np.empty((left.shape[2], 13 if self.loaded else 9, end - first))
-        build_rows(left, right, self.table, scale, rows)
+        n_axes = left.shape[2]
+        rows = np.zeros((n_axes + len(self.tool_rows), 3 * self.places + (self.places > 3), end - first))
+        build_rows(left, right, self.table, scale, rows[:n_axes])
+        if len(self.tool_rows) and end - first > 2:
+            # The first node of the solved cells is given.
+            rows[n_axes:, 9:, 1:] = self.rows_of_tool()[:, :, first + 1 : end]
         part = np.minimum(scale[:, 0].min(axis=1), scale[:, 3, 0])
         fast = self.grid.bounds[cells, 4:] * part[:, None]
         node = fast[:, 0].copy()
@@ -221,6 +239,42 @@ class StretchProblem:
         )
         self.slack[:, cells], self.dual[:, cells] = slack, dual
         return int(status)
+
+    def rows_of_tool(self) -> FloatArray:
+        """Return the rows of the error at the tool for their parts of the limit."""
+        rows = self.tool_rows / np.repeat(self.tool_part, tool_limit.NORMALS, axis=0)[:, None]
+        most = tool_limit.STEADY_PART
+        rows[:, 3] = np.clip(rows[:, 3], -most, most)
+        return rows
+
+    def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
+        """
+        Simulate the drives on a law, and lower the rows of the tool where its error is too large.
+
+        Parameters
+        ----------
+        stretch : Stretch
+            The law.
+
+        Returns
+        -------
+        stretch, lowered : Stretch, bool
+            The law with its error at the tool, and whether a limit was lowered.
+
+        """
+        tool, nodes = self.options.tool, self.grid.nodes[:-1]
+        if tool is None:
+            return stretch, False
+        v, a = stretch.v[nodes], stretch.a[nodes]
+        factors = self.tool_rows
+        terms = factors[:, 0] * a + factors[:, 1] * v * v + factors[:, 2] * v + factors[:, 3]
+        predicted = np.abs(terms).reshape(2, tool_limit.NORMALS, -1).max(axis=1)
+        simulated, predicted = tool.use(stretch, predicted)
+        found = tool_limit.lowered(self.tool_part, simulated, predicted)
+        less = (found < self.tool_part).any(axis=0)
+        part, self.tool_part = self.tool_part, found
+        self.changed |= less
+        return replace(stretch, tool=part, tool_use=float(simulated.max())), bool(less.any())
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
         """
@@ -341,6 +395,12 @@ class StretchProblem:
         return self.with_limit_use(v / factor, a / factor**2, duration * factor)
 
 
+def _better(one: Stretch, other: Stretch) -> bool:
+    """Tell whether a law has less error at the tool than its limit or another law, or is faster."""
+    off = max(one.tool_use, 1.0), max(other.tool_use, 1.0)
+    return off[0] < off[1] or (off[0] == off[1] and one.duration.sum() < other.duration.sum())
+
+
 def plan(
     path: AxisPath,
     table: FloatArray,
@@ -383,16 +443,20 @@ def plan(
     best: Stretch | None = None
     kept_all: Stretch | None = None
     m, warm, reserved = problem.m.copy(), False, False
-    for attempt in range(options.passes + 1):
+    passes = options.passes + (TOOL_PASSES if options.tool is not None else 0)
+    for attempt in range(passes + 1):
         stretch, converged = problem.solve(m, warm)
         warm = converged
         if stretch is not None and stretch.use <= 1.0:
-            if converged and (reserved or not problem.keep_reserve(stretch)):
+            reserve = converged and not reserved and problem.keep_reserve(stretch)
+            stretch, less = problem.keep_tool(stretch)
+            if converged and not reserve and not less:
                 return stretch
             reserved = reserved or converged
             # This law keeps the limits, but its distance to the optimum is unknown.
-            if kept_all is None or stretch.duration.sum() < kept_all.duration.sum():
-                kept_all = replace(stretch, converged=converged)
+            stretch = replace(stretch, converged=converged)
+            if kept_all is None or _better(stretch, kept_all):
+                kept_all = stretch
         elif stretch is not None:
             if best is None or stretch.use < best.use:
                 best = stretch

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from cnc_interp.core.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class PlanOptions:
         'optimal' for the jerk stage, 'vpop' for steps forward (``vpop.py``).
     step : float
         Longest step of 'vpop' [s].
+    tool : ToolLimit, optional
+        Limit on the error at the tool, and the drives at the start of the path.
 
     """
 
@@ -56,6 +62,7 @@ class PlanOptions:
     reserve: float = 0.029
     law: str = 'optimal'
     step: float = 1e-3
+    tool: ToolLimit | None = None
 
     def finer(self) -> PlanOptions:
         """Return options with half the cell times and a start below the ceiling."""
@@ -80,8 +87,11 @@ class KeptCells:
         Path positions at the ends of the cells [m].
     scale : ndarray, shape (k, 4, n_axes)
         Parts of the limits that these cells were allowed to use [-].
+    tool : ndarray, shape (2, k), optional
+        Parts of the limit on the error at the tool, likewise [-].
 
     """
 
     ends: FloatArray
     scale: FloatArray
+    tool: FloatArray | None = None

@@ -34,6 +34,10 @@ class Stretch:
         Largest use of a limit at the checked instants, divided by the accepted use [-].
     converged : bool
         Whether the solver came to the optimum. If not, the law may be far from it.
+    tool : ndarray, shape (2, n) or None
+        Parts of the limit on the error at the tool that the rows of tip and axis got [-].
+    tool_use : float
+        Largest error at the tool by the simulated drives, over its limit [-].
 
     """
 
@@ -46,6 +50,8 @@ class Stretch:
     scale: FloatArray
     use: float
     converged: bool = True
+    tool: FloatArray | None = None
+    tool_use: float = 0.0
 
     def after(self, cell: int) -> Stretch:
         """Return the part of the stretch that begins at a planner cell."""
@@ -60,6 +66,8 @@ class Stretch:
             scale=self.scale[cell:],
             use=self.use,
             converged=self.converged,
+            tool=None if self.tool is None else self.tool[:, cell:],
+            tool_use=self.tool_use,
         )
 
     def law(self, start_time: float, last: int) -> MotionLaw:

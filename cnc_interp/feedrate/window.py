@@ -18,7 +18,7 @@ rest. If even this is impossible, the path is refused with its block after a sto
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -246,6 +246,9 @@ class FeedPlanner:
 
     def _solve(self, known: AxisPath) -> Stretch | None:
         """Plan from the committed state to rest; after a failure, once more on a finer grid."""
+        if self.options.tool is not None:
+            begun = self.options.tool.begun(known, self._start)
+            self.options = replace(self.options, tool=begun)
         stretch = self._law(known, self._table, self._start, self.options, self._kept)
         if stretch is None:
             finer = self.options.finer()
@@ -301,7 +304,11 @@ class FeedPlanner:
         place, end = int(slow[np.argmin(v[slow])]), len(known.s) - 1
         before, after = cut(known, 0, place), cut(known, place, end)
         first = self._law(before, self._table, self._start, self.options, self._kept)
-        second = self._law(after, self._table, AT_REST, self.options, None)
+        options = self.options
+        if options.tool is not None:
+            afresh = replace(options.tool, motion=None).begun(after, AT_REST)
+            options = replace(options, tool=afresh)
+        second = self._law(after, self._table, AT_REST, options, None)
         if first is None or second is None:
             return None
         if not first.converged:
@@ -336,6 +343,8 @@ class FeedPlanner:
         last = int(stretch.nodes[cells])
         least = self._least_time(stretch, last, rests) if self.options.bound else 0.0
         law = stretch.law(self._time, last)
+        if self.options.tool is not None:
+            self.options = replace(self.options, tool=self.options.tool.after(stretch, last))
         piece = PlannedPiece(cut(stretch.path, 0, last), law, least, solved)
         self._time = piece.law.end_time
         s = stretch.path.s
@@ -347,7 +356,9 @@ class FeedPlanner:
             half = (1 - KEPT_PART) * s[last] + KEPT_PART * s[-1]
             ends = s[stretch.nodes[cells + 1 :]]
             ends = ends[ends <= half] if self.options.law == 'optimal' else ends[:0]
-            self._kept = KeptCells(ends, self._older.scale[: len(ends)])
+            parts = self._older.tool
+            parts = None if parts is None else parts[:, : len(ends)]
+            self._kept = KeptCells(ends, self._older.scale[: len(ends)], parts)
             position = np.concatenate([position, ends])
         self._begin_at(position)
         self._scan_again(self.options.window_ratio)

@@ -1,0 +1,142 @@
+"""
+What an axis is off its setpoints in slow motion, by velocity, acceleration and friction.
+
+With the equations of ``drive_model.py``, the table follows a setpoint r of slow motion by
+
+    x(t) = r(t - lag) + c1 r' + c2 r'' - sign(r') away,
+
+where 1 + c1 s + c2 s^2 are the first terms of exp(lag s) G(s), G is the transfer function from
+r to x, and ``away`` is what friction and backlash take. The lag is common to all axes. A lag
+along the path is no error, so c1 counts relative to the other axes only. What changes faster,
+modes and steps of the jerk, is in the terms left out.
+
+Drives that are compensated get r and the feed-forward g of ``compensation.py``. With hats on the
+values of the model that is inverted,
+
+    M = (kv r + (f / f^) (D^ / H^ - kv^) r) / D,   D = kv + (1 + tau B) s + tau s^2,
+
+and the table is H M later. With a true model this is r.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
+from cnc_interp.kinematics.drive_loads import DriveLoad
+from cnc_interp.kinematics.machine import Machine
+
+#: Terms of the series: 1, s, s^2.
+TERMS = 3
+
+
+@dataclass(frozen=True)
+class ErrorSeries:
+    """
+    The errors of all axes.
+
+    Parameters
+    ----------
+    by_velocity, by_acceleration : ndarray, shape (n_axes,)
+        c1 and c2 [s, s2].
+    away : ndarray, shape (n_axes,)
+        Error that stays in steady motion, against it [m or rad].
+
+    """
+
+    by_velocity: FloatArray
+    by_acceleration: FloatArray
+    away: FloatArray
+
+
+def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:
+    """
+    Compute the errors of the axes in slow motion.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine with its true drives.
+    model : Machine, optional
+        Its drives are compensated.
+
+    """
+    count = len(machine.axis_names)
+    series, away = np.empty((count, TERMS)), np.empty(count)
+    for j in range(count):
+        drive, load = machine.drives.get(j, IDEAL), machine.loads.get(j)
+        load = load if j in machine.drives else None
+        if model is None:
+            series[j], away[j] = _as_it_is(drive, load)
+        else:
+            known, its_load = model.drives.get(j, IDEAL), model.loads.get(j)
+            its_load = its_load if j in model.drives else None
+            series[j], away[j] = _compensated(drive, load, known, its_load)
+    lags = -series[:, 1]
+    lag = 0.5 * (lags.min() + lags.max())
+    for j in range(count):
+        series[j] = _times(series[j], _delay(-lag))
+    return ErrorSeries(series[:, 1].copy(), series[:, 2].copy(), away)
+
+
+def _as_it_is(drive: AxisDrive, load: DriveLoad | None) -> tuple[FloatArray, float]:
+    """Return series and steady error of a drive that gets r and r'."""
+    kv = drive.position_gain
+    told = np.array([kv, drive.feed_forward, 0.0])
+    series = _over(_times(told, _mode(drive)), _loops(drive, load))
+    return _times(series, _delay(drive.delay)), _friction(drive, load) / kv + drive.backlash / 2
+
+
+def _compensated(
+    drive: AxisDrive, load: DriveLoad | None, model: AxisDrive, its_load: DriveLoad | None
+) -> tuple[FloatArray, float]:
+    """Return series and steady error of a drive behind the inverse of a model."""
+    share = drive.feed_forward / model.feed_forward
+    told = share * _over(_loops(model, its_load), _mode(model))
+    told[0] += drive.position_gain - share * model.position_gain
+    series = _over(_times(told, _mode(drive)), _loops(drive, load))
+    series = _times(series, _delay(drive.delay - model.delay))
+    force = _friction(drive, load) - share * _friction(model, its_load)
+    crossed = share * model.position_gain / drive.position_gain * model.backlash
+    return series, force / drive.position_gain + 0.5 * (drive.backlash - crossed)
+
+
+def _friction(drive: AxisDrive, load: DriveLoad | None) -> float:
+    """Return tau C / J: the velocity that friction takes [m/s or rad/s]."""
+    return 0.0 if load is None else drive.time_constant * load.coulomb / load.inertia
+
+
+def _loops(drive: AxisDrive, load: DriveLoad | None) -> FloatArray:
+    """Return kv + (1 + tau B) s + tau s^2."""
+    viscous = 0.0 if load is None else load.viscous / load.inertia
+    tau = drive.time_constant
+    return np.array([drive.position_gain, 1.0 + tau * viscous, tau])
+
+
+def _mode(drive: AxisDrive) -> FloatArray:
+    """Return the first terms of the flexible mode."""
+    if not drive.mode_frequency:
+        return np.array([1.0, 0.0, 0.0])
+    return np.array([1.0, 0.0, -1.0 / (2.0 * math.pi * drive.mode_frequency) ** 2])
+
+
+def _delay(time: float) -> FloatArray:
+    """Return the first terms of exp(-time s)."""
+    return np.array([1.0, -time, 0.5 * time**2])
+
+
+def _times(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Multiply two series."""
+    return np.convolve(one, other)[:TERMS]
+
+
+def _over(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Divide a series by another one."""
+    found = np.empty(TERMS)
+    for k in range(TERMS):
+        found[k] = (one[k] - found[:k] @ other[k:0:-1]) / other[0]
+    return found

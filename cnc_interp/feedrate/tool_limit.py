@@ -1,0 +1,289 @@
+"""
+A limit on the error at the tool that the drives leave: rows for the jerk stage, and its check.
+
+In slow motion the axes are off by e = c1 q' + c2 q'' - sign(q') away (``drives/error_series.py``),
+and the tip by J e with J = dp/dq. What counts is the part across the path, in the normals n of the
+tip's way. With q' = q_s s_dot and q'' = q_s s_ddot + q_ss s_dot^2, the row of a normal is
+
+    |n J (c2 q_s) s_ddot + n J (c2 q_ss) b + n J (c1 q_s) s_dot - n J (sign(q_s) away)| <= E.
+
+The tool axis at flank height h has such rows, too. The tip is compared with the nearest place of
+the path. So the axis is off by h (J_o - o_s (t J)) e, where t is the direction of the tip. Four
+normals make an octagon of the circle of radius E.
+
+These rows do not contain what follows a step of the jerk, a reversal or a mode. Therefore the
+drives are simulated on each law. Where the error exceeds the limit, the rows get a part of it, and
+the stretch is solved again, as after any other excess between the nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.drives.error_series import ErrorSeries, error_series
+from cnc_interp.drives.tool_error import ToolMotion
+from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.stretch import Stretch
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate_along
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+
+FEELER = 1e-6
+"""Half of the step of an axis in a difference of poses [m or rad]."""
+
+NORMALS = 4
+"""Directions in which the error of the tip counts, and in which that of the axis does."""
+
+FIRST_PART, LEAST_PART = 0.97, 0.2
+"""Part of the limit that rows get at first, and the least one [-]."""
+
+STEADY_PART = 0.8
+"""Largest part of its limit that friction and backlash may take of a row [-]."""
+
+AIM, EXCESS_FACTOR = 0.985, 1.3
+"""Use of the limit that a correction aims at, and the factor on the excess."""
+
+NEARBY = 0.02
+"""An error counts for the motion so long before and after it [s]."""
+
+RUN_UP = 0.6
+"""Time before a start in motion for which the drives are simulated [s]."""
+
+STANDS = 0.5
+"""Way of the tip per path length below which only the tool axis moves [-]."""
+
+
+@dataclass(frozen=True)
+class ToolLimit:
+    """
+    The limit, and the state of the drives at the start of the path.
+
+    Parameters
+    ----------
+    machine : Machine
+        The machine with its true drives.
+    model : Machine or None
+        The model whose drives are compensated.
+    period : float
+        Interpolation period [s].
+    largest : float
+        Largest error of the tip, and of the tool axis at flank height [m].
+    flank_height : float
+        Height at which the tool axis is measured [m].
+    series : ErrorSeries
+        The errors of the axes in slow motion.
+    motion : ToolMotion or None
+        The drives; None at a start that has not been simulated yet.
+    wait : float
+        Time from the start of the path to the next setpoint [s].
+
+    """
+
+    machine: Machine
+    model: Machine | None
+    period: float
+    largest: float
+    flank_height: float
+    series: ErrorSeries
+    motion: ToolMotion | None = None
+    wait: float = 0.0
+
+    @staticmethod
+    def of(
+        machine: Machine,
+        period: float,
+        largest: float,
+        flank_height: float,
+        model: Machine | None = None,
+    ) -> ToolLimit:
+        """Return the limit before any motion."""
+        series = error_series(machine, model)
+        return ToolLimit(machine, model, period, largest, flank_height, series)
+
+    def begun(self, path: AxisPath, start: tuple[float, float]) -> ToolLimit:
+        """Return the limit with the drives at the start of a path, if that is not known yet."""
+        if self.motion is not None:
+            return self
+        q, q_s, q_ss = path.cell_left[:3, 0]
+        velocity, acceleration = q_s * start[0], q_ss * start[0] ** 2 + q_s * start[1]
+        count = round(RUN_UP / self.period) if start[0] > 0.0 else 0
+        # As if the motion before had gone on like this: with the acceleration for a moment only.
+        time = self.period * np.arange(-count, 0)[:, None]
+        recent = np.maximum(time, -NEARBY)
+        rates = velocity + acceleration * recent
+        before = q + velocity * time + acceleration * recent * (time - 0.5 * recent)
+        at = before[0] if count else q
+        motion = ToolMotion(self.machine, self.period, np.ascontiguousarray(at), self.model)
+        motion.push(before, rates)
+        return replace(self, motion=motion, wait=0.0)
+
+    def after(self, stretch: Stretch, last: int) -> ToolLimit:
+        """Return the limit with the drives where a stretch has been committed to a grid point."""
+        if self.motion is None or last == 0:
+            return self
+        law, motion = stretch.law(0.0, last), self.motion.copy()
+        time = self._times(law)
+        motion.push(*_sampled(stretch.path, law, time))
+        wait = self.wait + self.period * len(time) - law.end_time
+        return replace(self, motion=motion, wait=wait)
+
+    def _times(self, law: MotionLaw) -> FloatArray:
+        """Return the times of the setpoints on a law that begins at the start of the path [s]."""
+        count = max(int(np.ceil((law.end_time - self.wait) / self.period - 1e-9)), 0)
+        return self.wait + self.period * np.arange(count)
+
+    def rows(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """
+        Compute the rows at the left nodes of cells, for a limit of 1.
+
+        Parameters
+        ----------
+        left, right : ndarray, shape (4, n, n_axes)
+            q and its derivatives by s at both ends of each cell [m or rad, per m^order].
+
+        Returns
+        -------
+        ndarray, shape (8, 4, n)
+            Factors of s_ddot, s_dot^2 and s_dot, and the constant. First the normals of the tip,
+            then those of the axis.
+
+        """
+        q, q_s, q_ss = left[:3]
+        across = self._across(q, q_s)
+        sign = np.sign(q_s + right[1])
+        series = self.series
+        errors = np.stack(
+            [
+                series.by_acceleration * q_s,
+                series.by_acceleration * q_ss,
+                series.by_velocity * q_s,
+                -sign * series.away,
+            ]
+        )
+        rows: FloatArray = np.einsum('vnk,fnk->vfn', across, errors) / self.largest
+        return np.ascontiguousarray(rows)
+
+    def _across(self, q: FloatArray, q_s: FloatArray) -> FloatArray:
+        """Return the error in each normal by the errors of the axes, shape (8, n, n_axes)."""
+        tip, axis, o = self._jacobians(q)
+        way, turn = np.einsum('nck,nk->nc', tip, q_s), np.einsum('nck,nk->nc', axis, q_s)
+        speed = np.linalg.norm(way, axis=1)
+        moves = speed > STANDS
+        along = np.where(moves[:, None], way / np.where(moves, speed, 1.0)[:, None], 0.0)
+        # Where the tip is further along the path, by its own way or that of the axis.
+        turning = np.maximum(np.einsum('nc,nc->n', turn, turn), 1e-300)[:, None]
+        ahead = np.where(
+            moves[:, None],
+            np.einsum('nc,nck->nk', along, tip) / np.where(moves, speed, 1.0)[:, None],
+            np.einsum('nc,nck->nk', turn, axis) / turning,
+        )
+        lean = self.flank_height * (axis - turn[:, :, None] * ahead[:, None, :])
+        normals = np.where(moves[:, None], _normals(along), _everywhere(len(q)))
+        return np.concatenate(
+            [
+                np.einsum('vnc,nck->vnk', normals, tip),
+                np.einsum('vnc,nck->vnk', _normals(o), lean),
+            ]
+        )
+
+    def _jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return dp/dq and do/dq, shape (n, 3, n_axes), and the tool axis, shape (n, 3)."""
+        forward = Transform.of(self.machine).forward
+        n, count = q.shape
+        tip, axis = np.empty((n, 3, count)), np.empty((n, 3, count))
+        for k in range(count):
+            step = np.zeros(count)
+            step[k] = FEELER
+            there, back = forward(q + step), forward(q - step)
+            tip[:, :, k], axis[:, :, k] = (
+                (one - other) / (2.0 * FEELER) for one, other in zip(there, back, strict=True)
+            )
+        return tip, axis, forward(q)[1]
+
+    def use(self, stretch: Stretch, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Simulate the drives on a law.
+
+        Parameters
+        ----------
+        stretch : Stretch
+            The law.
+        predicted : ndarray, shape (2, n)
+            Errors of tip and axis by the rows, at the left nodes of the planner cells [-].
+
+        Returns
+        -------
+        simulated, predicted : ndarray, shape (2, n)
+            Largest errors near each planner cell over the limit [-].
+
+        """
+        assert self.motion is not None, 'begun is called before'
+        cells = len(stretch.duration)
+        law, motion = stretch.law(0.0, cells), self.motion.copy()
+        time = self._times(law)
+        moving = motion.push(*_sampled(stretch.path, law, time))
+        motion.last = stretch.path.cell_right[0, -1]
+        resting = motion.settle(self.period)
+        errors = np.stack(
+            [
+                np.concatenate([moving.tip, resting.tip]),
+                np.concatenate([moving.axis, resting.axis]) * self.flank_height,
+            ]
+        )
+        starts = np.append(law.time, law.end_time)[stretch.nodes[:-1]]
+        # An axis is where it was told to be so much earlier.
+        shown = self.wait + self.period * np.arange(errors.shape[1]) - motion.lag
+        rows = np.stack([np.interp(shown, starts, row) for row in predicted])
+        first = np.clip(np.searchsorted(shown, starts), 0, len(shown) - 1)
+        around = 2 * round(NEARBY / self.period) + 1
+        simulated, by_rows = (
+            np.maximum.reduceat(maximum_filter1d(of, around, axis=1), first, axis=1)
+            for of in (errors / self.largest, rows)
+        )
+        return simulated, by_rows
+
+
+def lowered(part: FloatArray, simulated: FloatArray, predicted: FloatArray) -> FloatArray:
+    """
+    Return the parts of the limit that the rows of each cell get after a correction.
+
+    Parameters
+    ----------
+    part, simulated, predicted : ndarray, shape (2, n)
+        Parts so far, and errors over the limit as ``ToolLimit.use`` returns them [-].
+
+    """
+    reached = np.clip(predicted, 0.5 * part, part)
+    less = reached * AIM / (1.0 + EXCESS_FACTOR * (simulated - 1.0))
+    found: FloatArray = np.where(simulated > 1.0, np.maximum(less, LEAST_PART), part)
+    return np.minimum(found, part)
+
+
+def _sampled(path: AxisPath, law: MotionLaw, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions and velocities of the axes at times on the law."""
+    piece = law.piece_at(time)
+    cell = law.cell[piece]
+    along = law.s[piece] - path.s[cell] + law.moved(time, piece)
+    q, q_s, _, _ = evaluate_along(path, along, cell)
+    return q, q_s * law.evaluate(time, piece)[1][:, None]
+
+
+def _normals(direction: FloatArray) -> FloatArray:
+    """Return four unit vectors across each direction, 45 deg apart, shape (4, n, 3)."""
+    helper = np.zeros_like(direction)
+    np.put_along_axis(helper, np.argmin(np.abs(direction), axis=1)[:, None], 1.0, axis=1)
+    first = np.cross(direction, helper)
+    first /= np.maximum(np.linalg.norm(first, axis=1), 1e-300)[:, None]
+    second = np.cross(direction, first)
+    half = np.sqrt(0.5)
+    return np.stack([first, second, half * (first + second), half * (first - second)])
+
+
+def _everywhere(n: int) -> FloatArray:
+    """Return four directions in space for tips that stand, shape (4, n, 3)."""
+    found = np.concatenate([np.eye(3), np.full((1, 3), np.sqrt(1.0 / 3.0))])
+    return np.repeat(found[:, None], n, axis=1)

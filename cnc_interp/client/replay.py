@@ -20,6 +20,7 @@ from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.core.errors import InterpError
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
@@ -131,12 +132,15 @@ def _compare_run(
     followed = overrides[0]
     # After a loss the run continued from where the machine stood when planning began again.
     goes_on = blocks[0].continue_at > 0.0
+    wanted = replace(
+        own_settings(bag, 'feedrate_node'),
+        flank_height=blocks[0].flank_height, interpolation_period=period,
+    )  # fmt: skip
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
         float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
         _place(float(told[0].s[0]), float(blocks[0].continue_at)) if goes_on else math.nan,
-        followed, float(bag.parameters.get('feedrate_node.retract', Settings.retract)),
-        float(bag.parameters.get('feedrate_node.plunge_feed', Settings.plunge_feed)),
+        followed, wanted.retract, wanted.plunge_feed, ToolLimit.wanted(transform.machine, wanted),
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)
@@ -167,9 +171,9 @@ def _place(s: float, continue_at: float) -> float:
     return s if s > 0.0 else continue_at
 
 
-def own_settings(bag: Bag) -> Settings:
-    """Return the parameters of the look-ahead: they count where block 0 leaves a choice open."""
-    prefix = 'lookahead_node.'
+def own_settings(bag: Bag, node: str = 'lookahead_node') -> Settings:
+    """Return the parameters of a node; they count where block 0 leaves a choice open."""
+    prefix = f'{node}.'
     told = {k.removeprefix(prefix): v for k, v in bag.parameters.items() if k.startswith(prefix)}
     return parameters.settings_of(told)
 

@@ -48,8 +48,6 @@ class RunRequest:
         Bag to record all messages into.
     quiet : bool
         Show no progress.
-    compensate : str
-        Machine whose drives are the model that is compensated; empty for none.
     drives : dict
         Drives of the machine and their parameters of the machine node, see
         ``command_options.drives``; empty: as the parameters of the nodes say.
@@ -63,7 +61,6 @@ class RunRequest:
     out: Path | None = None
     record: Path | None = None
     quiet: bool = False
-    compensate: str = ''
     drives: dict[str, str] = field(default_factory=dict)
 
     @staticmethod
@@ -77,7 +74,6 @@ class RunRequest:
             out=options.out,
             record=options.record,
             quiet=options.json,
-            compensate=options.compensate or '',
             drives=options.drives,
         )
 
@@ -91,9 +87,7 @@ class RunRequest:
         from cnc_interp.nodes.parameters import NODES
 
         given: dict[str, object] = {'machine': f"'{self.machine}'"}
-        if self.compensate:
-            given['compensation'] = f"'{self.compensate}'"
-        for choice in choices(self.settings, Stage.MOTION, Stage.APPROACH):
+        for choice in choices(self.settings, Stage.MOTION, Stage.PLANNING, Stage.APPROACH):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
         given |= self.drives

@@ -77,9 +77,17 @@ def plan_command(options: argparse.Namespace) -> int:
 
 def excesses_of(summary: dict[str, Any]) -> list[str]:
     """Name the limits and tolerances that a plan exceeds."""
-    from cnc_interp.core.differences import excesses
+    from cnc_interp.core.differences import ROUNDING, excesses
 
-    return excesses(summary['largest_use'], summary['tolerance_used'])
+    found = excesses(summary['largest_use'], summary['tolerance_used'])
+    if error := summary['tool_error']:
+        share = max(error['tip'], error['axis']) / error['limit']
+        if not share <= ROUNDING:
+            found.append(
+                f'error at the tool {share:.2%}: friction and backlash may need more than '
+                f'{error["limit"] / MM:g} mm at any speed; raise --tool-error, or --compensate'
+            )
+    return found
 
 
 def describe(summary: dict[str, Any]) -> str:
@@ -109,6 +117,11 @@ def describe(summary: dict[str, Any]) -> str:
         f'deviation      contour {contour:.4f} mm, orientation {orientation:.4f} mm at '
         f'{height:g} mm; {used["contour"]:.0%} and {used["orientation"]:.0%} of the tolerances'
     )
+    if error := summary['tool_error']:
+        lines.append(
+            f'tool error     tip {error["tip"] / MM:.4f} mm, axis {error["axis"] / MM:.4f} mm at '
+            f'{height:g} mm; limit {error["limit"] / MM:g} mm, by the drives of the machine file'
+        )
     if curves['blocks']:
         lines.append(
             f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '

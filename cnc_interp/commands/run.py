@@ -40,10 +40,6 @@ def add_run_command(commands: Any) -> None:
         '--record', type=Path, metavar='BAG', help='record all messages of the run into a bag'
     )
     run.add_argument(
-        '--compensate', metavar='M',
-        help='machine whose drives are the model that is compensated, as identify writes it',
-    )  # fmt: skip
-    run.add_argument(
         '--panel', action='store_true', help='the operator page beside it, until Ctrl-C'
     )
     page_options(run)

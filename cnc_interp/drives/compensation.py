@@ -179,6 +179,30 @@ class Compensation:
             columns[STATE] = position[j]
 
 
+def compensated_model(name: str, machine: Machine) -> Machine:
+    """
+    Load the model of the drives of a machine that is to be compensated.
+
+    Parameters
+    ----------
+    name : str
+        Bundled machine or file whose drives are the model.
+    machine : Machine
+        The machine.
+
+    Raises
+    ------
+    MachineError
+        If the model has other axes.
+
+    """
+    known = Machine.load(name)
+    if known.axis_names != machine.axis_names:
+        axes = ' '.join(known.axis_names)
+        raise MachineError(f'{name} has other axes ({axes})', 'compensation')
+    return known
+
+
 def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, float]:
     """Return Coulomb friction and excess at rest over the inertia, and Stribeck's velocity."""
     if load is None:

@@ -213,7 +213,9 @@ class StretchProblem:
             for x in (self.left, self.right, self.slack, self.dual)
         )
         n_axes = left.shape[2]
-        rows = np.zeros((n_axes + len(self.tool_rows), 3 * self.places + (self.places > 3), end - first))
+        rows = np.zeros(
+            (n_axes + len(self.tool_rows), 3 * self.places + (self.places > 3), end - first)
+        )
         build_rows(left, right, self.table, scale, rows[:n_axes])
         if len(self.tool_rows) and end - first > 2:
             # The first node of the solved cells is given.

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
 from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.feedrate.motion_law import MotionLaw
@@ -31,6 +32,7 @@ from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate_along
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
+from cnc_interp.settings.choices import Settings
 
 FEELER = 1e-6
 """Half of the step of an axis in a difference of poses [m or rad]."""
@@ -91,6 +93,24 @@ class ToolLimit:
     series: ErrorSeries
     motion: ToolMotion | None = None
     wait: float = 0.0
+
+    @staticmethod
+    def wanted(machine: Machine, settings: Settings) -> ToolLimit | None:
+        """
+        Return the limit that the settings ask for, None for none.
+
+        Raises
+        ------
+        MachineError
+            If the model of the drives does not fit the machine.
+
+        """
+        if settings.tool_error is None:
+            return None
+        name = settings.compensation
+        model = compensated_model(name, machine) if name else None
+        period, height = settings.interpolation_period, settings.flank_height
+        return ToolLimit.of(machine, period, settings.tool_error, height, model)
 
     @staticmethod
     def of(

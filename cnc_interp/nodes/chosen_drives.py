@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.errors import InterpError, MachineError
+from cnc_interp.core.errors import InterpError
+from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.drives import CycleDrives, Drives
@@ -95,11 +96,7 @@ def compensated(
         If the model has other axes, or cannot be compensated.
 
     """
-    known = Machine.load(model)
-    if known.axis_names != machine.axis_names:
-        axes = ' '.join(known.axis_names)
-        raise MachineError(f'{model} has other axes ({axes})', 'compensation')
-    return CompensatedDrives(drives, known, period)
+    return CompensatedDrives(drives, compensated_model(model, machine), period)
 
 
 def refuse_switches(machine: Machine) -> None:

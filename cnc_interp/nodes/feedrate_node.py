@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -17,6 +18,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.core.units import MS
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.nodes import parameters
@@ -69,6 +71,7 @@ class FeedrateNode(LifecycleNode):
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(values['machine'], period)
+        ToolLimit.wanted(self._transform.machine, settings_of(values))  # refuse it now
         self._diagnostics = Diagnostics(self)
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
@@ -173,10 +176,12 @@ class FeedrateNode(LifecycleNode):
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
     ) -> RunPlanner:
         """Make the planner of the run that begins with a segment."""
+        wanted = replace(settings_of(self._values), flank_height=first.flank_height)
+        tool = ToolLimit.wanted(self._transform.machine, wanted)
         return RunPlanner(
             self._transform, first.flank_height, self._values['interpolation_period'],
             self._values['chunk_time'], stands, place, settings,
-            self._values['retract'], self._values['plunge_feed'],
+            self._values['retract'], self._values['plunge_feed'], tool,
         )  # fmt: skip
 
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:

@@ -69,7 +69,7 @@ LOOKAHEAD = (
 FEEDRATE = (
     MACHINE,
     AUTOSTART,
-    *of_settings(Stage.MOTION, Stage.APPROACH),
+    *of_settings(Stage.MOTION, Stage.PLANNING, Stage.APPROACH),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
     Declared('chunk_time', 0.005, 'Motion in a message, at least a setpoint [s]', 0.0, 0.1),
@@ -83,7 +83,6 @@ MACHINE_NODE = (
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
-    Declared('compensation', '', 'Machine whose drives are the model that is compensated'),
     Declared('drives', 'simulated', 'Drives of the axes: simulated, hal or trajectory'),
     Declared('hal_depth', 8, "Setpoints that wait in the FIFO of LinuxCNC's HAL", 2, 1000),
     Declared(

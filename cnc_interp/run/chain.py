@@ -17,6 +17,7 @@ from typing import Any
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
@@ -76,7 +77,11 @@ class Chain:
         self._watch, self._start = Stopwatch(clock), start
         self._path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
-        options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
+        options = PlanOptions(
+            law=settings.law,
+            step=min(period, LONGEST_STEP),
+            tool=ToolLimit.wanted(machine, settings),
+        )
         self._planner = FeedPlanner(limits_at(machine, period), options)
         self._interpolator = Interpolator(settings.interpolation_period)
         self.segments: list[PathSegments] = []

@@ -12,6 +12,7 @@ from cnc_interp.core.arrays import IntArray
 from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Wait
@@ -74,6 +75,8 @@ class Leg:
         Samples of the leg, on its own time axis, that are handed out already.
     start : tuple of float
         s_dot and s_ddot at the last of them [m/s, m/s2]; without samples, at rest.
+    tool : ToolLimit, optional
+        Limit on the error that the drives leave at the tool.
 
     """
 
@@ -83,9 +86,11 @@ class Leg:
         period: float,
         begun: int = 0,
         start: tuple[float, float] = (0.0, 0.0),
+        tool: ToolLimit | None = None,
     ):
         self.period = period
-        self.planner = FeedPlanner(limits, LIVE, start, max(begun - 1, 0) * period)
+        options = replace(LIVE, tool=tool)
+        self.planner = FeedPlanner(limits, options, start, max(begun - 1, 0) * period)
         self.interpolator = Interpolator(period, begun)
         self.slices: deque[PlannedPiece] = deque()
         self.wait: Wait | None = None

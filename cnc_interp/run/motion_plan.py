@@ -13,6 +13,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.chunk import Chunk, Wait, part_of
@@ -71,6 +72,8 @@ class PlanContext:
         The path of the run.
     pause_blocks : dict of int to Wait
         Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
+    tool : ToolLimit, optional
+        Limit on the error that the drives leave at the tool.
 
     """
 
@@ -81,6 +84,7 @@ class PlanContext:
     line_of: Callable[[int], int]
     course: Course = field(default_factory=Course)
     pause_blocks: dict[int, Wait] = field(default_factory=dict)
+    tool: ToolLimit | None = None
 
 
 class MotionPlan:
@@ -193,7 +197,8 @@ class MotionPlan:
     def _open_leg(self) -> Leg:
         """Return the leg that is being planned."""
         if not self._legs or self._legs[-1].wait is not None:
-            self._legs.append(Leg(self._context.limits, self._context.period))
+            context = self._context
+            self._legs.append(Leg(context.limits, context.period, tool=context.tool))
         return self._legs[-1]
 
     def _until_pause(self, part: AxisPath) -> AxisPath | LegEnd:

@@ -15,6 +15,7 @@ from contextlib import suppress
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import finely
@@ -42,6 +43,8 @@ class MotionStream:
         Returns the source line of a block; single block stops where it changes.
     settings : OperatorSettings
         The settings that the first plan follows.
+    tool : ToolLimit, optional
+        Limit on the error that the drives leave at the tool.
 
     """
 
@@ -52,8 +55,10 @@ class MotionStream:
         chunk_size: int = 10,
         line_of: Callable[[int], int] = int,
         settings: OperatorSettings | None = None,
+        tool: ToolLimit | None = None,
     ):
-        self._context = PlanContext(limits, limit_table(limits), period, chunk_size, line_of)
+        table = limit_table(limits)
+        self._context = PlanContext(limits, table, period, chunk_size, line_of, tool=tool)
         self._course = self._context.course
         self._plan = MotionPlan(self._context, settings or OperatorSettings(), deque())
 
@@ -168,7 +173,7 @@ class MotionStream:
         assert leg.number_of_zero is not None
         begun, period = number - leg.number_of_zero + 1, self._context.period
         if not rests:
-            new = Leg(self._context.limits, period, begun, (v, a))
+            new = Leg(self._context.limits, period, begun, (v, a), self._context.tool)
             todo = finely(self._course.after(s))
             plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self._plan)
             with suppress(PlanningError):

@@ -12,6 +12,8 @@ import numpy as np
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
+from cnc_interp.drives.tool_error import ToolError, ToolMotion
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.program.blocks import Blocks
@@ -47,6 +49,9 @@ class PlanFigures:
         self._curved = self._spans = 0  # blocks that became curves, and spans of these
         self._on_curve, self._last_row = False, 0  # where the last segment ended
         self._tolerances = ToleranceUse()
+        self._tool = ToolLimit.wanted(machine, settings)
+        self._tool_motion: ToolMotion | None = None
+        self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
         self.start: StartPlace | None = None  # where the run started, if not at the top
         self._samples = self._segments = self._blocks = 0
         self._windows = dict.fromkeys(SOLVED_BY, 0)
@@ -93,6 +98,32 @@ class PlanFigures:
         self._path_length = float(samples.s[-1])
         self._spanned = float(samples.time[-1])
         self._measure(samples.position)
+        self._simulate(samples)
+
+    def _simulate(self, samples: Setpoints) -> None:
+        """Measure the error that the drives of the machine file leave at the tool."""
+        if self._tool is None:
+            return
+        if self._tool_motion is None:
+            start, model = samples.position[0], self._tool.model
+            self._tool_motion = ToolMotion(self._machine, self._period, start, model)
+        self._note_error(self._tool_motion.push(samples.position, samples.velocity))
+
+    def _note_error(self, error: ToolError) -> None:
+        """Keep the largest errors."""
+        if len(error.tip):
+            largest = np.array([error.tip.max(), error.axis.max() * self._height])
+            self._tool_error = np.maximum(self._tool_error, largest)
+
+    @property
+    def _told_error(self) -> dict[str, float] | None:
+        """The largest errors at the tool and their limit, if there is one [m]."""
+        if self._tool is None:
+            return None
+        if self._tool_motion is not None:
+            self._note_error(self._tool_motion.copy().settle(self._period))
+        tip, axis = self._tool_error.tolist()
+        return {'limit': self._tool.largest, 'tip': tip, 'axis': axis}
 
     @property
     def samples(self) -> int:
@@ -171,6 +202,7 @@ class PlanFigures:
                 'contour': float(self._tolerances.largest[0]),
                 'orientation': float(self._tolerances.largest[1]),
             },
+            'tool_error': self._told_error,
             'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
         }

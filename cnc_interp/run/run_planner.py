@@ -10,6 +10,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.transform import Transform
@@ -65,6 +66,8 @@ class RunPlanner:
         The settings that the first plan follows.
     retract, plunge_feed : float
         The way to a place inside the program: see ``approach_inside`` [m, m/s].
+    tool : ToolLimit, optional
+        Limit on the error that the drives leave at the tool.
 
     """
 
@@ -79,12 +82,13 @@ class RunPlanner:
         settings: OperatorSettings | None = None,
         retract: float = 0.0,
         plunge_feed: float = math.inf,
+        tool: ToolLimit | None = None,
     ):
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height, period)
         limits = limits_at(transform.machine, period)
         chunk_size = max(1, round(chunk_time / period))
-        self.stream = MotionStream(limits, period, chunk_size, self.line_of, settings)
+        self.stream = MotionStream(limits, period, chunk_size, self.line_of, settings, tool)
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)

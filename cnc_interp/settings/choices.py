@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
+from cnc_interp.core.errors import SettingsError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
 from cnc_interp.settings.declaration import (
     ANGLE,
@@ -16,6 +17,7 @@ from cnc_interp.settings.declaration import (
     Stage,
     choices,
     file,
+    name,
     number,
     one_of,
     switch,
@@ -23,6 +25,7 @@ from cnc_interp.settings.declaration import (
 )
 
 READING, SMOOTHING, MOTION = Stage.READING, Stage.SMOOTHING, Stage.MOTION
+PLANNING = Stage.PLANNING
 START, APPROACH = Stage.START, Stage.APPROACH
 #: The machine where none is named.
 DEFAULT_MACHINE = 'xyzac'
@@ -110,6 +113,14 @@ class Settings:
     interpolation_period: float = number(
         1.0 * MS, TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period', option='period'
     )
+    compensation: str | None = name(
+        MOTION, 'machine whose drives are the model that is compensated, as identify writes it',
+        option='compensate', metavar='M',
+    )  # fmt: skip
+    tool_error: float | None = number(
+        None, LENGTH, LENGTHS, PLANNING,
+        'largest error that the drives leave at the tool, also at flank height', nothing='none',
+    )  # fmt: skip
     from_line: int = whole_number(
         0, (0, 10**12), START, 'line of the program at which the run starts, 0: at its top'
     )
@@ -134,6 +145,8 @@ class Settings:
     def __post_init__(self) -> None:
         for choice in choices(self):
             choice.check(getattr(self, choice.name))
+        if self.tool_error is not None and self.law != 'optimal':
+            raise SettingsError('tool_error', f'the law {self.law} cannot hold it; use optimal')
 
     @property
     def compares_corners(self) -> bool:

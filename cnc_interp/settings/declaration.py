@@ -32,6 +32,7 @@ class Stage(enum.Enum):
     READING = 'reading'
     SMOOTHING = 'smoothing'
     MOTION = 'motion'
+    PLANNING = 'planning'  # the motion law, found by the feed planner
     START = 'start'  # where one run begins; never a habit of the nodes or of the page
     APPROACH = 'approach'  # the way from where the machine stands
     OFFLINE = 'offline'  # motion that is planned without the nodes
@@ -272,6 +273,11 @@ def switch(default: bool, stage: Stage, sentence: str, **more: Any) -> Any:
 def one_of(values: tuple[str, ...], stage: Stage, sentence: str, **more: Any) -> Any:
     """Declare a choice between words; the first one is the default."""
     return _declare(str, values[0], stage, sentence, values=values, **more)
+
+
+def name(stage: Stage, sentence: str, **more: Any) -> Any:
+    """Declare a name in free text, which is not given by default."""
+    return _declare(str, None, stage, sentence, optional=True, **more)
 
 
 def file(stage: Stage, sentence: str, **more: Any) -> Any:

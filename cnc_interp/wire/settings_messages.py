@@ -76,7 +76,7 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
         if choice.name in fields and getattr(goal, choice.name)
     }
     settings = settings_from(goal.settings, replace(defaults, **given))
-    for choice in choices(defaults, Stage.MOTION, Stage.APPROACH):
+    for choice in choices(defaults, Stage.MOTION, Stage.PLANNING, Stage.APPROACH):
         ours = getattr(defaults, choice.name)
         if getattr(settings, choice.name) != ours:
             told = f'the nodes were started with {choice.shown(ours)}; start them with another'

@@ -3,9 +3,9 @@ Cycle times at a held error at the tool: planned by error, and by a lower feed o
 
     PYTHONPATH=. python benchmarks/tool_error.py
 
-Programs are planned on ``xyzac_tired``: by their feed alone, with a limit on the error at the tool,
-and with the largest override of feeds and rapids that keeps the same error. Errors are those of
-the simulated drives, as they are or behind the inverse of a model wrong by 20 % up and down.
+Programs are planned on ``xyzac_tired``: by their feed alone, with a limit on the error at the
+tool, and with the largest override of feeds and rapids that keeps the same error. Errors are those
+of the simulated drives, as they are or behind the inverse of a model wrong by 20 % up and down.
 """
 
 from __future__ import annotations

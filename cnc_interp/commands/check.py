@@ -110,7 +110,7 @@ def with_tool_error(proof: Proof, plan: PlanFiles, machine: Machine) -> Proof:
     parts = [slice(k, k + ROWS) for k in range(0, len(plan.position), ROWS)]
     for error in (
         *(motion.push(plan.position[part], velocity[part]) for part in parts),
-        motion.settle(plan.period),
+        motion.settle(),
     ):
         tip, axis = max(tip, error.tip.max()), max(axis, error.axis.max() * height)
     model = f', compensated by {settings.compensation}' if limit.model else ''

@@ -67,7 +67,7 @@ class ToolMotion:
             self._compensation, self._known = compensation.words, compensation.known
             self.lag = compensation.lead
         self._memory = memory_of(period, self.lag)
-        self.last = position
+        self._period, self._last = period, position
         tip, axis = self._transform.forward(position[None, :])
         self._tips, self._axes = (np.repeat(x, self._memory, axis=0) for x in (tip, axis))
 
@@ -91,7 +91,7 @@ class ToolMotion:
             return ToolError(np.empty(0), np.empty(0))
         sent = np.ascontiguousarray(positions, dtype=float)
         rates = np.ascontiguousarray(velocities, dtype=float)
-        self.last = sent[-1]
+        self._last = sent[-1]
         tips, axes = self._transform.forward(sent)
         if self._known:
             sent, rates = compensate_all(self._compensation, self._known, sent)
@@ -102,9 +102,10 @@ class ToolMotion:
         found = _errors(tips, axes, tip, axis, self._memory)
         return ToolError(found[:, 0], found[:, 1])
 
-    def settle(self, period: float) -> ToolError:
-        """Measure the error while the axes settle after the last setpoint."""
-        rest = np.tile(self.last, (round((SETTLING + self.lag) / period), 1))
+    def settle(self, position: FloatArray | None = None) -> ToolError:
+        """Measure the error while the axes settle at a position, by default the last setpoint."""
+        at = self._last if position is None else position
+        rest = np.tile(at, (round((SETTLING + self.lag) / self._period), 1))
         return self.push(rest, np.zeros_like(rest))
 
 
@@ -136,7 +137,7 @@ def tool_error(
 
     """
     motion = ToolMotion(machine, period, np.asarray(positions[0], dtype=float), model)
-    moving, resting = motion.push(positions, velocities), motion.settle(period)
+    moving, resting = motion.push(positions, velocities), motion.settle()
     return ToolError(
         np.concatenate([moving.tip, resting.tip]), np.concatenate([moving.axis, resting.axis])
     )

@@ -213,9 +213,8 @@ class StretchProblem:
             for x in (self.left, self.right, self.slack, self.dual)
         )
         n_axes = left.shape[2]
-        rows = np.zeros(
-            (n_axes + len(self.tool_rows), 3 * self.places + (self.places > 3), end - first)
-        )
+        factors = 13 if self.places > 3 else 9
+        rows = np.zeros((n_axes + len(self.tool_rows), factors, end - first))
         build_rows(left, right, self.table, scale, rows[:n_axes])
         if len(self.tool_rows) and end - first > 2:
             # The first node of the solved cells is given.
@@ -398,7 +397,7 @@ class StretchProblem:
 
 
 def _better(one: Stretch, other: Stretch) -> bool:
-    """Tell whether a law has less error at the tool than its limit or another law, or is faster."""
+    """Tell whether a law is nearer to the limit on the error at the tool, or faster within it."""
     off = max(one.tool_use, 1.0), max(other.tool_use, 1.0)
     return off[0] < off[1] or (off[0] == off[1] and one.duration.sum() < other.duration.sum())
 

@@ -246,8 +246,7 @@ class ToolLimit:
         law, motion = stretch.law(0.0, cells), self.motion.copy()
         time = self._times(law)
         moving = motion.push(*_sampled(stretch.path, law, time))
-        motion.last = stretch.path.cell_right[0, -1]
-        resting = motion.settle(self.period)
+        resting = motion.settle(stretch.path.cell_right[0, -1])
         errors = np.stack(
             [
                 np.concatenate([moving.tip, resting.tip]),

@@ -26,6 +26,7 @@ from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.operator_settings import OperatorInputs
+from cnc_interp.nodes.parameters import settings_of
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.planning_thread import PlanningThread
 from cnc_interp.nodes.qos import SETPOINTS, STATE

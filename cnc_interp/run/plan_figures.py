@@ -121,7 +121,7 @@ class PlanFigures:
         if self._tool is None:
             return None
         if self._tool_motion is not None:
-            self._note_error(self._tool_motion.copy().settle(self._period))
+            self._note_error(self._tool_motion.copy().settle())
         tip, axis = self._tool_error.tolist()
         return {'limit': self._tool.largest, 'tip': tip, 'axis': axis}
 

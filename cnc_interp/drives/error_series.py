@@ -45,12 +45,15 @@ class ErrorSeries:
         c1 and c2 [s, s2].
     away : ndarray, shape (n_axes,)
         Error that stays in steady motion, against it [m or rad].
+    lag : float
+        The common lag; for compensated drives what they are later than ``Compensation.lead`` [s].
 
     """
 
     by_velocity: FloatArray
     by_acceleration: FloatArray
     away: FloatArray
+    lag: float
 
 
 def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:
@@ -80,7 +83,7 @@ def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:
     lag = 0.5 * (lags.min() + lags.max())
     for j in range(count):
         series[j] = _times(series[j], _delay(-lag))
-    return ErrorSeries(series[:, 1].copy(), series[:, 2].copy(), away)
+    return ErrorSeries(series[:, 1].copy(), series[:, 2].copy(), away, float(lag))
 
 
 def _as_it_is(drive: AxisDrive, load: DriveLoad | None) -> tuple[FloatArray, float]:

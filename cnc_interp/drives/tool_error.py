@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ from cnc_interp.kinematics.transform import Transform
 SAME = 1e-6
 #: Time after the last setpoint in which the axes settle [s].
 SETTLING = 0.1
+#: A table that brakes is ahead of its setpoints by less than this [s].
+AHEAD = 0.01
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,13 @@ class ToolMotion:
             self._compensation, self._known = compensation.words, compensation.known
             self.lag = compensation.lead
         self._memory = memory_of(period, self.lag)
+        #: Rows by which errors come later than their setpoints.
+        self.late = math.ceil(AHEAD / period)
         self._period, self._last = period, position
         tip, axis = self._transform.forward(position[None, :])
-        self._tips, self._axes = (np.repeat(x, self._memory, axis=0) for x in (tip, axis))
+        known = self._memory + self.late
+        self._tips, self._axes = (np.repeat(x, known, axis=0) for x in (tip, axis))
+        self._waiting = tuple(np.repeat(x, self.late, axis=0) for x in (tip, axis))
 
     def copy(self) -> ToolMotion:
         """Return the same state, which moves on by itself."""
@@ -79,7 +86,10 @@ class ToolMotion:
 
     def push(self, positions: FloatArray, velocities: FloatArray) -> ToolError:
         """
-        Take the next setpoints, and measure the error at the tool in their periods.
+        Take the next setpoints, and measure the error at the tool.
+
+        It is compared with the setpoints after it, too. So row k is the error ``late`` periods
+        before setpoint k.
 
         Parameters
         ----------
@@ -96,16 +106,20 @@ class ToolMotion:
         if self._known:
             sent, rates = compensate_all(self._compensation, self._known, sent)
         x, _ = follow_all(self._words, sent, rates)
-        tip, axis = self._transform.forward(x)
+        tip, axis = (
+            np.concatenate([waiting, new])
+            for waiting, new in zip(self._waiting, self._transform.forward(x), strict=True)
+        )
+        self._waiting = tip[len(x) :], axis[len(x) :]
         tips, axes = np.concatenate([self._tips, tips]), np.concatenate([self._axes, axes])
-        self._tips, self._axes = tips[-self._memory :], axes[-self._memory :]
-        found = _errors(tips, axes, tip, axis, self._memory)
+        self._tips, self._axes = tips[len(x) :], axes[len(x) :]
+        found = _errors(tips, axes, tip[: len(x)], axis[: len(x)], self._memory + self.late)
         return ToolError(found[:, 0], found[:, 1])
 
     def settle(self, position: FloatArray | None = None) -> ToolError:
         """Measure the error while the axes settle at a position, by default the last setpoint."""
         at = self._last if position is None else position
-        rest = np.tile(at, (round((SETTLING + self.lag) / self._period), 1))
+        rest = np.tile(at, (round((SETTLING + self.lag) / self._period) + self.late, 1))
         return self.push(rest, np.zeros_like(rest))
 
 
@@ -137,10 +151,9 @@ def tool_error(
 
     """
     motion = ToolMotion(machine, period, np.asarray(positions[0], dtype=float), model)
-    moving, resting = motion.push(positions, velocities), motion.settle()
-    return ToolError(
-        np.concatenate([moving.tip, resting.tip]), np.concatenate([moving.axis, resting.axis])
-    )
+    parts = motion.push(positions, velocities), motion.settle()
+    tip, axis = (np.concatenate([getattr(p, of) for p in parts]) for of in ('tip', 'axis'))
+    return ToolError(tip[motion.late :], axis[motion.late :])
 
 
 @njit(cache=True, nogil=True)
@@ -148,11 +161,10 @@ def _errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
     """
-    Compare each pose with the last ``memory`` commanded chords; return errors of tip and axis.
+    Compare pose i with the ``memory`` commanded chords from chord i on; return its errors.
 
-    There are ``memory`` commanded poses before the first one. Where the tip stands or goes back on
-    its way, many chords are as near as the nearest one. The axis is compared with the one on them
-    that is most like it.
+    Where the tip stands or goes back on its way, many chords are as near as the nearest one. The
+    axis is compared with the one on them that is most like it.
     """
     found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory), np.zeros(memory)
     for i in range(len(tip)):

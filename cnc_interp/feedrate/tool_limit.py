@@ -24,6 +24,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import SettingsError
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
 from cnc_interp.drives.tool_error import ToolMotion
@@ -103,10 +104,14 @@ class ToolLimit:
         ------
         MachineError
             If the model of the drives does not fit the machine.
+        SettingsError
+            If the law has no such limit.
 
         """
         if settings.tool_error is None:
             return None
+        if settings.law != 'optimal':
+            raise SettingsError('tool_error', f'the law {settings.law} has none; use optimal')
         name = settings.compensation
         model = compensated_model(name, machine) if name else None
         period, height = settings.interpolation_period, settings.flank_height
@@ -255,7 +260,9 @@ class ToolLimit:
         )
         starts = np.append(law.time, law.end_time)[stretch.nodes[:-1]]
         # An axis is where it was told to be so much earlier.
-        shown = self.wait + self.period * np.arange(errors.shape[1]) - motion.lag
+        lag = self.series.lag + self.period * motion.late
+        lag += motion.lag if self.model is not None else 0.0
+        shown = self.wait + self.period * np.arange(errors.shape[1]) - lag
         rows = np.stack([np.interp(shown, starts, row) for row in predicted])
         first = np.clip(np.searchsorted(shown, starts), 0, len(shown) - 1)
         around = 2 * round(NEARBY / self.period) + 1

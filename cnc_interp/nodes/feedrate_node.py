@@ -26,7 +26,6 @@ from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.operator_settings import OperatorInputs
-from cnc_interp.nodes.parameters import settings_of
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.planning_thread import PlanningThread
 from cnc_interp.nodes.qos import SETPOINTS, STATE
@@ -72,7 +71,7 @@ class FeedrateNode(LifecycleNode):
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(values['machine'], period)
-        ToolLimit.wanted(self._transform.machine, settings_of(values))  # refuse it now
+        ToolLimit.wanted(self._transform.machine, parameters.settings_of(values))  # refuse it now
         self._diagnostics = Diagnostics(self)
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
@@ -177,7 +176,7 @@ class FeedrateNode(LifecycleNode):
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
     ) -> RunPlanner:
         """Make the planner of the run that begins with a segment."""
-        wanted = replace(settings_of(self._values), flank_height=first.flank_height)
+        wanted = replace(parameters.settings_of(self._values), flank_height=first.flank_height)
         tool = ToolLimit.wanted(self._transform.machine, wanted)
         return RunPlanner(
             self._transform, first.flank_height, self._values['interpolation_period'],

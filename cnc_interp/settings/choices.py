@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
-from cnc_interp.core.errors import SettingsError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
 from cnc_interp.settings.declaration import (
     ANGLE,
@@ -145,8 +144,6 @@ class Settings:
     def __post_init__(self) -> None:
         for choice in choices(self):
             choice.check(getattr(self, choice.name))
-        if self.tool_error is not None and self.law != 'optimal':
-            raise SettingsError('tool_error', f'the law {self.law} cannot hold it; use optimal')
 
     @property
     def compares_corners(self) -> bool:

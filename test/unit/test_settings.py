@@ -97,6 +97,8 @@ OTHERS = Settings(
     corner_angle=50.0 * DEG,
     tolerance_share=2.0 / 3.0,
     interpolation_period=0.002,
+    compensation='identified.yaml',
+    tool_error=1.0e-4 / 3.0,
     from_line=12,
     line_pass=3,
     retract=0.1 / 3.0,
@@ -155,6 +157,7 @@ def test_nodes_declare_every_choice_where_it_is_used():
         Stage.READING: ['program_node'],
         Stage.SMOOTHING: ['program_node', 'lookahead_node'],
         Stage.MOTION: ['program_node', 'feedrate_node', 'machine_node'],
+        Stage.PLANNING: ['program_node', 'feedrate_node'],
         Stage.APPROACH: ['program_node', 'feedrate_node'],
     }.items():
         for node in nodes:
@@ -217,7 +220,8 @@ def test_a_goal_carries_all_choices_and_its_fields_still_count():
     )
 
 
-MOTION = {c.name: getattr(OTHERS, c.name) for c in choices(Settings, Stage.MOTION, Stage.APPROACH)}
+OF_NODES = Stage.MOTION, Stage.PLANNING, Stage.APPROACH
+MOTION = {c.name: getattr(OTHERS, c.name) for c in choices(Settings, *OF_NODES)}
 
 
 @pytest.mark.parametrize(
@@ -298,7 +302,7 @@ def test_the_form_gives_the_settings_that_filled_it_in():
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
     compared = {'corner', 'parametrization', 'top', 'septic', 'law'}
-    of_nodes = {'interpolation_period', 'retract', 'plunge_feed'}
+    of_nodes = {'interpolation_period', 'compensation', 'tool_error', 'retract', 'plunge_feed'}
     assert hidden == compared | of_nodes | {'from_line', 'line_pass'}
 
 

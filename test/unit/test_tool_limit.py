@@ -1,0 +1,222 @@
+"""A limit on the error at the tool: rows, windows, revisions, command line and proof."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cnc_interp.cli import main
+from cnc_interp.core.units import MM, UM
+from cnc_interp.drives.error_series import error_series
+from cnc_interp.drives.tool_error import tool_error
+from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.tool_limit import ToolLimit
+from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
+from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine.simulated import simulate
+from cnc_interp.program import read_program
+from cnc_interp.run import path_chain
+from cnc_interp.run.chunk import Wait
+from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.settings.choices import Settings
+
+S_PATH = Path(__file__).parents[2] / 'examples' / 's_path.apt'
+TIRED, IDEAL = Machine.load('xyzac_tired'), Machine.load('xyzac')
+T, HEIGHT = 1e-3, 30 * MM
+
+
+def wrong(machine: Machine) -> Machine:
+    """A model whose gains and lags are off, up and down from axis to axis."""
+    drives = {
+        j: replace(
+            drive,
+            position_gain=drive.position_gain * (1.2 if j % 2 else 0.8),
+            time_constant=drive.time_constant * (0.8 if j % 2 else 1.2),
+            delay=drive.delay * (1.2 if j % 2 else 0.8),
+        )
+        for j, drive in machine.drives.items()
+    }
+    return replace(machine, drives=drives)
+
+
+def frictionless(machine: Machine) -> Machine:
+    """The same loops, delays and modes, without friction, backlash and steps of encoders."""
+    linear = {'static': 0.0, 'stribeck_velocity': 0.0, 'backlash': 0.0, 'resolution': 0.0}
+    drives = {j: replace(drive, **linear) for j, drive in machine.drives.items()}
+    loads = {j: replace(load, coulomb=0.0) for j, load in machine.loads.items()}
+    return replace(machine, drives=drives, loads=loads)
+
+
+@pytest.mark.parametrize('compensated', [False, True])
+def test_the_series_are_the_errors_of_slow_motion(compensated):
+    machine = frictionless(TIRED)
+    model = wrong(machine) if compensated else None
+    time = np.arange(0.0, 8.0, T)
+    omega, size = 2 * np.pi * 0.5, np.array([0.05, 0.04, 0.03, 0.2, 0.4])
+    q = np.outer(1.0 - np.cos(omega * time), size)
+    velocity, acceleration = np.gradient(q, T, axis=0), np.outer(np.cos(omega * time), size)
+    acceleration *= omega**2
+    x = simulate(machine, T, q, velocity, model).position
+    series = error_series(machine, model)
+    steady = slice(4000, 7500)
+    wanted = series.by_velocity * velocity + series.by_acceleration * acceleration
+    # Of all axes, one common lag is left over: the one that fits all of them best.
+    left = x[steady] - q[steady] - wanted[steady]
+    lag = -(left[:, 0] @ velocity[steady, 0]) / (velocity[steady, 0] @ velocity[steady, 0])
+    late = np.stack([np.interp(time[steady] - lag, time, column) for column in q.T], axis=1)
+    off = np.abs(x[steady] - late - wanted[steady]).max(axis=0)
+    assert np.all(off < 0.08 * np.abs(wanted[steady]).max(axis=0) + 2e-4 * size)
+    assert np.abs(wanted).max() > 5 * UM
+
+
+def test_friction_and_backlash_stay_away_in_steady_motion():
+    time = np.arange(0.0, 3.0, T)
+    drives = {j: replace(drive, resolution=0.0) for j, drive in TIRED.drives.items()}
+    machine = replace(TIRED, drives=drives)
+    q = np.outer(0.5 * time**2 / 3.0, [0.1, 0.08, 0.06, 0.3, 0.6])
+    rate = np.gradient(q, T, axis=0)
+    free, real = (simulate(of, T, q, rate).position for of in (frictionless(machine), machine))
+    off = free - real
+    assert off[-1] == pytest.approx(error_series(machine).away, rel=0.03)
+
+
+def test_true_models_leave_nothing():
+    series = error_series(TIRED, TIRED)
+    for part in (series.by_velocity, series.by_acceleration, series.away):
+        assert np.abs(part).max() < 1e-12
+
+
+def s_path() -> AxisPath:
+    """The S-shaped example on the tired machine."""
+    transform = Transform.of(TIRED)
+    program = read_program(S_PATH, transform, Settings())
+    return path_chain.path_of(program.blocks, transform, Settings())
+
+
+def circle(radius: float, turns: float, feed: float, cells: int = 120) -> AxisPath:
+    """X and Y on a circle with exact derivatives."""
+    s = np.linspace(0.0, turns * 2 * np.pi * radius, cells + 1)
+    ends = np.zeros((4, cells + 1, 5))
+    for order in range(4):
+        turned = s / radius + order * np.pi / 2
+        ends[order, :, 0] = radius * np.cos(turned) / radius**order
+        ends[order, :, 1] = radius * np.sin(turned) / radius**order
+    stop = np.zeros(cells + 1, dtype=bool)
+    stop[[0, -1]] = True
+    return AxisPath(
+        s, ends[:, :-1].copy(), ends[:, 1:].copy(), ends[0, :, :3].copy(),
+        np.tile([0.0, 0.0, 1.0], (cells + 1, 1)), np.full(cells, feed),
+        np.zeros(cells, dtype=np.int64), stop,
+    )  # fmt: skip
+
+
+def sampled(pieces: list[PlannedPiece]) -> Setpoints:
+    """Sample planned pieces."""
+    interpolator = Interpolator(T)
+    return Setpoints.concatenate(
+        [*(interpolator.push(piece) for piece in pieces), interpolator.finish()]
+    )
+
+
+def error_of(found: Setpoints, machine: Machine, model: Machine | None = None) -> float:
+    """Largest error of tip, and of the axis at flank height [m]."""
+    error = tool_error(machine, T, found.position, found.velocity, model)
+    return max(float(error.tip.max()), float(error.axis.max()) * HEIGHT)
+
+
+def test_the_speed_on_a_circle_is_that_of_the_closed_form():
+    # Equal loops cut a circle: x + (1 + tau kv) ... gives c2 = -tau / kv, so E = c2 v^2 / r.
+    radius, largest = 20 * MM, 2 * UM
+    tool = ToolLimit.of(IDEAL, T, largest, HEIGHT)
+    piece = plan_path(circle(radius, 2.0, 0.5), IDEAL, PlanOptions(tool=tool))
+    speed = np.sqrt(largest * radius / 2e-5)
+    assert np.median(piece.law.s_dot) == pytest.approx(speed, rel=0.05)
+    assert 0.9 * largest < error_of(sampled([piece]), IDEAL) <= largest
+
+
+@pytest.mark.parametrize(('model', 'largest'), [(None, 150 * UM), (wrong(TIRED), 40 * UM)])
+def test_the_error_is_held_and_used_in_windows(model, largest):
+    path = s_path()
+    plain = error_of(sampled([plan_path(path, TIRED)]), TIRED, model)
+    tool = ToolLimit.of(TIRED, T, largest, HEIGHT, model)
+    found = []
+    for size in (60, len(path.s)):
+        options = PlanOptions(tool=tool, bound=False)
+        planner = FeedPlanner(TIRED, options)
+        pieces = []
+        for first in range(0, len(path.s) - 1, size):
+            pieces += planner.push(cut(path, first, min(first + size, len(path.s) - 1)))
+        pieces += planner.finish()
+        found.append(sampled(pieces))
+    assert len(pieces) > 1
+    assert found[0].position.tobytes() == found[1].position.tobytes()
+    assert plain > 1.2 * largest
+    assert 0.8 * largest < error_of(found[0], TIRED, model) <= 1.001 * largest
+
+
+def test_revisions_in_motion_hold_it():
+    tool = ToolLimit.of(TIRED, T, 150 * UM, HEIGHT)
+    path = s_path()
+    stream = MotionStream(TIRED, T, tool=tool)
+    stream.push(path)
+    stream.end_leg(Wait.END)
+    sent, revised, wanted = [], 0, iter([0.7, 1.0, 0.5, 1.2])
+    while not sent or sent[-1].wait is not Wait.END:
+        if len(sent) % 25 == 24 and (override := next(wanted, None)) is not None:
+            count = sum(len(chunk.samples) for chunk in sent)
+            revision = stream.revision(count - 1, OperatorSettings(override))
+            if revision is not None:
+                stream.adopt(revision)
+                revised += 1
+        while not stream.can_sample and stream.can_plan:
+            stream.plan()
+        sent += stream.sample() if stream.can_sample else []
+    assert revised > 1
+    run = Setpoints.concatenate([chunk.samples for chunk in sent])
+    # The drives at a revision are taken as in steady motion, so a little more is possible.
+    assert error_of(run, TIRED) <= 1.15 * 150 * UM
+
+
+def test_command_line_and_proof(tmp_path, capsys):
+    out = tmp_path / 'plan'
+    words = ['plan', str(S_PATH), '--machine', 'xyzac_tired', '--out', str(out)]
+    assert main([*words, '--tool-error', '0.15']) == 0
+    assert 'tool error     tip 0.1' in capsys.readouterr().out
+    summary = json.loads((out / 'summary.json').read_text())
+    error = summary['tool_error']
+    rows = np.load(out / 'setpoints.npz')
+    seen = tool_error(TIRED, T, rows['position'], rows['velocity'])
+    assert error['limit'] == pytest.approx(150 * UM)
+    assert error['tip'] == pytest.approx(seen.tip.max(), rel=1e-6)
+    assert error['axis'] == pytest.approx(seen.axis.max() * HEIGHT, rel=1e-6)
+    assert main(['check', str(out)]) == 0
+    assert 'error at the tool by the drives of xyzac_tired: tip 0.1' in capsys.readouterr().out
+    # A plan that says it holds a smaller one is found out.
+    summary['settings']['tool_error'] = 100 * UM
+    (out / 'summary.json').write_text(json.dumps(summary))
+    assert main(['check', str(out)]) == 1
+    assert 'exceeded' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['--law', 'vpop'], 'has none'),
+        (['--compensate', 'nowhere'], 'no machine'),
+        (['--compensate', 'xyz'], 'other axes'),
+        (['--tool-error', '-1'], 'not between'),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(words, said, tmp_path, capsys):
+    words = ['plan', str(S_PATH), '--out', str(tmp_path / 'x'), '--tool-error', '0.1', *words]
+    with pytest.raises(SystemExit) if '-1' in words else pytest.MonkeyPatch.context():
+        assert main([*words, '--machine', 'xyzac_tired']) == 2
+    assert said in capsys.readouterr().err

@@ -39,6 +39,7 @@ PROGRAMS = (
 SURFACES = (
     ('bumps', EXAMPLES / 'bumps.json', ['--stepover', '2']),
     ('hollow', EXAMPLES / 'hollow.json', ['--stepover', '3']),
+    ('saddle', EXAMPLES / 'saddle.json', ['--stepover', '3']),
 )
 #: What a wrong model does not change: the step of the encoder, and what is no value.
 RIGHT = ('resolution', 'feed_forward')

@@ -16,7 +16,7 @@ from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
-from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.simulated import simulate
@@ -116,6 +116,46 @@ def circle(radius: float, turns: float, feed: float, cells: int = 120) -> AxisPa
         np.tile([0.0, 0.0, 1.0], (cells + 1, 1)), np.full(cells, feed),
         np.zeros(cells, dtype=np.int64), stop,
     )  # fmt: skip
+
+
+def waving(length: float, cells: int) -> AxisPath:
+    """All axes in waves along the path, of which s is not the length of the tip."""
+    s = np.linspace(0.0, length, cells + 1)
+    ends = np.zeros((4, cells + 1, 5))
+    for order in range(4):
+        for k, (size, wave) in enumerate(
+            [(0.05, 12.0), (0.04, 15.0), (0.03, 9.0), (0.2, 11.0), (0.5, 8.0)]
+        ):
+            ends[order, :, k] = size * wave**order * np.sin(wave * s + k + order * np.pi / 2)
+    ends[0, :, 3] += 0.6
+    stop = np.zeros(cells + 1, dtype=bool)
+    stop[[0, -1]] = True
+    tip, axis = Transform.of(IDEAL).forward(ends[0])
+    return AxisPath(
+        s, ends[:, :-1].copy(), ends[:, 1:].copy(), tip, axis, np.full(cells, 0.05),
+        np.zeros(cells, dtype=np.int64), stop,
+    )  # fmt: skip
+
+
+def test_the_rows_are_the_errors_of_slow_motion_at_the_tool():
+    machine, path, speed = frictionless(TIRED), waving(0.6, 1200), 0.06
+    tool = ToolLimit.of(machine, T, 1.0, HEIGHT)
+    rows = tool.rows(path.cell_left, path.cell_right)
+    predicted = np.abs(rows[:, 1] * speed**2 + rows[:, 2] * speed).reshape(2, 4, -1).max(axis=1)
+    time = np.arange(0.0, 0.6 / speed, T)
+    q, q_s, _, _ = evaluate(path, time * speed)
+    found = tool_error(machine, T, q, q_s * speed)
+    steady = np.arange(1500, 8500, 50)
+    # On real paths s is the length of the tip, or the tip stands.
+    moves = np.linalg.norm(np.gradient(path.tip, path.s, axis=0), axis=1) > 0.6
+    steady = steady[moves[np.searchsorted(path.s, time[steady] * speed)]]
+    assert len(steady) > 100
+    at = np.searchsorted(path.s, time[steady] * speed)
+    for row, error in zip(predicted, (found.tip, found.axis * HEIGHT), strict=True):
+        # Four normals see at least cos(22.5 deg) of an error.
+        shown = error[steady + round(tool.series.lag / T)]
+        assert row[at] == pytest.approx(shown, rel=0.1, abs=0.06 * shown.max())
+        assert shown.max() > 5 * UM
 
 
 def sampled(pieces: list[PlannedPiece]) -> Setpoints:

@@ -143,6 +143,17 @@ def positive(text: str) -> float:
     return value
 
 
+def count(text: str) -> int:
+    """Read a whole number from 1 on."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'must be a whole number, 1 or more, not {text!r}')
+    return value
+
+
 def tell(notices: Sequence[str]) -> None:
     """Print what the reader noticed."""
     for notice in notices:

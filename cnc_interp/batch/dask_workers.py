@@ -13,6 +13,7 @@ import logging
 import signal
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import AsyncExitStack
+from functools import partial
 from typing import Any, TypeVar
 
 import dask
@@ -130,6 +131,8 @@ def call_there(
     """
     Call a function in a new process on the computer of a worker.
 
+    A function that takes a number of processes is told how many this worker may have.
+
     Raises
     ------
     InterpError
@@ -141,9 +144,11 @@ def call_there(
             f'the worker {get_worker().address} has another version of cnc_interp; install '
             'the same everywhere'
         )
-    share = total_memory() / get_worker().state.nthreads
+    threads = get_worker().state.nthreads
+    if isinstance(function, partial) and 'processes' in function.keywords:
+        function = partial(function, processes=threads)
     loaded = (*PRELOADED, *TILES_PRELOADED)
-    there = Processes(1, memory or share, longest, preloaded=loaded)
+    there = Processes(1, memory or total_memory() / threads, longest, preloaded=loaded)
     return next(there.run(function, [lambda: task]))
 
 

@@ -8,6 +8,7 @@ process somebody else kills are begun again.
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import resource
 import signal
@@ -220,6 +221,8 @@ def _end_of(connection: Connection, call: _Running[A]) -> Ended[R]:
 def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:
     """Call the function in a forked process, and send the result."""
     os.setsid()  # who started it receives Ctrl-C and ends it
+    # A long program is planned by processes of its own; multiprocessing refuses them to a daemon.
+    multiprocessing.current_process()._config['daemon'] = False  # type: ignore[attr-defined]
     os.nice(19)
     with contextlib.suppress(OSError):
         Path('/proc/self/comm').write_text(PROCESS_NAME, encoding='ascii')

@@ -56,6 +56,7 @@ def run_batch(
     workers: Workers,
     store: Store,
     progress: Callable[[Progress], None],
+    processes: int = 1,
 ) -> list[tuple[Job, Outcome]]:
     """
     Carry out all jobs.
@@ -70,6 +71,9 @@ def run_batch(
         Results of this and earlier starts. Each result is written as soon as it is known.
     progress : callable
         Told after each result.
+    processes : int
+        How many processes plan one long program, between its exact stops; so a giant keeps no
+        processor idle. A cluster asks each of its computers instead.
 
     Returns
     -------
@@ -100,7 +104,8 @@ def run_batch(
         keys[number] = task.key  # the file may have changed since
         return task
 
-    for ended in workers.run(carry_out, (partial(task_of, number) for number in open_jobs)):
+    work = partial(carry_out, processes=processes)
+    for ended in workers.run(work, (partial(task_of, number) for number in open_jobs)):
         number = open_jobs[ended.number]
         outcome = _outcome(ended)
         store.keep(keys[number], outcome)

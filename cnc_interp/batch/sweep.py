@@ -146,9 +146,11 @@ class Call:
 def run_point(call: Call) -> Found:
     """Run the command of a point."""
     said, printed = io.StringIO(), io.StringIO()
+    first, *more = call.command
+    alone = ['--workers=1'] if first == 'plan' else []  # the points keep the processors busy
     with chdir(call.here), redirect_stderr(said), redirect_stdout(printed):
         try:
-            code = call.main([*call.command, f'--out={call.out}', '--json'])
+            code = call.main([first, *alone, *more, f'--out={call.out}', '--json'])
         except SystemExit as problem:  # wrong options
             code = int(problem.code or 0)
     lines = said.getvalue().strip().splitlines()

@@ -149,9 +149,9 @@ class Cost:
     seconds : float
         Time from start to end of the worker's task [s].
     processor : float
-        Processor time of it [s].
+        Processor time of all its processes [s].
     memory : float
-        Largest memory of the worker [bytes].
+        Largest memory of any of its processes [bytes].
 
     """
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import resource
+import signal
 import tempfile
 import time
 import traceback
@@ -24,6 +26,7 @@ from cnc_interp.program import JobSetup, open_program
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planner_process import LostProcessError
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import with_texts
 
@@ -33,11 +36,18 @@ TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'
 PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 
 
-def carry_out(task: Task) -> Outcome:
+def carry_out(task: Task, processes: int = 1) -> Outcome:
     """
     Plan and prove a program.
 
     Whatever goes wrong becomes the verdict of the row. So no program ends a batch.
+
+    Parameters
+    ----------
+    task : Task
+        The program on its machine.
+    processes : int
+        How many processes plan a long program. Its row is the same, its cost is not.
 
     Returns
     -------
@@ -45,9 +55,12 @@ def carry_out(task: Task) -> Outcome:
         The row of the table, and what it has cost.
 
     """
-    began, used = time.perf_counter(), time.process_time()
+    began, used = time.perf_counter(), _processor_time()
     try:
-        row = _planned(task)
+        row = _planned(task, processes)
+    except LostProcessError:
+        os.kill(os.getpid(), signal.SIGKILL)  # as if this one had been killed: begun again
+        raise
     except InterpError as problem:
         row = Row(Verdict.REFUSED, str(problem))
     except MemoryError:
@@ -58,11 +71,21 @@ def carry_out(task: Task) -> Outcome:
         row = Row(
             Verdict.CRASHED, f'{type(problem).__name__} in {place}: {problem}; please report'
         )
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
-    return Outcome(row, Cost(time.perf_counter() - began, time.process_time() - used, memory))
+    memory = max(usage.ru_maxrss for usage in _usages()) * 1024.0
+    return Outcome(row, Cost(time.perf_counter() - began, _processor_time() - used, memory))
 
 
-def _planned(task: Task) -> Row:
+def _usages() -> list[resource.struct_rusage]:
+    """Return what this process and its ended children have used."""
+    return [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+
+
+def _processor_time() -> float:
+    """Return the processor time of this process and its ended children [s]."""
+    return sum(usage.ru_utime + usage.ru_stime for usage in _usages())
+
+
+def _planned(task: Task, processes: int) -> Row:
     """Return the row of a task that can be planned."""
     machine = machine_of(task.model)
     settings = with_texts(Settings(), task.settings)
@@ -74,7 +97,7 @@ def _planned(task: Task) -> Row:
             program.with_name(name).write_bytes(text)
         stream = open_program(program, Transform.of(machine), settings, setup)
         plan = Path(task.plans or 'plan files')
-        summary = plan_to_files(stream, machine, plan, settings)
+        summary = plan_to_files(stream, machine, plan, settings, processes=processes)
         proof = verify_plan(plan, machine)
         digest = _hash(plan / name for name in PLAN)
     return Row(

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import FAILED, FINE, command, positive
+from cnc_interp.command_options import FAILED, FINE, command, count, positive
 from cnc_interp.core.units import HOUR, MINUTE
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings, settings_from
@@ -36,7 +36,7 @@ def add_batch_command(commands: Any) -> None:
         help='folder for table, page and results; a second start goes on from them',
     )  # fmt: skip
     batch.add_argument(
-        '--workers', type=int, default=len(os.sched_getaffinity(0)), metavar='N',
+        '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
         help='programs that are planned at the same time (one for each processor)',
     )  # fmt: skip
     batch.add_argument(
@@ -71,11 +71,8 @@ def batch_command(options: argparse.Namespace) -> int:
     from cnc_interp.batch.table import write_tables
     from cnc_interp.batch.task import Verdict
     from cnc_interp.batch.workers import workers_of
-    from cnc_interp.core.errors import InterpError
     from cnc_interp.core.progress_bar import ProgressBar
 
-    if options.workers < 1:
-        raise InterpError('--workers must be 1 or more')
     plans = options.out / 'plans' if options.keep_plans else None
     jobs = Jobs(options.programs, options.machine, settings_from(options), plans)
     memory = options.memory * GIGABYTE if options.memory else None
@@ -88,7 +85,8 @@ def batch_command(options: argparse.Namespace) -> int:
         bar.show('planning', progress.share, f'{progress.done} of {progress.total}{known}')
 
     try:
-        results = run_batch(jobs, workers, Store(options.out / 'results'), tell)
+        store = Store(options.out / 'results')
+        results = run_batch(jobs, workers, store, tell, options.workers)
     finally:
         bar.end(complete=False)
     files = write_tables(results, options.rate, options.out)

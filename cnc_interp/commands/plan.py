@@ -14,6 +14,7 @@ from cnc_interp.command_options import (
     FAILED,
     FINE,
     command,
+    count,
     program_options,
     tell,
 )
@@ -39,6 +40,10 @@ def add_plan_command(commands: Any) -> None:
         '--look', action='store_true',
         help='draw the feed profile in text, as a terminal always gets it',
     )  # fmt: skip
+    plan.add_argument(
+        '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
+        help='processes that plan a long program between its exact stops (one for each processor)',
+    )  # fmt: skip
 
 
 def plan_command(options: argparse.Namespace) -> int:
@@ -55,7 +60,9 @@ def plan_command(options: argparse.Namespace) -> int:
     stream = open_program(options.program, geometry, settings)
     progress = ProgressBar(None if options.json else sys.stderr)
     try:
-        summary = plan_to_files(stream, machine, options.out, settings, progress.of('planning'))
+        summary = plan_to_files(
+            stream, machine, options.out, settings, progress.of('planning'), options.workers
+        )
     finally:
         progress.end(complete=False)
         tell(stream.notices)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import FAILED, FINE, command
+from cnc_interp.command_options import FAILED, FINE, command, count
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, UM
 
@@ -29,12 +29,12 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
         'lowest and the highest',
     )  # fmt: skip
     sweep.add_argument(
-        '--search', type=int, metavar='N',
+        '--search', type=count, metavar='N',
         help='search with at most N points, instead of all combinations',
     )  # fmt: skip
     sweep.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
     sweep.add_argument(
-        '--workers', type=int, default=len(os.sched_getaffinity(0)), metavar='N',
+        '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
         help='commands that run at the same time (one for each processor)',
     )  # fmt: skip
     sweep.add_argument(

@@ -162,7 +162,7 @@ class FeedPlanner:
             is left to return.
 
         """
-        self._refuse()
+        self.refuse()
         bad = _unsound_cell(path)
         known = with_kinks(path if bad is None else cut(path, 0, bad), self._table)
         last = len(known.s) - 1
@@ -175,7 +175,7 @@ class FeedPlanner:
         )
         pieces = self._plan_windows(finished=True)
         if not pieces:
-            self._refuse()
+            self.refuse()
         return pieces
 
     def finish(self) -> list[PlannedPiece]:
@@ -193,7 +193,7 @@ class FeedPlanner:
             If no law within the limits exists and no committed motion is left to return.
 
         """
-        self._refuse()
+        self.refuse()
         pieces = self._plan_windows(finished=True)
         self._parts, self._start, self._kept, self._older = [], AT_REST, None, None
         self._fastest_sq = 0.0
@@ -205,7 +205,7 @@ class FeedPlanner:
         """Whether the next call raises because the path cannot be continued."""
         return self._problem is not None
 
-    def _refuse(self) -> None:
+    def refuse(self) -> None:
         """Raise the error of an earlier call, after the motion before it was returned."""
         if self._problem is not None:
             raise self._problem

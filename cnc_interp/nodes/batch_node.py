@@ -104,7 +104,9 @@ class BatchNode(Node):
         machines = list(goal.machines) or [self._values['machine']]
         jobs = Jobs(programs, machines, settings_from(goal.settings, self._settings))
         out = Path(folder) / goal.name
-        results = run_batch(jobs, self._processes, Store(out / 'results'), self._note)
+        results = run_batch(
+            jobs, self._processes, Store(out / 'results'), self._note, self._values['workers']
+        )
         table, *_ = write_tables(results, None, out)
         write_page(results, None, out / 'batch.html')
         counts = Counter(outcome.row.verdict for _, outcome in results)

@@ -9,24 +9,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import BlockError, ProgramError
+from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import ToolLimit
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
+from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.parallel_planner import MotionPlanner, ParallelPlanner
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.planner_process import Planning
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -64,6 +66,8 @@ class Chain:
         Measures the time of each stage [s].
     start : StartFinder, optional
         Finds the place where the run starts, if that is not the top.
+    processes : int
+        How many processes plan motion; with 1, this one does. The results are the same.
 
     """
 
@@ -73,6 +77,7 @@ class Chain:
         settings: Settings,
         clock: Callable[[], float] = time.perf_counter,
         start: StartFinder | None = None,
+        processes: int = 1,
     ):
         self._watch, self._start = Stopwatch(clock), start
         self._path = PathChain(Transform.of(machine), settings, self._watch)
@@ -82,7 +87,9 @@ class Chain:
             step=min(period, LONGEST_STEP),
             tool=ToolLimit.wanted(machine, settings),
         )
-        self._planner = FeedPlanner(limits_at(machine, period), options)
+        planning = Planning(limits_at(machine, period), options)
+        self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
+        self._planner: MotionPlanner = self._parallel or planning.planner()
         self._interpolator = Interpolator(settings.interpolation_period)
         self.segments: list[PathSegments] = []
         self.pieces: list[PlannedPiece] = []
@@ -100,6 +107,22 @@ class Chain:
     def notice(self) -> tuple[int, str] | None:
         """Notices about the path for the operator: source line and text."""
         return self._path.notice
+
+    def close(self) -> None:
+        """End the processes that plan."""
+        if self._parallel is not None:
+            self._parallel.close()
+
+    @contextmanager
+    def refusals_in_order(self) -> Iterator[None]:
+        """Raise the first refusal of the program, however far reading is ahead of planning."""
+        try:
+            yield
+        except PlanningError:
+            raise
+        except InterpError:
+            self._planner.refuse()
+            raise
 
     def push(self, blocks: Blocks) -> None:
         """Send further blocks through all stages."""
@@ -202,6 +225,7 @@ def plan_to_files(
     directory: Path,
     settings: Settings | None = None,
     progress: Callable[[float], None] | None = None,
+    processes: int = 1,
 ) -> dict[str, Any]:
     """
     Plan a program while it is read and write its plan files; memory does not grow with it.
@@ -218,6 +242,8 @@ def plan_to_files(
         The user's choices.
     progress : callable, optional
         Told the share of the program that has been planned, 0 to 1.
+    processes : int
+        How many processes plan motion; with 1, this one does. The files are the same.
 
     Returns
     -------
@@ -234,9 +260,9 @@ def plan_to_files(
     start = None
     if stream.start.line:
         start = StartFinder(Transform.of(machine), settings.flank_height, stream.start)
-    chain = Chain(machine, settings, start=start)
-    with PlanWriter(directory, machine, settings) as writer:
-        with at_fault(stream.source):
+    chain = Chain(machine, settings, start=start, processes=processes)
+    with closing(chain), PlanWriter(directory, machine, settings) as writer:
+        with at_fault(stream.source), chain.refusals_in_order():
             rows_read, told = 0, 0.0
             for part in stream:
                 writer.blocks(part if start is None else start.blocks(part))

@@ -98,13 +98,45 @@ def test_the_rows_do_not_depend_on_workers_and_kills(programs, tmp_path):
         assert len({(out / 'table.parquet').read_bytes() for out in outs}) == 1
 
 
-def kill_one():
-    """Kill a working process of ours, a child of our fork server; return its id."""
+def test_a_long_program_is_planned_by_all_workers_and_has_the_same_row(tmp_path):
+    """Its stretches between exact stops go to processes of the process that has the program."""
+    programs = tmp_path / 'programs'
+    programs.mkdir()
+    strokes = '\n'.join(f'X{k % 7} Y{k % 5} Z{k % 2}' for k in range(400))
+    (programs / 'giant.ngc').write_text(LINE.format('1 G61\n' + strokes))
+    outs = [tmp_path / name for name in ('one', 'two', 'killed')]
+    assert batch(programs, outs[0], '--workers', '1') == FINE
+    stop, seen = threading.Event(), []
+
+    def look(kill):
+        while not stop.wait(0.01):
+            if kill and len(seen) > 1:
+                return
+            seen.extend(kill_one(generation=2, number=signal.SIGKILL if kill else 0))
+
+    for out, kill in ((outs[1], False), (outs[2], True)):
+        stop.clear()
+        seen.clear()
+        watcher = threading.Thread(target=look, args=(kill,))
+        watcher.start()
+        try:
+            assert batch(programs, out, '--workers', '2') == FINE
+        finally:
+            stop.set()
+            watcher.join()
+        assert seen
+    assert len({(out / 'table.csv').read_bytes() for out in outs}) == 1
+
+
+def kill_one(generation=1, number=signal.SIGKILL):
+    """Kill a working process, a child of our fork server or a child of such; return its id."""
     for process in (int(path.name) for path in Path('/proc').glob('[0-9]*')):
         try:
             name, parent = name_and_parent(process)
-            if name == PROCESS_NAME and name_and_parent(parent)[1] == os.getpid():
-                os.kill(process, signal.SIGKILL)
+            for _ in range(generation):
+                parent = name_and_parent(parent)[1]
+            if name == PROCESS_NAME and parent == os.getpid():
+                os.kill(process, number)
                 return [process]
         except OSError:
             continue
@@ -269,7 +301,7 @@ def test_names_and_bad_input(programs, tmp_path, capsys):
     for words, text in (
         ([str(tmp_path / 'nowhere')], 'there is no such file or folder'),
         ([str(programs), '--machine', 'xyzzz'], "no machine 'xyzzz'"),
-        ([str(programs), '--workers', '0'], '--workers must be 1 or more'),
+        ([str(programs), '--workers', '0'], 'must be a whole number, 1 or more'),
     ):
         assert main(['batch', *words, '--out', str(tmp_path / 'out')]) == BAD_INPUT
         assert text in capsys.readouterr().err

@@ -286,6 +286,13 @@ class Sweep:
         """Return the folder of the files of a point."""
         return self._folder / 'points' / point.key
 
+    def keep(self, point: Point) -> Path:
+        """Let ``best`` in the folder of the sweep name the files of a point; return that path."""
+        best = self._folder / 'best'
+        best.unlink(missing_ok=True)
+        best.symlink_to(self.folder_of(point).relative_to(self._folder))
+        return best
+
     def _file(self, point: Point) -> Path:
         return self._folder / 'points' / f'{point.key}.json'
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cnc_interp.command_options import (
     FAILED,
@@ -18,8 +19,12 @@ from cnc_interp.command_options import (
     program_options,
     tell,
 )
+from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
+
+if TYPE_CHECKING:
+    from cnc_interp.kinematics.machine import Machine
 
 #: Largest width of a drawing in text [characters].
 WIDEST = 100
@@ -40,6 +45,15 @@ def add_plan_command(commands: Any) -> None:
         '--look', action='store_true',
         help='draw the feed profile in text, as a terminal always gets it',
     )  # fmt: skip
+    for axis in 'xyz':
+        plan.add_argument(
+            f'--place-{axis}', type=float, default=0.0, metavar='MM',
+            help=f'clamp the workpiece elsewhere: so far from the machine file, along {axis.upper()}',
+        )  # fmt: skip
+    plan.add_argument(
+        '--turn', type=float, default=0.0, metavar='DEG',
+        help='clamp it turned about Z on the table; C counts from the turned workpiece',
+    )  # fmt: skip
     plan.add_argument(
         '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
         help='processes that plan a long program between its exact stops (one for each processor)',
@@ -49,12 +63,11 @@ def add_plan_command(commands: Any) -> None:
 def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
     from cnc_interp.core.progress_bar import ProgressBar
-    from cnc_interp.kinematics.machine import Machine
     from cnc_interp.kinematics.transform import Transform
     from cnc_interp.program import open_program
     from cnc_interp.run.chain import plan_to_files
 
-    machine = Machine.load(options.machine)
+    machine = machine_of(options)
     settings = settings_from(options)
     geometry = Transform.of(machine)
     stream = open_program(options.program, geometry, settings)
@@ -80,6 +93,19 @@ def plan_command(options: argparse.Namespace) -> int:
             f'all of it: cnc-interp check {options.out}'
         )  # fmt: skip
     return FAILED if excesses_of(summary) else FINE
+
+
+def machine_of(options: argparse.Namespace) -> Machine:
+    """Return the machine; with the workpiece elsewhere, its file is among the plan files."""
+    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.kinematics.workpiece_place import placed_machine
+
+    shift = options.place_x, options.place_y, options.place_z
+    if not all(math.isfinite(value) for value in (*shift, options.turn)):
+        raise InterpError('--place-x, --place-y, --place-z, --turn: must be finite numbers')
+    if not any((*shift, options.turn)):
+        return Machine.load(options.machine)
+    return placed_machine(options.machine, shift, options.turn, options.out / 'machine.yaml')
 
 
 def excesses_of(summary: dict[str, Any]) -> list[str]:

@@ -20,7 +20,7 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
     sweep = command(
         commands, 'sweep', lambda options: sweep_command(options, main),
         'try many values of the options of `plan` or `cam iso-scallop`; tells the fastest and why',
-        'cnc-interp sweep --vary ratio 1.2 2 3 --vary longest-block 2 5 --out out/sweep -- plan '
+        'cnc-interp sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan '
         'part.ngc',
     )  # fmt: skip
     sweep.add_argument(
@@ -81,7 +81,7 @@ def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], i
         print(f'{title:<15}{one.cycle_time:.3f} s{error}; at a limit: {why(one)}')
     if best:
         print(f'command        cnc-interp {shlex.join(best[0].command)}')
-        print(f'files          {sweep.folder_of(best[0])}')
+        print(f'files          {sweep.keep(best[0])}')
     print(f'page           {options.out / "sweep.html"}')
     return FINE if best else FAILED
 

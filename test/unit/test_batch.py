@@ -226,7 +226,7 @@ def test_what_a_worker_dies_of_is_told():
 
 
 def test_faults_of_a_program_are_its_row(monkeypatch, programs):
-    def crash(*_):
+    def crash(*_, **__):
         raise ZeroDivisionError('no')
 
     job = next(iter(Jobs([programs / 'line 0.ngc'], ['xyzac'], Settings())))
@@ -251,7 +251,7 @@ def eat(task: Task) -> Outcome:
     return work.carry_out(task)
 
 
-def greedy_plan(*_):
+def greedy_plan(*_, **__):
     return np.ones(10**10)
 
 
@@ -301,10 +301,12 @@ def test_names_and_bad_input(programs, tmp_path, capsys):
     for words, text in (
         ([str(tmp_path / 'nowhere')], 'there is no such file or folder'),
         ([str(programs), '--machine', 'xyzzz'], "no machine 'xyzzz'"),
-        ([str(programs), '--workers', '0'], 'must be a whole number, 1 or more'),
     ):
         assert main(['batch', *words, '--out', str(tmp_path / 'out')]) == BAD_INPUT
         assert text in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(['batch', str(programs), '--workers', '0', '--out', str(tmp_path / 'out')])
+    assert '--workers: must be a whole number, 1 or more' in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
 
 

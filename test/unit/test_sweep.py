@@ -50,6 +50,9 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
     command = line.split('cnc-interp ')[1].split()
     assert main([*command, '--out', str(again)]) == FINE
     assert json.loads((again / 'summary.json').read_text())['cycle_time'] == moving[best]
+    # And its files are there.
+    kept = json.loads((out / 'best' / 'summary.json').read_text())
+    assert kept['cycle_time'] == moving[best]
     page = (out / 'sweep.html').read_text()
     assert '--ratio' in page and 'Not possible' in page
 

@@ -48,7 +48,7 @@ def add_plan_command(commands: Any) -> None:
     for axis in 'xyz':
         plan.add_argument(
             f'--place-{axis}', type=float, default=0.0, metavar='MM',
-            help=f'clamp the workpiece elsewhere: so far from the machine file, along {axis.upper()}',
+            help=f'clamp the workpiece so far from its usual place, along {axis.upper()}',
         )  # fmt: skip
     plan.add_argument(
         '--turn', type=float, default=0.0, metavar='DEG',

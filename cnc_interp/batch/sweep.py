@@ -34,8 +34,8 @@ from cnc_interp.report.series import KINDS, axis_use
 AT_LIMIT = 0.98
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4
-#: Where the largest error stands in the summary of a command, the first that is there.
-ERRORS = (('executed', 'ridge_highest'), ('planned', 'ridge_highest'), ('largest_contour_error',))
+#: Motions of a simulated surface in its summary; the first one that is there counts.
+SIMULATED = ('executed', 'planned')
 #: Commands that can be swept.
 SWEPT = (('plan',), ('cam', 'iso-scallop'))
 
@@ -102,11 +102,13 @@ class Found:
     cycle_time : float, optional
         Time of the motion [s].
     error : float, optional
-        Largest error: the highest ridge of a surface, or the contour error of a plan [m].
+        Largest error: the deepest cut into a surface, or the contour error of a plan [m].
     at_limit : dict of str to float
         Share of the time in which an axis is at a limit, by axis and kind [-].
     fault : str
         Why there is no motion, else ''.
+    scallop : float, optional
+        The highest ridge between passes, if the command makes a surface [m].
 
     """
 
@@ -114,6 +116,7 @@ class Found:
     error: float | None = None
     at_limit: dict[str, float] | None = None
     fault: str = ''
+    scallop: float | None = None
 
 
 Main = Callable[[Sequence[str]], int]
@@ -161,18 +164,12 @@ def run_point(call: Call) -> Found:
     plan = out / 'plan' if (out / 'plan').is_dir() else out
     if code:
         return Found(fault='not proven')
-    return Found(summary['cycle_time'], _error(summary), shares_at_limits(plan))
-
-
-def _error(summary: dict[str, Any]) -> float | None:
-    """Return the largest error that a summary has [m]."""
-    for path in ERRORS:
-        value: Any = summary
-        for name in path:
-            value = value.get(name) if isinstance(value, dict) else None
-        if value is not None:
-            return float(value)
-    return None
+    surface = next((summary[name] for name in SIMULATED if name in summary), None)
+    shares = shares_at_limits(plan)
+    if surface is None:
+        return Found(summary['cycle_time'], summary['largest_contour_error'], shares)
+    deepest = max(0.0, -surface['lowest'])
+    return Found(summary['cycle_time'], deepest, shares, scallop=surface.get('ridge_highest'))
 
 
 def shares_at_limits(folder: Path) -> dict[str, float]:
@@ -329,13 +326,12 @@ def _checked(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def front(found: dict[Point, Found]) -> list[Point]:
-    """Return the points that no other one beats in both time and error, fastest first."""
-    best: list[Point] = []
-    least = np.inf
-    known = [(one.cycle_time, one.error or 0.0, point) for point, one in found.items()
-             if one.cycle_time is not None]  # fmt: skip
-    for _, error, point in sorted(known, key=lambda row: row[:2]):
-        if error < least:
-            best.append(point)
-            least = error
-    return best
+    """Return the points that no other one beats in time, scallop and error, fastest first."""
+    best: dict[Point, tuple[float, float, float]] = {}
+    known = [((one.cycle_time, one.scallop or 0.0, one.error or 0.0), point)
+             for point, one in found.items() if one.cycle_time is not None]  # fmt: skip
+    for figures, point in sorted(known, key=lambda row: row[0]):
+        # Those before are as fast or faster.
+        if not any(other[1] <= figures[1] and other[2] <= figures[2] for other in best.values()):
+            best[point] = figures
+    return list(best)

@@ -30,6 +30,12 @@ def values_text(point: Point) -> str:
     return ', '.join(f'{name} {value}' for name, value in point.values) or 'as it is'
 
 
+def lengths_text(one: Found) -> str:
+    """Return scallop and error of a point in words."""
+    told = (('scallop', one.scallop), ('error', one.error))
+    return ', '.join(f'{name} {value / UM:.3f} um' for name, value in told if value is not None)
+
+
 def why(one: Found) -> str:
     """Name the limits that hold a motion for most of its time."""
     shares = list((one.at_limit or {}).items())[:NAMED]
@@ -41,11 +47,11 @@ def write_table(found: dict[Point, Found], file: Path) -> None:
     names = list(dict.fromkeys(name for point in found for name, _ in point.values))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
-    writer.writerow([*names, 'cycle_time_s', 'error_um', 'at_limit', 'fault'])
+    writer.writerow([*names, 'cycle_time_s', 'scallop_um', 'error_um', 'at_limit', 'fault'])
     for point, one in found.items():
         values = dict(point.values)
-        error = None if one.error is None else one.error / UM
-        writer.writerow([*(values.get(n) for n in names), one.cycle_time, error, why(one),
+        lengths = [None if x is None else x / UM for x in (one.scallop, one.error)]
+        writer.writerow([*(values.get(n) for n in names), one.cycle_time, *lengths, why(one),
                          one.fault])  # fmt: skip
     write_whole(file, text.getvalue())
 
@@ -60,8 +66,9 @@ def write_page(found: dict[Point, Found], file: Path) -> None:
         f'<h1>{len(found)} points</h1><p><code>cnc-interp {escape(shlex.join(start.words))}</code>'
         '</p>',
         section(
-            'Time and error',
-            'Every point that moves. No point is better in both than those of the line.',
+            'Time and accuracy',
+            'Every point that moves. Those of the line are best: no other point is at least as '
+            'good in time, scallop and error.',
             drawing(_scatter(found, best, start)),
         ),
         section('The best', 'At a limit: share of the time in which an axis, or the feed, is at '
@@ -85,28 +92,41 @@ def _moving(found: dict[Point, Found]) -> list[Point]:
 
 
 def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
-    """Draw error over time."""
+    """Draw scallop over time, and the error as color; without scallops, error over time."""
     from plotly import graph_objects as go
+
+    scallops = any(one.scallop is not None for one in found.values())
+
+    def height(one: Found) -> float:
+        return ((one.scallop if scallops else one.error) or 0.0) / UM
 
     def trace(points: list[Point], name: str, **more: Any) -> Any:
         points = [point for point in points if found[point].cycle_time is not None]
         return go.Scatter(
             x=[found[p].cycle_time for p in points],
-            y=[(found[p].error or 0.0) / UM for p in points],
-            text=[f'{escape(values_text(p))}<br>{escape(why(found[p]))}' for p in points],
-            hovertemplate='%{text}<br>%{x:.3f} s, %{y:.3f} um<extra></extra>',
+            y=[height(found[p]) for p in points],
+            text=[f'{escape(values_text(p))}<br>{lengths_text(found[p])}<br>'
+                  f'{escape(why(found[p]))}' for p in points],
+            hovertemplate='%{x:.3f} s; %{text}<extra></extra>',
             name=name, **more,
         )  # fmt: skip
 
+    moving = _moving(found)
+    by_error = {
+        'color': [(found[point].error or 0.0) / UM for point in moving], 'size': 9,
+        'colorscale': 'Blues', 'line': {'color': BLUE, 'width': 1},
+        'colorbar': {'title': {'text': 'error [um]'}},
+    }  # fmt: skip
+    plain = {'color': BLUE, 'opacity': 0.5}
     figure = go.Figure([
-        trace(_moving(found), 'all', mode='markers', marker={'color': BLUE, 'opacity': 0.5}),
         trace(best, 'best', mode='lines+markers', line={'color': ORANGE, 'shape': 'hv'}),
+        trace(moving, 'all', mode='markers', marker=by_error if scallops else plain),
         trace([start], 'as it is', mode='markers',
               marker={'color': RED, 'size': 11, 'symbol': 'x'}),
     ])  # fmt: skip
     figure.update_layout(**base_layout(420) | {'hovermode': 'closest'})
     figure.update_xaxes(title='cycle time [s]')
-    figure.update_yaxes(title='largest error [um]')
+    figure.update_yaxes(title='highest ridge [um]' if scallops else 'largest error [um]')
     return with_axes(figure)
 
 
@@ -138,15 +158,17 @@ def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
         one = found[point]
         if one.cycle_time is None:
             continue
-        error = '' if one.error is None else f'{one.error / UM:.3f}'
+        lengths = ''.join(
+            f'<td>{"" if x is None else f"{x / UM:.3f}"}</td>' for x in (one.scallop, one.error)
+        )
         rows.append(
             f'<tr><td>{escape(values_text(point))}</td><td>{one.cycle_time:.3f}</td>'
-            f'<td>{error}</td><td>{escape(why(one))}</td>'
+            f'{lengths}<td>{escape(why(one))}</td>'
             f'<td><code>cnc-interp {escape(shlex.join(point.command))}</code></td></tr>'
         )
     return (
-        '<div class="wide"><table><tr><th>values</th><th>time [s]</th><th>error [um]</th>'
-        f'<th>at a limit</th><th>command</th></tr>{"".join(rows)}</table></div>'
+        '<div class="wide"><table><tr><th>values</th><th>time [s]</th><th>scallop [um]</th>'
+        f'<th>error [um]</th><th>at a limit</th><th>command</th></tr>{"".join(rows)}</table></div>'
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from cnc_interp.command_options import FAILED, FINE, command, count
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import HOUR, UM
+from cnc_interp.core.units import HOUR
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
@@ -46,7 +46,7 @@ def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], i
     """Sweep a command."""
     from cnc_interp.batch.processes import Processes, total_memory
     from cnc_interp.batch.sweep import Sweep, front
-    from cnc_interp.batch.sweep_page import as_it_is, why, write_page, write_table
+    from cnc_interp.batch.sweep_page import as_it_is, lengths_text, why, write_page, write_table
     from cnc_interp.core.progress_bar import ProgressBar
 
     ranges = [_range(words, options.search is not None) for words in options.vary]
@@ -77,8 +77,8 @@ def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], i
         if one.cycle_time is None:
             print(f'{title:<15}{one.fault}')
             continue
-        error = '' if one.error is None else f', error {one.error / UM:.3f} um'
-        print(f'{title:<15}{one.cycle_time:.3f} s{error}; at a limit: {why(one)}')
+        told = [f'{one.cycle_time:.3f} s', lengths_text(one)]
+        print(f'{title:<15}{", ".join(text for text in told if text)}; at a limit: {why(one)}')
     if best:
         print(f'command        cnc-interp {shlex.join(best[0].command)}')
         print(f'files          {sweep.keep(best[0])}')

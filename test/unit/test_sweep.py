@@ -97,6 +97,11 @@ def test_the_front_has_what_nothing_beats():
     found = {p: Found(t, e) for p, t, e in zip(points, times, errors, strict=True)}
     found[Point(('plan',), ())] = Found(fault='refused')
     assert front(found) == [points[3], points[1], points[4]]
+    # A slower point with a larger error is among the best if its scallop is lower.
+    rough = {p: Found(t, e, scallop=1.0) for p, t, e in zip(points[:2], (1.0, 2.0), (1.0, 1.0))}
+    assert front(rough) == points[:1]
+    fine = rough | {points[2]: Found(3.0, 5.0, scallop=0.5)}
+    assert front(fine) == [points[0], points[2]]
 
 
 def test_shares_at_limits_are_those_of_the_time(tmp_path):
@@ -142,4 +147,5 @@ def test_a_surface_is_swept_with_its_ridges(tmp_path):
     found = run_point(Call(main, words, str(tmp_path), str(tmp_path / 'out')))
     assert found.fault == '' and found.cycle_time > 1.0
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
-    assert found.error == summary['executed']['ridge_highest'] == pytest.approx(1e-5, rel=0.3)
+    assert found.scallop == summary['executed']['ridge_highest'] == pytest.approx(1e-5, rel=0.3)
+    assert found.error == max(0.0, -summary['executed']['lowest'])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM
@@ -96,6 +97,21 @@ def test_normals_turn_with_a_frame_and_stay_incremental():
     turned = read('ROT Z90\nG41.2 D1\nG1 X5 Y0 Z0 I1 K1\nG91 X1\n').tip / MM
     ball = 5 / np.sqrt(2)
     np.testing.assert_allclose(turned[-1], [0, 6 + ball, ball - 5], atol=1e-9)
+
+
+def test_three_axes_and_a_tilted_plane():
+    text = 'G21 G90\nG0 X0 Y0 Z50\n{}G41.2 D2\nG1 X5 Y0 Z0 I3 K4 F900\n'
+    flat = [5 + 0.6 + 4, 0, 0.8 - 1]
+
+    def tip(plane, machine):
+        geometry = Transform.of(Machine.load(machine))
+        return read_text(text.format(plane), 'part.ngc', geometry, Settings(), SETUP).blocks
+
+    np.testing.assert_allclose(tip('', 'xyz').tip[-1] / MM, flat, atol=1e-9)
+    tilted = tip('G68.2 X1 Y2 Z3 I30 J20\nG53.1\n', 'xyzac')
+    turn = Rotation.from_euler('ZX', [30, 20], degrees=True)
+    np.testing.assert_allclose(tilted.tip[-1] / MM, [1, 2, 3] + turn.apply(flat), atol=1e-9)
+    np.testing.assert_allclose(tilted.axis[-1], turn.apply([0, 0, 1]), atol=1e-12)
 
 
 def test_the_flank_and_the_bottom():

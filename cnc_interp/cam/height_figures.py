@@ -96,7 +96,9 @@ class Figures:
         ends = [
             Extreme(sign * float(height[place]), row + int(place[0]), column + int(place[1]))
             for sign, place in (
-                (1.0, np.unravel_index(np.argmin(height), height.shape)),
+                (1.0, np.unravel_index(
+                    np.argmin(np.where(reached, height, np.inf)), height.shape
+                )),
                 (-1.0, np.unravel_index(
                     np.argmax(np.where(reached, height, -np.inf)), height.shape
                 )),

@@ -29,6 +29,8 @@ from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
 #: Needles in each direction of a tile, which is a chunk of the store and an image of the page.
 TILE = 256
+#: Attribute that tells our stores from others.
+MADE_BY = {'made_by': 'cnc_interp'}
 #: What a cell of a level says about the needles in it.
 KINDS = ('lowest', 'highest', 'mean')
 #: Faults of a record that is cut again.
@@ -51,7 +53,7 @@ class HeightStore:
     Raises
     ------
     InterpError
-        If Zarr is not installed.
+        If Zarr is not installed, or the folder holds something else.
 
     """
 
@@ -59,11 +61,12 @@ class HeightStore:
         self.folder, self.shape = folder, grid.shape
         self._zarr = _zarr()
         place = folder / 'heights.zarr'
+        self._refuse_others(place)
         if not self._fits(place, grid):
             for old in (place, folder / 'tiles', folder / 'page'):
                 shutil.rmtree(old, ignore_errors=True)
             place.mkdir(parents=True)
-            group = self._zarr.open_group(place, mode='w')
+            group = self._zarr.open_group(place, mode='w', attributes=MADE_BY)
             self._array(group, 'height', self.shape)
             for name, values in (('u', grid.u), ('v', grid.v)):
                 group.create_array(name, data=values)
@@ -71,6 +74,18 @@ class HeightStore:
         self._group = self._zarr.open_group(place, mode='r+')
         self._group.attrs.update(about | {'unit': 'm'})
         self._height = self._group['height']
+
+    def _refuse_others(self, place: Path) -> None:
+        """Refuse a folder that holds files which this class has not written."""
+        if place.exists():
+            try:
+                attributes = dict(self._zarr.open_group(place, mode='r').attrs)
+            except (OSError, ValueError, KeyError):
+                attributes = {}
+            if attributes.items() >= MADE_BY.items():
+                return
+        if self.folder.exists() and any(self.folder.iterdir()):
+            raise InterpError(f'{self.folder}: it holds other files; choose a new folder')
 
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
         """Tell whether a store has been made for a grid."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,7 +23,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
 #: Files whose text decides the heights of a tile.
-ENGINE = ('needle_cuts.py', 'nbuffer.py', 'height_figures.py', 'warp_cuts.py')
+ENGINE = ('needle_cuts.py', 'nbuffer.py', 'height_figures.py', 'sweep.py', 'warp_cuts.py')
 
 
 @dataclass(frozen=True)
@@ -218,6 +218,7 @@ def _loss(ended: Any) -> str:
     return f'its worker was lost ({ended.why or words}); start again, what is done is kept'
 
 
+@cache
 def _engine() -> bytes:
     """Return the text that decides the heights."""
     return b''.join(Path(__file__).with_name(name).read_bytes() for name in ENGINE)

@@ -22,8 +22,8 @@ from cnc_interp.core.units import MM
 PATCH = 64
 #: Approximate number of needles in a group, which is tested as a whole.
 GROUP = 64
-#: Most needles of a grid; their numbers fit into 40 bits.
-MOST = 1 << 40
+#: Most needles at once, most in a row or column of a grid, and most of a grid.
+MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,21 @@ class Needles:
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> Needles:
-        """Return all needles of ``NeedleGrid.on``."""
+        """
+        Return all needles of ``NeedleGrid.on``.
+
+        Raises
+        ------
+        InterpError
+            If they are too few or too many.
+
+        """
         grid = NeedleGrid.on(surface, spacing, margin)
+        if len(grid.u) * len(grid.v) > MOST_AT_ONCE:
+            raise InterpError(
+                f'needles every {spacing / MM:g} mm make {len(grid.u)} x {len(grid.v)}; cut them '
+                'in tiles: cam simulate --tiles DIR'
+            )
         return grid.needles(slice(0, grid.shape[0]), slice(0, grid.shape[1]))
 
     @property
@@ -160,7 +173,7 @@ class NeedleGrid:
         u0, u1, v0, v1 = u0 - grow[0], u1 + grow[0], v0 - grow[1], v1 + grow[1]
         rate = surface.growth(spacing)
         count = [int(np.ceil((b - a) / r)) + 1 for a, b, r in zip((u0, v0), (u1, v1), rate)]
-        if min(count) < 2 or count[0] * count[1] > MOST:
+        if min(count) < 2 or max(count) > MOST_IN_LINE or count[0] * count[1] > MOST:
             raise InterpError(
                 f'needles every {spacing / MM:g} mm make {count[0]} x {count[1]}; choose another '
                 'spacing or margin'

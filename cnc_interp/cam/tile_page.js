@@ -10,7 +10,7 @@ const canvas = document.getElementById('map');
 const tiles = new Map(); // name -> {rows, columns, values: [Float32Array ...], image, look}
 const loading = new Set();
 const view = { x: 0, y: 0, scale: 1 }; // mm at the middle; device pixels per mm
-let kind = 'far', top_ = facts.top, marked = null, pending = false;
+let kind = 'far', top_ = facts.top, marked = null, pointed = null, pending = false;
 
 // --- tiles -------------------------------------------------------------------------------------
 
@@ -128,6 +128,7 @@ function drawNow() {
   if (marked) drawMark(brush);
   drawLength(brush);
   forget();
+  if (pointed) tell(...pointed); // its tile may have arrived
 }
 
 function drawLength(brush) {
@@ -276,6 +277,7 @@ function goTo([row, column]) {
 }
 
 function tell(px, py) {
+  pointed = [px, py];
   const place = document.getElementById('place');
   const row = Math.floor((view.x + (px - canvas.width / 2) / view.scale) / CELL[0]);
   const column = Math.floor((view.y - (py - canvas.height / 2) / view.scale) / CELL[1]);

@@ -173,6 +173,16 @@ def test_tiles_that_are_known_are_not_cut_again(grid, tmp_path):
     assert not list((tmp_path / 'tiles').iterdir()) and np.isnan(heights(tmp_path)).all()
 
 
+def test_a_folder_with_other_files_is_left_alone(grid, tmp_path):
+    (tmp_path / 'page').mkdir()
+    for text in ('mine', '{}'):
+        with pytest.raises(InterpError, match='holds other files; choose a new folder'):
+            HeightStore(tmp_path, grid, {})
+        (tmp_path / 'heights.zarr').mkdir(exist_ok=True)
+        (tmp_path / 'heights.zarr' / 'zarr.json').write_text(text)
+    assert (tmp_path / 'page').exists()
+
+
 def test_a_lost_worker_is_one_line(grid, tmp_path):
     pool = Here(result=Loss.CRASHED)
     with pytest.raises(InterpError, match=r'needle 0, 0: its worker was lost \(crashed\)'):
@@ -253,6 +263,7 @@ def test_the_command_says_the_same_in_tiles(files, tmp_path, capsys):
         (['--tiles', 'DIR', '--workers', '0'], '--workers must be 1 or more'),
         (['--tiles', 'DIR', '--html', 'x.html'], 'DIR/index.html; leave out --html'),
         (['--tiles', 'DIR', '--spacing', '1e-6'], 'choose another spacing'),
+        (['--spacing', '0.001'], 'cut them in tiles: cam simulate --tiles DIR'),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(files, tmp_path, capsys, words, message):

@@ -3,6 +3,7 @@ Draw the figures of the iso-scallop paper [TL2008] on numbers of this package.
 
     python docs/make_cam_figures.py           pictures
     python docs/make_cam_figures.py --times   table and picture of machining times (ten minutes)
+    python docs/make_cam_figures.py --solvers iterations of both methods for scallop points
 
 writes ``docs/pictures/cam_*.png`` and the table between the two marker comments of
 ``docs/how_it_works/cam.md``. Needs matplotlib beside the package.
@@ -31,6 +32,7 @@ from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.next_posture import conditions, nearest_places, resting
+from cnc_interp.cam.paper_scallop import march_to_scallops
 from cnc_interp.cam.passes import Pass, constant_tilt
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder
@@ -197,6 +199,29 @@ def application() -> None:
     _save(figure, 'cam_heights')
 
 
+def solvers() -> None:
+    """Count the iterations of the paper's method and of ours on the passes of the application."""
+    surface = read_surface(EXAMPLES / 'hollow.json')
+    options = IsoScallopOptions(
+        scallop_height=HEIGHT, stepover=5 * MM, tilt=5 * DEG, start='tilt', stray=None, points=25
+    )
+    paths = iso_scallop_paths(surface, MILL, across(surface, 0.0), options)
+    counts, farthest = [], 0.0
+    for made in paths.passes[1:]:
+        left = scallop_points(surface, made.postures, HEIGHT, -1.0)
+        marched = march_to_scallops(surface, made.postures, HEIGHT, left.position)
+        if not marched.found.all():
+            raise SystemExit('the march of the paper did not end everywhere')
+        gap = np.linalg.norm(marched.position - made.right.position, axis=1)
+        farthest = max(farthest, float(gap.max()))
+        counts.append([marched.steps, marched.corrections, marched.solved])
+    steps, corrections, solved = np.concatenate(counts, axis=1).mean(axis=1)
+    ours = paths.iterations
+    print(f'paper: {steps:.1f} steps with {corrections:.1f} corrections, {solved:.1f} to solve')
+    print(f'ours: {ours[0]:.1f} to bracket, {ours[1]:.1f} to solve; a posture {ours[2]:.1f}')
+    print(f'largest distance of the points {farthest:.1e} m')
+
+
 def _tilts_and_widths(paths: IsoScallopPaths) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(7.6, 3.2), layout='constrained')
     shades = mpl.colormaps['viridis'](np.linspace(0.0, 0.9, len(paths.passes)))
@@ -275,9 +300,16 @@ def main() -> None:
     """Draw the pictures, or measure the times."""
     parser = argparse.ArgumentParser(description='Figures and table of docs/how_it_works/cam.md.')
     parser.add_argument('--times', action='store_true', help='machining times only')
+    parser.add_argument(
+        '--solvers', action='store_true', help='iterations for scallop points only'
+    )
+    chosen = parser.parse_args()
     mpl.use('Agg')
     with mpl.rc_context(STYLE):
-        if parser.parse_args().times:
+        if chosen.solvers:
+            solvers()
+            return
+        if chosen.times:
             times()
             return
         loops()

@@ -228,7 +228,7 @@ class _Run:
 
     def longer(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Drop points far outside the surface, and extend ends that lie on it; shapes (n,)."""
-        far = self.inside(u, v, self.beyond)
+        far = self.surface.contains(u, v, self.beyond)
         kept = slice(int(np.argmax(far)), len(far) - int(np.argmax(far[::-1])))
         u, v = u[kept], v[kept]
         for _ in range(2):
@@ -236,7 +236,7 @@ class _Run:
             step = float(norm(position[1] - position[0]))
             count = 0
             ends = u[:1], v[:1]
-            while self.inside(ends[0], ends[1], 0.8 * self.beyond)[0] and count < 400:
+            while self.surface.contains(ends[0], ends[1], 0.8 * self.beyond)[0] and count < 400:
                 count += 1
                 share = count * SPACING / step
                 ends = u[:1] - share * (u[1] - u[0]), v[:1] - share * (v[1] - v[0])
@@ -244,17 +244,11 @@ class _Run:
             u, v = (np.concatenate([x[0] - out * (x[1] - x[0]), x])[::-1] for x in (u, v))
         return u, v
 
-    def inside(self, u: FloatArray, v: FloatArray, margin: float) -> BoolArray:
-        """Return which points are on the surface or closer to it than a margin [m], shape (n,)."""
-        (u0, u1), (v0, v1) = self.surface.domain
-        a, b = self.surface.growth(margin)
-        return np.asarray((u > u0 - a) & (u < u1 + a) & (v > v0 - b) & (v < v1 + b))
-
     def covers_more(self, before: ClassicalPass) -> bool:
         """Return whether any part of the scallop on the right lies on the surface."""
         frames = before.postures.frames
         u, v, _ = self.surface.project(before.right.position, frames.u, frames.v)
-        return bool(self.inside(u, v, 0.0).any())
+        return bool(self.surface.contains(u, v, 0.0).any())
 
     def share(self, made: ClassicalPass) -> float:
         """Estimate the share done from the middle of the pass."""
@@ -326,7 +320,7 @@ class _Run:
 
     def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:
         """Say where the next pass turns back, has a corner or crosses itself; empty if none."""
-        ours = self.inside(u, v, 0.0)
+        ours = self.surface.contains(u, v, 0.0)
         if (ours & ~found).any():
             i = int(np.argmax(ours & ~found))
             return f'cannot be found at {place(before.right.position[i])}'

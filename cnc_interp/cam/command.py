@@ -39,7 +39,11 @@ def add_cam_commands(commands: Any, pool: Pool) -> None:
     make.add_argument(
         'surface', type=Path, metavar='SURFACE', help='surface file (JSON), or STEP (.step, .stp)'
     )
-    _face(make)
+    _face(make, several=True)
+    make.add_argument(
+        '--ignore-neighbours', action='store_true',
+        help='do not end passes where the mill would enter other faces of a STEP file',
+    )  # fmt: skip
     make.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
     _mill(make)
     make.add_argument(
@@ -148,11 +152,12 @@ def _mill(added: argparse.ArgumentParser) -> None:
     number(added, '--corner-radius', 1.5, 'corner radius r_c')
 
 
-def _face(added: argparse.ArgumentParser) -> None:
-    """Add the choice of a face."""
+def _face(added: argparse.ArgumentParser, several: bool = False) -> None:
+    """Add the choice of faces."""
+    text = 'faces of a STEP file, machined in this order' if several else 'face of a STEP file'
     added.add_argument(
-        '--face', type=int, metavar='N',
-        help='face of a STEP file; without it, several faces are listed',
+        '--face', type=int, metavar='N', nargs='+' if several else 1,
+        help=f'{text}; without it, all faces are listed if there are several',
     )  # fmt: skip
 
 

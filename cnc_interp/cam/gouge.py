@@ -44,17 +44,13 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
         postures.front[:, None, :] * np.cos(turn)[None, :, None]
         + postures.turned[1][:, None, :] * np.sin(turn)[None, :, None]
     )
-    (u0, u1), (v0, v1) = surface.domain
-    grow = surface.growth(BEYOND)
     for part in CIRCLES:
         points = postures.centre[:, None, :] + part * cutter.tool_radius * e
         guess = np.broadcast_to(frames.u[:, None], points.shape[:2])
         u, v, above = surface.project(
             points, guess, np.broadcast_to(frames.v[:, None], guess.shape)
         )
-        ours = (
-            (u >= u0 - grow[0]) & (u <= u1 + grow[0]) & (v >= v0 - grow[1]) & (v <= v1 + grow[1])
-        )
+        ours = surface.contains(u, v, BEYOND)
         deep = np.where(ours & np.isfinite(above), cutter.corner_radius - above, 0.0)
         depth = np.maximum(depth, deep.max(axis=1))
     return depth

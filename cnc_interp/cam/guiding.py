@@ -16,7 +16,7 @@ from scipy.ndimage import label
 
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import cross, dot, norm, scaled
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM
 
 #: Cells per direction in which a curve is sought.
@@ -171,7 +171,7 @@ class GuidingPlanes:
         point = surface.at(self._u, self._v)
         across = np.broadcast_to(plane_normal, point.normal.shape)
         cuts = norm(cross(point.normal, across)) >= STEEP
-        over = self._within(np.stack([self._u, self._v], axis=-1), 0.0)
+        over = surface.contains(self._u, self._v)
         if not cuts[over].all():
             x, y, z = point.position[over & ~cuts][0] / MM
             raise SurfaceError(
@@ -186,6 +186,7 @@ class GuidingPlanes:
         self._level = np.where(ours, level, np.nan)
         u, v = surface.grid(CELLS + 1, CELLS + 1)
         level = surface.at(u, v).offset(offset).position @ plane_normal
+        level = level[surface.contains(u, v)]
         #: Range of the planes whose contact points lie on the surface itself [m].
         self.span = float(level.min()), float(level.max())
 
@@ -208,6 +209,7 @@ class GuidingPlanes:
             If the plane misses the surface or meets it in several curves.
 
         """
+        surface = self.surface
         generator = contour_generator(self._u, self._v, self._level)
         lines, lengths = [], []
         for line in map(np.asarray, generator.lines(plane)):
@@ -217,7 +219,8 @@ class GuidingPlanes:
         if not lines:
             raise SurfaceError(f'the guiding plane at {plane / MM:.3f} mm misses the surface')
         # Only what the strips of passes can reach counts, if there is any.
-        near = [self._length(x[self._within(x, 0.5 * self.extension)]) for x in lines]
+        reachable = 0.5 * self.extension
+        near = [self._length(x[surface.contains(x[:, 0], x[:, 1], reachable)]) for x in lines]
         lengths = near if any(near) else lengths
         longest = int(np.argmax(lengths))
         if sum(lengths) > 1.2 * lengths[longest]:
@@ -226,12 +229,6 @@ class GuidingPlanes:
                 'curves; split the surface or choose another direction of the passes'
             )
         return self._fit(lines[longest], plane)
-
-    def _within(self, uv: FloatArray, margin: float) -> BoolArray:
-        """Tell which parameters, shape (..., 2), lie no further than a margin outside [m]."""
-        low, high = np.transpose(self.surface.domain)
-        grown = np.array(self.surface.growth(margin)) + 1e-9 * (high - low)
-        return np.asarray(((uv >= low - grown) & (uv <= high + grown)).all(axis=-1))
 
     def _length(self, line: FloatArray) -> float:
         """Return the length of a line of parameters, shape (n, 2), on the surface [m]."""

@@ -29,16 +29,16 @@ FINER = 4
 HALVINGS = 14
 
 
-def finely(s: FloatArray, ends: tuple[float, float]) -> FloatArray:
+def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:
     """
-    Return close places of the part of a pass that is milled, with both ends.
+    Return close places of the parts of a pass that are milled, with both ends of each.
 
     Parameters
     ----------
     s : ndarray, shape (n,)
         Places of the whole pass [m].
-    ends : (float, float)
-        First and last place that is milled [m].
+    parts : list of (float, float)
+        First and last place of each milled part [m].
 
     Returns
     -------
@@ -46,12 +46,17 @@ def finely(s: FloatArray, ends: tuple[float, float]) -> FloatArray:
         Places [m].
 
     """
-    step = (s[-1] - s[0]) / (len(s) - 1) / FINER
-    return np.linspace(*ends, max(2, int(np.ceil((ends[1] - ends[0]) / step)) + 1))
+    step = float(np.median(np.diff(s))) / FINER
+    return np.concatenate(
+        [
+            np.linspace(*ends, max(2, int(np.ceil((ends[1] - ends[0]) / step)) + 1))
+            for ends in parts
+        ]
+    )
 
 
 def raised(
-    curve: GuidingCurve, cutter: Cutter, angles: Angles, ends: tuple[float, float] | None,
+    curve: GuidingCurve, cutter: Cutter, angles: Angles, parts: list[tuple[float, float]],
     highest: float, gouge: float,
 ) -> Angles:  # fmt: skip
     """
@@ -65,8 +70,8 @@ def raised(
         The mill.
     angles : Angles
         Angles at n places.
-    ends : (float, float), optional
-        First and last place that is milled; others are not tested [m].
+    parts : list of (float, float)
+        First and last place of each milled part; other places are not tested [m].
     highest : float
         Largest tilt [rad].
     gouge : float
@@ -83,9 +88,9 @@ def raised(
         If the largest tilt does not lift the heel; the message names the place.
 
     """
-    if ends is None:
+    if not parts:
         return angles
-    s = finely(angles.s, ends)
+    s = finely(angles.s, parts)
     tool = angles.postures(curve, cutter, s)
 
     def enters(tilt: FloatArray, of: BoolArray) -> BoolArray:
@@ -135,9 +140,8 @@ def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatAr
         The cover; zero further than twice the distance from values above zero.
 
     """
-    step = (s[-1] - s[0]) / (len(s) - 1)
-    beyond = np.arange(1, int(np.ceil(2.0 * distance / step)) + 1) * step
-    middle = np.concatenate([s[0] - beyond[::-1], s, s[-1] + beyond])
+    step = float(np.median(np.diff(s)))
+    middle = np.arange(s[0] - 2.0 * distance, s[-1] + 2.0 * distance + step, step)
     near = np.abs(middle[:, None] - s[None, :]) <= distance
     largest = np.where(near, values[None, :], 0.0).max(axis=1)
     gap = np.abs(at[:, None] - middle[None, :])

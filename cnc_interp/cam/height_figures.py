@@ -84,15 +84,16 @@ class Figures:
         Parameters
         ----------
         height : ndarray, shape (rows, columns)
-            Heights on needles [m].
+            Heights on needles; NaN on those that do not count [m].
         row, column : int
             Place of the first needle.
 
         """
         reached = is_cut(height)
         h = height[reached]
+        total = int(np.count_nonzero(~np.isnan(height)))
         if not len(h):
-            return Figures(height.size)
+            return Figures(total)
         ends = [
             Extreme(sign * float(height[place]), row + int(place[0]), column + int(place[1]))
             for sign, place in (
@@ -106,7 +107,7 @@ class Figures:
         ]  # fmt: skip
         number, count = np.unique(np.floor(h / CLASS).astype(int), return_counts=True)
         return Figures(
-            height.size, len(h), int(np.count_nonzero(h < -GOUGE)), exact_sum(h, HEIGHT_BITS),
+            total, len(h), int(np.count_nonzero(h < -GOUGE)), exact_sum(h, HEIGHT_BITS),
             exact_sum(h * h, SQUARE_BITS), ends[0], ends[1],
             dict(zip(number.tolist(), count.tolist(), strict=True)),
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The part of a pass that is milled: its strip lies over the surface, or in the overrun."""
+"""The parts of a pass that are milled: the strip lies over the surface, or in an overrun."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ import numpy as np
 from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.surface_curve import SurfaceCurve
 from cnc_interp.cam.vectors import scaled
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import MM
 
 #: Distance of the places at which the border is compared with the strip [m].
 SPACING = 0.2 * MM
+#: Lines along the strip that are compared with the border, over its whole width.
+LINES = 9
 
 
-def kept_range(
+def kept_ranges(
     curve: GuidingCurve | SurfaceCurve, s: FloatArray, reach: FloatArray, overrun: float
-) -> tuple[float, float] | None:
+) -> list[tuple[float, float]]:
     """
-    Return the part of a pass that is milled: where its strip lies on the surface, and the overrun.
+    Return the parts of a pass that are milled: where its strip lies on the surface, and overruns.
 
     Parameters
     ----------
@@ -29,12 +31,13 @@ def kept_range(
     reach : ndarray, shape (n,)
         Half widths of the strip there; NaN where they are unknown [m].
     overrun : float
-        Length added at both ends [m].
+        Length added at both ends of each part [m].
 
     Returns
     -------
-    (float, float) or None
-        First and last place [m]; None if no part of the strip lies on the surface.
+    list of (float, float)
+        First and last place of each part, in order [m]. Parts that meet are one. The list is empty
+        if no part of the strip lies on the surface.
 
     """
     dense = np.linspace(0.0, curve.length, max(60, int(curve.length / SPACING)))
@@ -42,16 +45,17 @@ def kept_range(
     width = np.interp(dense, s[known], reach[known]) if known.any() else np.zeros(len(dense))
     frames, surface = curve.frames(dense), curve.surface
     a, b = surface.at(frames.u, frames.v).components(scaled(width, frames.across))
-    (u0, u1), (v0, v1) = surface.domain
-    inside = np.zeros(len(dense), bool)
-    for side in (-1.0, 0.0, 1.0):
-        u, v = frames.u + side * a, frames.v + side * b
-        inside |= (u >= u0) & (u <= u1) & (v >= v0) & (v <= v1)
-    if not inside.any():
-        return None
-    first, last = dense[inside][[0, -1]]
+    across = np.linspace(-1.0, 1.0, LINES)[:, None]
+    inside = surface.contains(frames.u + across * a, frames.v + across * b).any(axis=0)
     longer = overrun + dense[1]
-    return max(float(first) - longer, 0.0), min(float(last) + longer, float(dense[-1]))
+    parts: list[tuple[float, float]] = []
+    for run in runs(inside):
+        first = max(float(dense[run.start]) - longer, 0.0)
+        last = min(float(dense[run.stop - 1]) + longer, float(dense[-1]))
+        if parts and first <= parts[-1][1]:
+            first = parts.pop()[0]
+        parts.append((first, last))
+    return parts
 
 
 def kept_places(
@@ -69,20 +73,42 @@ def kept_places(
     reach : ndarray, shape (n,)
         Half widths of the strip there; NaN where they are unknown [m].
     overrun : float
-        Length added at both ends [m].
+        Length added at both ends of each milled part [m].
 
     Returns
     -------
     ndarray of bool, shape (n,)
 
     """
-    ends = kept_range(curve, s, reach, overrun)
-    return (s >= ends[0]) & (s <= ends[1]) if ends else np.zeros(len(s), bool)
+    kept = np.zeros(len(s), bool)
+    for first, last in kept_ranges(curve, s, reach, overrun):
+        kept |= (s >= first) & (s <= last)
+    return kept
 
 
-def run_around(good: BoolArray, kept: BoolArray) -> slice:
+def runs(true: BoolArray) -> list[slice]:
     """
-    Return the unbroken run of good places that contains the places that are milled.
+    Return the unbroken runs of true values.
+
+    Parameters
+    ----------
+    true : ndarray of bool, shape (n,)
+        Values.
+
+    Returns
+    -------
+    list of slice
+
+    """
+    bounds = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]])))
+    return [slice(int(a), int(b)) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
+
+
+def places_around(good: BoolArray, kept: BoolArray) -> IntArray:
+    """
+    Return the good places from the run with the first milled place to that with the last.
+
+    Over a hole places may be bad. The angles then run smoothly from one side to the other.
 
     Parameters
     ----------
@@ -93,10 +119,14 @@ def run_around(good: BoolArray, kept: BoolArray) -> slice:
 
     Returns
     -------
-    slice
+    ndarray of int, shape (m,)
+        Indices of the places.
 
     """
-    bounds = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]])))
-    runs = [slice(int(a), int(b)) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
-    best = max(runs, key=lambda run: (kept[run].any(), run.stop - run.start), default=slice(0, 0))
-    return best
+    found = runs(good)
+    ours = [run for run in found if kept[run].any()]
+    if not ours:
+        ours = sorted(found, key=lambda run: run.stop - run.start)[-1:]
+    if not ours:
+        return np.zeros(0, np.int64)
+    return np.asarray(ours[0].start + np.flatnonzero(good[ours[0].start : ours[-1].stop]))

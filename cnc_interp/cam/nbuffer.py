@@ -50,13 +50,19 @@ class Heights:
 
     @property
     def cut(self) -> BoolArray:
-        """True for needles that the mill has reached, shape (rows, columns)."""
-        return is_cut(self.height)
+        """True for needles on the face that the mill has reached, shape (rows, columns)."""
+        return is_cut(self.on_face)
+
+    @property
+    def on_face(self) -> FloatArray:
+        """Heights, NaN on needles that are not on the face, shape (rows, columns) [m]."""
+        counted = self.needles.counted
+        return self.height if counted is None else np.where(counted, self.height, np.nan)
 
     def statistics(self) -> dict[str, float]:
         """Return the roughness figures of the needles that were cut; see ``Figures``."""
-        figures = Figures.of(self.height)
-        return figures.statistics(deviations(self.height, figures.mean))
+        figures = Figures.of(self.on_face)
+        return figures.statistics(deviations(self.on_face, figures.mean))
 
 
 def cut_needles(

@@ -8,13 +8,13 @@ same place, bit for bit, whatever part of the grid is asked for.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import norm
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 
@@ -37,11 +37,14 @@ class Needles:
         Points of the surface [m].
     normal : ndarray, shape (rows, columns, 3)
         Unit normals there [-].
+    counted : ndarray of bool, shape (rows, columns), optional
+        Needles on the face, where it does not fill the rectangle of parameters.
 
     """
 
     base: FloatArray
     normal: FloatArray
+    counted: BoolArray | None = None
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> Needles:
@@ -60,7 +63,13 @@ class Needles:
                 f'needles every {spacing / MM:g} mm make {len(grid.u)} x {len(grid.v)}; cut them '
                 'in tiles: cam simulate --tiles DIR'
             )
-        return grid.needles(slice(0, grid.shape[0]), slice(0, grid.shape[1]))
+        needles = grid.needles(slice(0, grid.shape[0]), slice(0, grid.shape[1]))
+        counted = surface.contains(*np.meshgrid(grid.u, grid.v, indexing='ij'), -margin)
+        if not counted.any():
+            raise InterpError(
+                f'no needle lies {margin / MM:g} mm inside the border; take a smaller margin'
+            )
+        return needles if counted.all() else replace(needles, counted=counted)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -18,7 +18,7 @@ from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
 from cnc_interp.cam.heel import finely, raised
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
-from cnc_interp.cam.milled import kept_places, kept_range, run_around
+from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
 from cnc_interp.cam.next_posture import Fit, fit_postures, nearest_places, resting
 from cnc_interp.cam.passes import (
     Angles,
@@ -33,7 +33,7 @@ from cnc_interp.cam.passes import (
 )
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import estimated_half_width, scallop_points
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
@@ -89,8 +89,9 @@ class PassRecursion:
 
     def largest_stepover(self) -> float:
         """Estimate the largest distance of planes anywhere on the surface at the tilt [m]."""
-        u, v = self.surface.grid(61, 61)
-        smallest = self.surface.at(u, v).principal_curvatures()[0]
+        u, v = self.surface.grid(SAMPLES, SAMPLES)
+        ours = self.surface.contains(u, v)
+        smallest = self.surface.at(u[ours], v[ours]).principal_curvatures()[0]
         half = estimated_half_width(
             self.cutter, self.options.tilt, self.options.yaw, smallest, self.options.scallop_height
         )
@@ -240,9 +241,9 @@ class PassRecursion:
                 curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
                 yaw, self.count(curve), o.overrun, strict=False,
             )  # fmt: skip
-            ends = kept_range(curve, angles.s, self.reach(curve, angles), o.overrun)
+            parts = kept_ranges(curve, angles.s, self.reach(curve, angles), o.overrun)
             try:
-                angles = raised(curve, self.cutter, angles, ends, o.tilt_limits[1], o.gouge)
+                angles = raised(curve, self.cutter, angles, parts, o.tilt_limits[1], o.gouge)
             except SurfaceError:
                 return None
             room = self.room(before, curve, angles)
@@ -299,9 +300,9 @@ class PassRecursion:
         kept = kept_places(curve, places, np.abs(distance - before.reach), o.overrun)
         if np.any(kept & ~fits) or not fits.any():
             raise NoPassError(*self.diagnosis(before, curve, fit, fits | ~kept, distance, number))
-        run = run_around(fits, kept)
+        run = places_around(fits, kept)
         if np.any(np.diff(fit.s[run]) <= 0.0):
-            i = run.start + int(np.argmax(np.diff(fit.s[run]) <= 0.0))
+            i = run[int(np.argmax(np.diff(fit.s[run]) <= 0.0))]
             raise NoPassError(
                 f'pass {number} would run backwards at {place(before.right.position[i])}',
                 'take fewer points or a smaller plane distance',
@@ -349,7 +350,7 @@ class PassRecursion:
                 'take a larger tilt, a smaller scallop height or a smaller plane distance',
             )
         if not right.found.all():
-            run = run_around(right.found, kept)
+            run = places_around(right.found, kept)
             s, kept = s[run], kept[run]
             postures = angles.postures(curve, self.cutter, s)
             right = scallop_points(self.surface, postures, self.options.scallop_height)
@@ -359,10 +360,10 @@ class PassRecursion:
 
     def check_heel(self, made: Pass, number: int) -> None:
         """Refuse a pass whose mill enters the surface where it is milled."""
-        ends = kept_range(made.curve, made.s, made.reach, self.options.overrun)
-        if ends is None:
+        parts = kept_ranges(made.curve, made.s, made.reach, self.options.overrun)
+        if not parts:
             return
-        tool = made.tool(finely(made.s, ends))
+        tool = made.tool(finely(made.s, parts))
         depth = gouge_depth(self.surface, tool)
         if float(depth.max()) > self.options.gouge:
             i = int(np.argmax(depth))

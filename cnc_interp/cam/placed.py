@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cnc_interp.cam.surface import Domain, Surface
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 
 
 class Placed(Surface):
@@ -50,3 +50,23 @@ class Placed(Surface):
         """
         first, *others = (x @ self.rotation.T for x in self.surface.derivatives(u, v))
         return (first + self.shift, *others)
+
+    def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
+        """
+        Tell which points lie on the part that is machined, or no further than a margin outside.
+
+        Parameters
+        ----------
+        u, v : ndarray, shape (...)
+            Parameters of the surface [units of u and v].
+        margin : float
+            Distance on the surface [m].
+
+        Returns
+        -------
+        ndarray of bool, shape (...)
+
+        """
+        if self.domain == self.surface.domain:
+            return self.surface.contains(u, v, margin)
+        return super().contains(u, v, margin)

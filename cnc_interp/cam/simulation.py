@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.milled import runs
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.spline_pass import ARM, chord_error
@@ -120,7 +121,7 @@ class Section:
     way : ndarray, shape (m,)
         Distance along the first line [m].
     height : ndarray, shape (n, m)
-        Heights on n lines [m].
+        Heights on n lines; NaN where a line is not on the face [m].
     ridges : ndarray, shape (k,)
         Heights of all scallop ridges on all lines [m].
 
@@ -174,8 +175,12 @@ def cross_sections(
     at = surface.at(u, v)
     heights = cut_needles(Needles(at.position, at.normal), cutter, motion.tip, motion.axis)
     way = np.concatenate([[0.0], np.cumsum(norm(np.diff(at.position[0], axis=0)))])
-    found = []
-    for row in heights.height:
-        peaks, _ = find_peaks(row, prominence=PROMINENCE * float(np.ptp(row)))
-        found.append(row[peaks])
-    return Section(way, heights.height, np.concatenate(found))
+    inside = surface.contains(u, v, -margin) & heights.cut
+    shown = np.where(inside, heights.height, np.nan)
+    found = [np.zeros(0)]
+    for row in shown:
+        for run in runs(np.isfinite(row)):
+            part = row[run]
+            peaks, _ = find_peaks(part, prominence=PROMINENCE * float(np.ptp(part)))
+            found.append(part[peaks])
+    return Section(way, shown, np.concatenate(found))

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.guiding import GuidingCurve
-from cnc_interp.cam.milled import kept_range
+from cnc_interp.cam.milled import kept_ranges
+from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface_curve import SurfaceCurve
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
@@ -24,7 +25,7 @@ FINEST = 20
 #: Distance of the poses that a spline is compared with [m].
 SPACING = 0.05 * MM
 #: Largest distance of a spline from these poses [m].
-CLOSE = 0.02 * UM
+CLOSE = 0.05 * UM
 #: Distance of the knots at first [m].
 COARSEST = 3.2 * MM
 
@@ -92,28 +93,30 @@ class SplinePass:
     spline: BSpline
 
     @staticmethod
-    def of(made: Strip, overrun: float, fixed_axis: FloatArray | None = None) -> SplinePass | None:
+    def of(
+        made: Strip, overrun: float, fixed_axis: FloatArray | None = None,
+        neighbours: Neighbours | None = None,
+    ) -> list[SplinePass]:  # fmt: skip
         """
-        Fit splines to the part of a pass whose strip lies on the surface.
+        Fit splines to the parts of a pass whose strip lies on the surface.
 
         Parameters
         ----------
         made : Strip
             The pass.
         overrun : float
-            Length added at both ends [m].
+            Length added at both ends of each part [m].
         fixed_axis : ndarray, shape (3,), optional
             Unit tool axis of a ball mill that keeps its axis [-].
+        neighbours : Neighbours, optional
+            Parts end where the mill would enter these.
 
         Returns
         -------
-        SplinePass or None
-            None if no part of the strip lies on the surface.
+        list of SplinePass
+            The parts in order; none if no part of the strip lies on the surface.
 
         """
-        ends = kept_range(made.curve, made.s, made.reach, overrun)
-        if ends is None:
-            return None
 
         def rows(places: FloatArray) -> FloatArray:
             postures = made.tool(places)
@@ -121,7 +124,11 @@ class SplinePass:
             tip = postures.cutter.tip(postures.centre, axis)
             return np.concatenate([tip, tip + ARM * axis], axis=1)
 
-        return SplinePass.following(rows, ends)
+        parts = kept_ranges(made.curve, made.s, made.reach, overrun)
+        if neighbours:
+            cutter = made.tool(made.s[:1]).cutter
+            parts = neighbours.free_parts(rows, cutter, parts)
+        return [SplinePass.following(rows, ends) for ends in parts]
 
     @staticmethod
     def following(

@@ -16,6 +16,7 @@ from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Cylinder, Plane, Torus
 from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
 from cnc_interp.cam.surface import Domain, Surface, SurfaceError
+from cnc_interp.cam.trimmed import Trimmed, joined, within
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM
@@ -39,6 +40,9 @@ NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'off
 ON_BORDER = 10e-6
 #: Points along an edge that are compared with the rectangle.
 EDGE_POINTS = 65
+#: Largest distance of the polylines from the edges [m], and the smallest and largest number of
+#: pairs of their pieces.
+CHORD, EDGE_PIECES, MOST_PIECES = 2e-6, 8, 2048
 #: Sizes of shapes before those of the face are known.
 ANY = 1.0
 
@@ -75,20 +79,18 @@ class StepFace:
         """Return the name of the kind and the size, or why the face cannot be used."""
         name = NAMES.get(self.kind, self.kind)
         try:
-            return f'{name}, {extent(self.surface()[0])}'
+            return f'{name}, {extent(self.surface())}'
         except SurfaceError as error:
             return f'{name}, cannot be used: {error}'
 
-    def surface(self) -> tuple[Surface, bool]:
+    def surface(self) -> Surface:
         """
         Make the surface.
 
         Returns
         -------
-        surface : Surface
-            A whole B-spline patch, or the rectangle of parameters around the boundary.
-        whole : bool
-            True if the border of the surface is the boundary of the face.
+        Surface
+            Trimmed by the boundary, unless that is the border of the surface.
 
         Raises
         ------
@@ -109,7 +111,95 @@ class StepFace:
                 f'a surface of the kind {NAMES.get(self.kind, self.kind)} is not supported; '
                 f'use one of {", ".join(first)} or {last}'
             )
-        return surface, self.loops <= 1 and self._distance_inside(surface) < ON_BORDER
+        if self.loops <= 1 and self._distance_inside(surface) < ON_BORDER:
+            return surface
+        return Trimmed(surface, [self._own_parameters(surface, edge) for edge in self.edges()])
+
+    def edges(self) -> list[FloatArray]:
+        """
+        Return the edges of outer loop and holes as polylines.
+
+        Returns
+        -------
+        list of ndarray, shape (n, 2)
+            u and v of OpenCASCADE, within ``CHORD`` of each edge [mm, rad].
+
+        """
+        from OCP.BRepAdaptor import BRepAdaptor_Curve2d
+        from OCP.TopAbs import TopAbs_ShapeEnum
+        from OCP.TopoDS import TopoDS
+
+        found = []
+        for edge in _parts(self.shape, TopAbs_ShapeEnum.TopAbs_EDGE):
+            curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape)
+            first, last, count = curve.FirstParameter(), curve.LastParameter(), EDGE_PIECES
+            while True:
+                places = np.linspace(first, last, 2 * count + 1).tolist()
+                uv = np.array([(p.X(), p.Y()) for p in (curve.Value(t) for t in places)])
+                chord = 0.5 * (uv[:-2:2] + uv[2::2])
+                away = norm(self.points(uv[1::2]) - self.points(chord))
+                if float(away.max()) < CHORD or count >= MOST_PIECES:
+                    break
+                count *= 2
+            found.append(uv)
+        return found
+
+    def points(self, uv: FloatArray) -> FloatArray:
+        """Return points of the surface, shape (n, 3) [m], at u and v of OpenCASCADE, (n, 2)."""
+        return np.array([_vector(self.geometry.Value(u, v)) for u, v in uv.tolist()]) * MM
+
+    def samples(self, spacing: float, most: int) -> FloatArray:
+        """
+        Return points within the boundary and along it.
+
+        Parameters
+        ----------
+        spacing : float
+            Distance of the points [m].
+        most : int
+            Approximate largest number of points.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Points [m].
+
+        """
+        edges = joined(self.edges())
+        corners = np.concatenate(edges)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        u, v = np.meshgrid(*np.linspace(low, high, 9).T, indexing='ij')
+        rough = self.points(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(9, 9, 3)
+        sizes = [float(norm(np.diff(rough, axis=k)).sum(axis=k).max()) for k in (0, 1)]
+        spacing = max(spacing, float(np.sqrt(sizes[0] * sizes[1] / most)))
+        count = [max(2, int(np.ceil(size / spacing)) + 1) for size in sizes]
+        u, v = (x.ravel() for x in np.meshgrid(*map(np.linspace, low, high, count)))
+        pieces = np.concatenate([np.hstack([e[:-1], e[1:]]) for e in edges])
+        inside = within(pieces, u, v)
+        lines = []
+        for edge in edges:
+            way = np.concatenate([[0.0], np.cumsum(norm(np.diff(self.points(edge), axis=0)))])
+            at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / spacing)) + 1))
+            lines.append(np.stack([np.interp(at, way, x) for x in edge.T], axis=1))
+        return self.points(np.concatenate([np.stack([u, v], axis=1)[inside], *lines]))
+
+    def _own_parameters(self, surface: Surface, uv: FloatArray) -> FloatArray:
+        """Return u and v of our surface for those of OpenCASCADE, shape (n, 2)."""
+        low, high = np.transpose(surface.domain)
+        if self.kind == SPLINE:
+            # A patch that closes on itself may have edges in its next turn.
+            if (uv < low - 1e-6 * (high - low)).any() or (uv > high + 1e-6 * (high - low)).any():
+                raise SurfaceError('the face crosses the seam; split it in the CAD system')
+            return uv
+        (u0, u1), (v0, v1) = np.reshape(self.bounds, (2, 2)).tolist()
+        share = (uv - [u0, v0]) / [u1 - u0, v1 - v0]
+        guess = low + share * (high - low)
+        if self.kind in ANALYTIC:
+            return np.asarray(guess)
+        u, v, away = surface.project(self.points(uv), guess[:, 0], guess[:, 1])
+        if not np.all(np.abs(away) < ON_BORDER):
+            raise SurfaceError('the boundary does not lie on the surface')
+        return np.stack([u, v], axis=1)
 
     def _analytic(self) -> Surface:
         """Make a plane, cylinder, sphere or torus over the rectangle of the boundary."""

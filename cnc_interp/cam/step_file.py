@@ -6,38 +6,46 @@ The package ``cadquery-ocp-novtk`` (module ``OCP``) is optional.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.cam.step_face import StepFace, extent
-from cnc_interp.cam.surface import Surface, SurfaceError
+import numpy as np
+
+from cnc_interp.cam.neighbours import Neighbours
+from cnc_interp.cam.step_face import StepFace
+from cnc_interp.cam.step_part import Part
+from cnc_interp.cam.surface import SurfaceError
+from cnc_interp.core.units import MM
 
 #: What to do where the optional package is missing.
 INSTALL = 'reading STEP needs OpenCASCADE: pip install cadquery-ocp-novtk'
 SYSTEM_LIBRARY = 'OpenCASCADE cannot be loaded: apt-get install libgl1'
 
 
-def read_step_face(
-    path: Path, face: int | None, note: Callable[[str], None] | None = None
-) -> Surface:
+#: Distance of the points that stand for the faces of a part [m], and their largest number.
+SPACING, MOST_POINTS = 0.25 * MM, 150_000
+
+
+def read_step_part(
+    path: Path, numbers: Sequence[int], note: Callable[[str], None] | None = None
+) -> Part:
     """
-    Read the surface of one face.
+    Read the surfaces of faces, and points of all faces.
 
     Parameters
     ----------
     path : Path
         The STEP file. Its unit of length is converted to metres.
-    face : int or None
-        Number of the face in the order of the shells, from 1. None is enough for a single face.
+    numbers : sequence of int
+        Numbers of the faces in the order of the shells, from 1. None is needed for a single face.
     note : callable, optional
-        Gets a sentence if the surface extends beyond the boundary of the face, or if parts of the
-        file could not be read.
+        Gets a sentence if parts of the file could not be read.
 
     Returns
     -------
-    Surface
-        The surface in part coordinates [m]. Its normal is the normal of the face.
+    Part
+        Surfaces in part coordinates [m]. Their normals are the normals of the faces.
 
     Raises
     ------
@@ -47,25 +55,45 @@ def read_step_face(
 
     """
     faces = _faces(path, note)
-    if face is None and len(faces) > 1:
+    if not numbers and len(faces) > 1:
         lines = [f'{k:6}  {one.description()}' for k, one in enumerate(faces, 1)]
         heading = f'{path}: choose one of {len(faces)} faces with --face N:'
         raise SurfaceError('\n'.join([heading, *lines]))
-    number = 1 if face is None else face
-    if not 1 <= number <= len(faces):
-        raise SurfaceError(
-            f'{path}: there is no face {number}; the faces are numbered from 1 to {len(faces)}'
-        )
-    try:
-        surface, whole = faces[number - 1].surface()
-    except SurfaceError as error:
-        raise SurfaceError(f'{path}: face {number}: {error}') from error
-    if note and not whole:
-        note(
-            f'{path}: face {number} is trimmed; its boundary is not followed, the surface is '
-            f'{extent(surface)}'
-        )
-    return surface
+    surfaces = {}
+    for number in numbers or [1]:
+        if not 1 <= number <= len(faces):
+            raise SurfaceError(
+                f'{path}: there is no face {number}; the faces are numbered from 1 to {len(faces)}'
+            )
+        if number in surfaces:
+            raise SurfaceError(f'{path}: face {number} is named twice')
+        try:
+            surfaces[number] = faces[number - 1].surface()
+        except SurfaceError as error:
+            raise SurfaceError(f'{path}: face {number}: {error}') from error
+    return Part(surfaces, _neighbours(path, faces, note))
+
+
+def _neighbours(
+    path: Path, faces: list[StepFace], note: Callable[[str], None] | None
+) -> Neighbours | None:
+    """Sample all faces of a part that has several."""
+    if len(faces) == 1:
+        return None
+    spacing, found = SPACING, []
+    for number, face in enumerate(faces, 1):
+        try:
+            found.append(face.samples(spacing, MOST_POINTS // len(faces)))
+        except Exception as fault:  # bindings of OpenCASCADE raise anything
+            found.append(np.zeros((0, 3)))
+            if note:
+                note(
+                    f'{path}: the mill is not tested against face {number}, it has no points: '
+                    f'{" ".join(str(fault).split())[:100]}'
+                )
+    counts = [len(points) for points in found]
+    owner = np.repeat(np.arange(1, len(faces) + 1), counts)
+    return Neighbours(np.ascontiguousarray(np.concatenate(found)), owner)
 
 
 def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:

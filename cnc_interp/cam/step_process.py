@@ -14,11 +14,12 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cnc_interp.cam.step_file import read_step_face
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.step_file import read_step_part
+from cnc_interp.cam.step_part import Part
+from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.core.bounded_memory import BoundedMemory
 
 #: Time of a processor for a file [s], and for each MB of it. Memory beside what its length
@@ -27,10 +28,10 @@ SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
 
 
 def read_step_safely(
-    path: Path, face: int | None, note: Callable[[str], None] | None = None
-) -> Surface:
+    path: Path, faces: Sequence[int], note: Callable[[str], None] | None = None
+) -> Part:
     """
-    Read the surface of one face in a process of its own; as ``step_file.read_step_face``.
+    Read faces in a process of its own; as ``step_file.read_step_part``.
 
     Raises
     ------
@@ -38,7 +39,7 @@ def read_step_safely(
         If there is no surface, also if the process ended without one.
 
     """
-    words = [str(path), '' if face is None else str(face)]
+    words = [str(path), *map(str, faces)]
     # -P: it imports this package and installed ones, and nothing from the folder of the user.
     command = [sys.executable, '-P', '-m', 'cnc_interp.cam.step_process', *words]
     given, own = os.environ.get('PYTHONPATH', ''), str(Path(__file__).parents[2])
@@ -49,13 +50,13 @@ def read_step_safely(
     )  # fmt: skip
     if child.returncode:
         raise SurfaceError(f'{path}: OpenCASCADE cannot read it: {_end(child.returncode)}')
-    surface, notes, refusal = pickle.loads(child.stdout)
+    part, notes, refusal = pickle.loads(child.stdout)
     if note:
         for text in notes:
             note(text)
     if refusal:
         raise SurfaceError(refusal)
-    read: Surface = surface
+    read: Part = part
     return read
 
 
@@ -66,8 +67,8 @@ def _end(code: int) -> str:
     return f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
 
 
-def answer(path: Path, face: int | None) -> tuple[Surface | None, list[str], str]:
-    """Read a face within bounds that stay; return it, notes, and why there is none."""
+def answer(path: Path, faces: Sequence[int]) -> tuple[Part | None, list[str], str]:
+    """Read faces within bounds that stay; return them, notes, and why there are none."""
     notes: list[str] = []
     try:
         length = path.stat().st_size if path.is_file() else 0
@@ -75,7 +76,7 @@ def answer(path: Path, face: int | None) -> tuple[Surface | None, list[str], str
         resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         BoundedMemory(*[path] * (length > 0), room=ROOM)
-        return read_step_face(path, face, notes.append), notes, ''
+        return read_step_part(path, faces, notes.append), notes, ''
     except SurfaceError as refusal:
         return None, notes, str(refusal)
     except MemoryError:
@@ -90,7 +91,7 @@ def main() -> None:
     output = os.fdopen(os.dup(1), 'wb')
     os.dup2(2, 1)  # what OpenCASCADE prints is no part of the answer
     with output:
-        pickle.dump(answer(Path(sys.argv[1]), int(sys.argv[2]) if sys.argv[2] else None), output)
+        pickle.dump(answer(Path(sys.argv[1]), [int(word) for word in sys.argv[2:]]), output)
         output.flush()
         os._exit(0)  # destructors of OpenCASCADE may crash, too
 

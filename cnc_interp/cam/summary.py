@@ -2,40 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from cnc_interp.cam.classical import ClassicalPaths
-from cnc_interp.cam.iso_scallop import IsoScallopPaths
+from cnc_interp.cam.machined_face import MachinedFace
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.pole_turn import PoleTurn
 from cnc_interp.cam.simulation import Section
 from cnc_interp.core.units import DEG, MM, UM
 
 
-def facts_of(paths: IsoScallopPaths | ClassicalPaths, seconds: float) -> dict[str, Any]:
+def facts_of(faces: Sequence[MachinedFace]) -> dict[str, Any]:
     """
     Return the figures of the passes for summary.json.
 
     Parameters
     ----------
-    paths : IsoScallopPaths or ClassicalPaths
-        The passes.
-    seconds : float
-        Computing time [s].
+    faces : sequence of MachinedFace
+        The faces.
 
     Returns
     -------
     dict
-        Figures in SI units.
+        Figures in SI units: those of a single face, or ``faces``, a list with those of each.
 
     """
+    found = [_facts_of(face) for face in faces]
+    if len(faces) == 1:
+        return found[0]
+    return {'faces': [{'face': face.number, **one} for face, one in zip(faces, found)]}
+
+
+def face_facts(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the part of a summary for each face; a single face has the whole summary."""
+    found: list[dict[str, Any]] = summary.get('faces', [summary])
+    return found
+
+
+def _facts_of(face: MachinedFace) -> dict[str, Any]:
+    """Return the figures of the passes of one face."""
+    paths = face.paths
     found = {
         'passes': len(paths.passes),
         'postures': sum(len(p.s) for p in paths.passes),
-        'computing_time': seconds,
+        'computing_time': face.seconds,
         'length': sum(p.curve.length for p in paths.passes),
+        'milled_parts': sum(map(len, face.parts)),
+        'milled_length': sum(x.ends[1] - x.ends[0] for parts in face.parts for x in parts),
     }
     if isinstance(paths, ClassicalPaths):
         return found
@@ -84,26 +100,36 @@ def ridges_of(section: Section) -> dict[str, Any]:
 def describe(summary: dict[str, Any]) -> str:
     """Return a summary as text in shop units."""
     lines = []
-    if 'passes' in summary:
-        lines += [
-            f'surface        {summary["surface"]}',
-            f'passes         {summary["passes"]}; {summary["postures"]} postures in '
-            f'{summary["computing_time"]:.2f} s',
-        ]
-        if 'tilt' in summary:
-            lines += _planes_in_words(summary)
-        lines.append(
-            f'program        {summary["program"]}, {summary["blocks"]} blocks; passes of '
-            f'{summary["length"] / MM:.0f} mm'
-        )
+    if 'surface' in summary:
+        lines.append(f'surface        {summary["surface"]}')
+    for face in face_facts(summary):
+        if 'face' in face:
+            lines.append(f'face           {face["face"]}')
+        if 'passes' in face:
+            lines += _passes_in_words(face)
+    if 'program' in summary:
+        lines.append(f'program        {summary["program"]}, {summary["blocks"]} blocks')
     if 'pole' in summary:
         lines.append(f'pole           {PoleTurn(**summary["pole"]).text}')
     if 'cycle_time' in summary:
         lines.append(f'cycle time     {summary["cycle_time"]:.3f} s')
-    for name in ('programmed', 'planned', 'executed'):
-        if name in summary:
-            lines.append(f'{name:<15}{heights_in_words(summary[name])}')
+    for face in face_facts(summary):
+        for name in ('programmed', 'planned', 'executed'):
+            if name in face:
+                of = f'face {face["face"]}: ' if 'face' in face else ''
+                lines.append(f'{name:<15}{of}{heights_in_words(face[name])}')
     return '\n'.join(lines)
+
+
+def _passes_in_words(face: dict[str, Any]) -> list[str]:
+    """Return the lines about the passes of one face."""
+    several = face['milled_parts'] != face['passes']
+    parts = f' in {face["milled_parts"]} parts' if several else ''
+    return [
+        f'passes         {face["passes"]}{parts}, {face["milled_length"] / MM:.0f} mm; '
+        f'{face["postures"]} postures in {face["computing_time"]:.2f} s',
+        *(_planes_in_words(face) if 'tilt' in face else []),
+    ]
 
 
 def _planes_in_words(summary: dict[str, Any]) -> list[str]:

@@ -183,6 +183,28 @@ class Surface(ABC):
         _, s_u, s_v, *_ = self.derivatives(u, v)
         return extension / float(np.median(norm(s_u))), extension / float(np.median(norm(s_v)))
 
+    def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
+        """
+        Tell which points lie on the part that is machined, or no further than a margin outside.
+
+        Parameters
+        ----------
+        u, v : ndarray, shape (...)
+            Parameters [units of u and v].
+        margin : float
+            Distance on the surface; a negative margin excludes what lies near the border [m].
+
+        Returns
+        -------
+        ndarray of bool, shape (...)
+
+        """
+        (u0, u1), (v0, v1) = self.domain
+        grow = self.growth(margin) if margin else (0.0, 0.0)
+        grow_u, grow_v = grow[0] + 1e-9 * (u1 - u0), grow[1] + 1e-9 * (v1 - v0)
+        along = (u >= u0 - grow_u) & (u <= u1 + grow_u)
+        return np.asarray(along & (v >= v0 - grow_v) & (v <= v1 + grow_v))
+
     def check(self, offset: float = 0.0) -> None:
         """
         Refuse a surface that is degenerate or folds, or whose offset does.
@@ -204,18 +226,23 @@ class Surface(ABC):
         area = norm(cross(point.d_u, point.d_v))
         if not np.isfinite(point.position).all():
             raise SurfaceError('the surface has points that are not finite')
-        bad = area < 1e-6 * float(np.median(area))
+        # One cell beyond a trimming boundary: no part between the samples is missed.
+        middle = point.position[SAMPLES // 2], point.position[:, SAMPLES // 2]
+        cell = max(float(norm(np.diff(line, axis=0)).max()) for line in middle)
+        ours = self.contains(u, v, cell) if np.isfinite(cell) else np.ones(u.shape, bool)
+        bad = ours & (area < 1e-6 * float(np.median(area[ours])))
         if bad.any():
             raise SurfaceError(f'the surface is degenerate at {_place(point, bad)}')
         n = point.normal
         turned = np.zeros(bad.shape, bool)
         turned[1:] |= dot(n[1:], n[:-1]) < 0.0
         turned[:, 1:] |= dot(n[:, 1:], n[:, :-1]) < 0.0
+        turned &= ours
         if turned.any():
             raise SurfaceError(
                 f'the surface folds at {_place(point, turned)}; machine both sides as two surfaces'
             )
-        smallest = point.principal_curvatures()[0]
+        smallest = np.where(ours, point.principal_curvatures()[0], np.inf)
         if float(smallest.min()) * offset <= -1.0:
             tightest = smallest == smallest.min()
             radius = -1.0 / float(smallest.min()) / MM
@@ -224,14 +251,14 @@ class Surface(ABC):
                 f'is {radius:.3g} mm at {_place(point, tightest)}'
             )
         if offset > 0.0:
-            self._check_far_parts(point, offset)
+            self._check_far_parts(point, ours, offset)
 
-    def _check_far_parts(self, point: SurfacePoint, offset: float) -> None:
+    def _check_far_parts(self, point: SurfacePoint, ours: BoolArray, offset: float) -> None:
         """Refuse an offset that enters another part of the surface."""
-        samples = point.position.reshape(-1, 3)
+        samples = point.position[ours]
         tree = cKDTree(samples)
         near, _ = tree.query(point.offset(offset).position.reshape(-1, 3))
-        inside = (near < 0.98 * offset).reshape(point.normal.shape[:2])
+        inside = ours & (near < 0.98 * offset).reshape(point.normal.shape[:2])
         if inside.any():
             raise SurfaceError(
                 f'the offset by {offset / MM:g} mm meets another part of the surface at '

@@ -7,7 +7,7 @@ Surface files: STEP, or JSON with lengths in mm and angles in degrees (docs/how_
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Plane, Torus
 from cnc_interp.cam.spline_surfaces import BSplineSurface
+from cnc_interp.cam.step_part import Part
 from cnc_interp.cam.step_process import read_step_safely
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
@@ -73,21 +74,30 @@ class _File:
 def read_surface(
     path: Path, face: int | None = None, note: Callable[[str], None] | None = None
 ) -> Surface:
+    """Read one surface; as ``read_part``."""
+    (surface,) = read_part(path, [] if face is None else [face], note).surfaces.values()
+    return surface
+
+
+def read_part(
+    path: Path, faces: Sequence[int] = (), note: Callable[[str], None] | None = None
+) -> Part:
     """
-    Read a surface file, or a face of a STEP file (.step, .stp, .p21).
+    Read a surface file, or faces of a STEP file (.step, .stp, .p21).
 
     Parameters
     ----------
     path : Path
         The file.
-    face : int, optional
-        Number of the face in a STEP file.
+    faces : sequence of int
+        Numbers of the faces in a STEP file; none is needed for a file of a single face.
     note : callable, optional
         Is called with a sentence if the user should know something about the surface.
 
     Returns
     -------
-    Surface
+    Part
+        The surfaces; that of a JSON file has the number 1.
 
     Raises
     ------
@@ -96,8 +106,8 @@ def read_surface(
 
     """
     if path.suffix.lower() in STEP_SUFFIXES:
-        return read_step_safely(path, face, note)
-    if face is not None:
+        return read_step_safely(path, faces, note)
+    if faces:
         raise SurfaceError(f'{path}: --face is for STEP files ({", ".join(STEP_SUFFIXES)})')
     try:
         contents = read_json(path)
@@ -120,7 +130,7 @@ def read_surface(
         surface = _surface(file, kind)
     except SurfaceError as error:
         raise error if str(error).startswith(str(path)) else file.fault(str(error)) from error
-    return _placed(file, surface)
+    return Part({1: _placed(file, surface)})
 
 
 def _surface(file: _File, kind: str) -> Surface:

@@ -16,7 +16,7 @@ from cnc_interp.cam.needle_tiles import TileCutter, TileProgress, TileWorkers
 from cnc_interp.cam.needles import NeedleGrid
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import ridges_of
-from cnc_interp.cam.surface import Surface
+from cnc_interp.cam.surface import SAMPLES, Surface
 from cnc_interp.cam.sweep import Sweep
 from cnc_interp.cam.tile_page import TilePage
 from cnc_interp.core.errors import InterpError
@@ -78,6 +78,8 @@ def simulate_in_tiles(
 
     """
     out: Path = options.tiles
+    if not surface.contains(*surface.grid(SAMPLES, SAMPLES)).all():
+        raise InterpError('--tiles does not follow the boundary of a trimmed face; leave it out')
     grid = NeedleGrid.on(surface, options.spacing * MM, options.margin * MM)
     about = {
         'surface': str(options.surface), 'motion': str(options.motion), 'kind': motion.name,

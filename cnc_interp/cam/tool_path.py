@@ -13,14 +13,20 @@ from typing import Literal
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.spline_pass import SplinePass, sampled
-from cnc_interp.cam.surface import Surface
-from cnc_interp.cam.vectors import unit
+from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
+from cnc_interp.cam.vectors import norm, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 
 Linking = Literal['zigzag', 'one-way']
+
+#: Gap between the mill and the part on a low link, as a share of the clearance.
+HOP = 0.25
+#: Smallest cosine between the tool axis and the direction of the safe level [-].
+UPRIGHT = 0.2
 
 
 @dataclass(frozen=True)
@@ -73,50 +79,103 @@ class Link:
 
 
 def link(
-    passes: Sequence[SplinePass], surface: Surface, cutter: Cutter, options: LinkOptions
-) -> list[Link | SplinePass]:
+    passes: Sequence[Sequence[SplinePass]], surface: Surface, cutter: Cutter,
+    options: LinkOptions, around: Neighbours | None = None, up: FloatArray | None = None,
+) -> list[Link | SplinePass]:  # fmt: skip
     """
     Put passes into the order and direction of cutting, with safe moves between them.
 
     Parameters
     ----------
-    passes : sequence of SplinePass
-        Passes in their order on the surface.
+    passes : sequence of sequence of SplinePass
+        The parts of each pass, passes in their order on the surface.
     surface : Surface
         The surface that the links must not touch.
     cutter : Cutter
         The mill.
     options : LinkOptions
         The user's choices.
+    around : Neighbours, optional
+        Points of the whole part, which the links must not touch either.
+    up : ndarray, shape (3,), optional
+        Unit direction of the safe level, by default the mean normal of the surface [-].
 
     Returns
     -------
     list of Link or SplinePass
 
+    Raises
+    ------
+    SurfaceError
+        If a tool axis leans too far from ``up`` to reach the safe level.
+
     """
-    u, v = surface.grid(61, 61)
-    points = surface.at(u, v)
-    up = unit(points.normal.reshape(-1, 3).mean(axis=0))
+    u, v = surface.grid(SAMPLES, SAMPLES)
+    ours = surface.contains(u, v)
+    points = surface.at(u[ours], v[ours])
+    if up is None:
+        up = unit(points.normal.mean(axis=0))
+    body = points.position
+    if around is not None:
+        body = np.concatenate([body, around.points])
+    obstacles = Neighbours(np.ascontiguousarray(body), np.zeros(len(body), np.int64))
     widest = cutter.tool_radius + cutter.corner_radius
     # The lowest point of a leaning mill lies below its tip by less than its radius.
-    safe = float((points.position @ up).max()) + widest + options.clearance
+    safe = float((body @ up).max()) + widest + options.clearance
     steps: list[Link | SplinePass] = []
 
-    def over(tip: FloatArray) -> FloatArray:
-        return np.asarray(tip + max(safe - float(tip @ up), options.clearance) * up)
+    def over(tip: FloatArray, axis: FloatArray) -> FloatArray:
+        """Return the tip on the safe level: lifted along its axis, the mill meets nothing new."""
+        rise = float(axis @ up)
+        if rise < UPRIGHT:
+            raise SurfaceError(
+                'the tool axis leans too far to be lifted above the part; make a program of its '
+                'own for this face'
+            )
+        return np.asarray(tip + max((safe - float(tip @ up)) / rise, options.clearance) * axis)
 
-    for k, one in enumerate(passes):
-        turned = options.linking == 'zigzag' and k % 2
-        one = one.reversed if turned else one
+    parts = _in_order(passes, options)
+    for k, (one, low) in enumerate(parts):
         tip, axis = one.poses(np.array(one.ends))
         before, behind = tip + options.clearance * axis
-        if k == 0 or options.linking == 'one-way':
-            steps.append(Link(over(before), axis[0], True))
+        last = steps[-1] if steps else None
+        hop = (
+            isinstance(last, Link)
+            and low
+            and _clear(last, before, axis[0], cutter, obstacles, HOP * options.clearance)
+        )
+        if isinstance(last, Link) and not hop:
+            steps.append(Link(over(last.tip, last.axis), last.axis, True))
+        if not hop:
+            steps.append(Link(over(before, axis[0]), axis[0], True))
         steps += [Link(before, axis[0], True), Link(tip[0], axis[0], False), one]
         steps.append(Link(behind, axis[1], False))
-        if k == len(passes) - 1 or options.linking == 'one-way':
-            steps.append(Link(over(behind), axis[1], True))
+        if k == len(parts) - 1:
+            steps.append(Link(over(behind, axis[1]), axis[1], True))
     return steps
+
+
+def _in_order(
+    passes: Sequence[Sequence[SplinePass]], options: LinkOptions
+) -> list[tuple[SplinePass, bool]]:
+    """Return the parts in the order of cutting, and whether the way to them may be low."""
+    found = []
+    for k, parts in enumerate(passes):
+        turned = options.linking == 'zigzag' and k % 2
+        ordered = [part.reversed for part in parts[::-1]] if turned else list(parts)
+        found += [(part, i > 0 or options.linking == 'zigzag') for i, part in enumerate(ordered)]
+    return found
+
+
+def _clear(
+    start: Link, tip: FloatArray, axis: FloatArray, cutter: Cutter, obstacles: Neighbours,
+    gap: float,
+) -> bool:  # fmt: skip
+    """Tell whether the mill keeps a gap on the straight way to a pose."""
+    share = np.linspace(0.0, 1.0, 2 + int(float(norm(tip - start.tip)) / gap))[:, None]
+    tips = start.tip + share * (tip - start.tip)
+    axes = unit(start.axis + share * (axis - start.axis))
+    return bool(np.all(obstacles.depth(cutter, tips, axes) < -gap))
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,10 @@ from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.machined_face import MachinedFace, cut_back
 from cnc_interp.cam.nbuffer import Heights, cut_needles
 from cnc_interp.cam.needles import Needles
+from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.pole_turn import pole_turn
 from cnc_interp.cam.program_text import write_tool_path
@@ -29,10 +31,10 @@ from cnc_interp.cam.simulation import (
     planned,
     programmed,
 )
-from cnc_interp.cam.spline_pass import SplinePass
-from cnc_interp.cam.summary import describe, facts_of, heights_in_words, results
-from cnc_interp.cam.surface import Surface, SurfaceError
-from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.step_part import Part
+from cnc_interp.cam.summary import describe, face_facts, facts_of, heights_in_words, results
+from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
+from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
 from cnc_interp.cam.tool_path import LinkOptions, link
 from cnc_interp.cam.vectors import cross, unit
@@ -51,18 +53,18 @@ SMOOTHING = 0.2
 
 
 def make_program(options: argparse.Namespace) -> int:
-    """Make the program of a surface, simulate it if requested, and write all files."""
-    surface = _surface(options)
+    """Make the program of faces, simulate it if requested, and write all files."""
+    part = _part(options)
     cutter = _cutter(options)
-    normal = across(surface, options.direction * DEG)
-    clock = time.perf_counter()
-    paths = _followed(surface, cutter, normal, options)
-    clock = time.perf_counter() - clock
-    axis = unit(_mean_normal(surface)) if cutter.is_ball else None
-    curves = [SplinePass.of(p, options.overrun * MM, axis) for p in paths.passes]
-    passes = [curve for curve in curves if curve]
+    faces = [_machined(number, part, cutter, options) for number in part.surfaces]
     links = LinkOptions(options.linking, options.clearance * MM)
-    steps = link(passes, surface, cutter, links)
+    around = None if options.ignore_neighbours else part.neighbours
+    up = unit(sum((unit(_mean_normal(face.surface)) for face in faces), np.zeros(3)))
+    steps = [
+        step
+        for face in faces
+        for step in link(face.parts, face.surface, cutter, links, _all(faces, around), up)
+    ]
     machine = Machine.load(options.machine)
     tolerance = SMOOTHING * options.scallop * UM
     reading = Settings(contour_tolerance=tolerance, orientation_tolerance=tolerance)
@@ -74,12 +76,13 @@ def make_program(options: argparse.Namespace) -> int:
     )  # fmt: skip
     program = read_program(file, Transform.of(machine), reading)
     summary = {
-        'surface': str(options.surface), **facts_of(paths, clock), 'program': str(file),
+        'surface': str(options.surface), **facts_of(faces), 'program': str(file),
         'blocks': len(program.blocks) - 1,
     }  # fmt: skip
     beside = pole_turn(
-        passes, options.feed * MM_PER_MIN, tolerance / reading.flank_height, machine
-    )
+        [piece for face in faces for parts in face.parts for piece in parts],
+        options.feed * MM_PER_MIN, tolerance / reading.flank_height, machine,
+    )  # fmt: skip
     if beside:
         summary['pole'] = asdict(beside)
     motions = []
@@ -94,30 +97,84 @@ def make_program(options: argparse.Namespace) -> int:
             progress.end(complete=True)
             files = read_plan(out / 'plan').in_memory()
             motions += [planned(files, machine), executed(files, machine, _model(options))]
-    figures = _path_figures(paths)
-    for motion in motions:
-        heights, section = _cut(surface, cutter, motion, normal, options)
-        summary[motion.name] = results(heights, section)
-        figures += _height_figures(motion, heights, section, options.scallop * UM)
+    figures = _drawn(faces, motions, cutter, summary, options)
     (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     text = describe(summary)
     from cnc_interp.cam.page import page
 
     (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
-    for note in paths.notes if isinstance(paths, IsoScallopPaths) else []:
-        _note(note)
+    for face in faces:
+        for note in face.notes:
+            _note(f'face {face.number}: {note}' if len(faces) > 1 else note)
     return 0
 
 
-def _surface(options: argparse.Namespace) -> Surface:
-    """Read the surface, and turn it about X, then Y, then Z."""
-    surface = read_surface(options.surface, options.face, _note)
+def _machined(
+    number: int, part: Part, cutter: Cutter, options: argparse.Namespace
+) -> MachinedFace:
+    """Compute the passes of one face."""
+    surface = part.surfaces[number]
+    normal = across(surface, options.direction * DEG)
+    others = part.neighbours.without(number) if part.neighbours else None
+    axis = unit(_mean_normal(surface)) if cutter.is_ball else None
+    try:
+        clock = time.perf_counter()
+        paths = _followed(surface, cutter, normal, options)
+        clock = time.perf_counter() - clock
+        parts, notes = cut_back(
+            paths, cutter, options.overrun * MM, axis,
+            None if options.ignore_neighbours else others,
+        )  # fmt: skip
+    except SurfaceError as error:
+        if len(part.surfaces) == 1:
+            raise
+        raise SurfaceError(f'face {number}: {error}') from error
+    own = paths.notes if isinstance(paths, IsoScallopPaths) else []
+    return MachinedFace(number, surface, normal, paths, parts, clock, [*own, *notes])
+
+
+def _all(faces: list[MachinedFace], around: Neighbours | None) -> Neighbours | None:
+    """Return points of the whole part, at least of all machined faces; None for a single face."""
+    if around is not None or len(faces) == 1:
+        return around
+    found = []
+    for face in faces:
+        u, v = face.surface.grid(SAMPLES, SAMPLES)
+        ours = face.surface.contains(u, v)
+        found.append(face.surface.at(u[ours], v[ours]).position)
+    owner = np.repeat([face.number for face in faces], [len(x) for x in found])
+    return Neighbours(np.concatenate(found), owner)
+
+
+def _drawn(
+    faces: list[MachinedFace], motions: list[Motion], cutter: Cutter, summary: dict[str, Any],
+    options: argparse.Namespace,
+) -> list[tuple[str, str, Any]]:  # fmt: skip
+    """Draw passes and simulated surfaces of all faces; put the figures into the summary."""
+    figures = []
+    for face, figures_of in zip(faces, face_facts(summary), strict=True):
+        name = f'Face {face.number}: ' if len(faces) > 1 else ''
+        drawn = _path_figures(face.paths)
+        for motion in motions:
+            heights, section = _cut(face.surface, cutter, motion, face.across, options)
+            figures_of[motion.name] = results(heights, section)
+            drawn += _height_figures(motion, heights, section, options.scallop * UM)
+        figures += [(name + heading, text, figure) for heading, text, figure in drawn]
+    return figures
+
+
+def _part(options: argparse.Namespace) -> Part:
+    """Read the faces, and turn them about X, then Y, then Z."""
+    part = read_part(options.surface, options.face or [], _note)
     turns = options.turn_x, options.turn_y, options.turn_z
     if not any(turns):
-        return surface
+        return part
     turn = Rotation.from_euler('xyz', turns, degrees=True).as_matrix()
-    return Placed(surface, turn, np.zeros(3))
+    surfaces: dict[int, Surface] = {
+        number: Placed(surface, turn, np.zeros(3)) for number, surface in part.surfaces.items()
+    }
+    return Part(surfaces, part.neighbours.turned(turn) if part.neighbours else None)
 
 
 def _followed(
@@ -151,7 +208,7 @@ def _model(options: argparse.Namespace) -> Machine | None:
 def simulate_motion(options: argparse.Namespace) -> int:
     """Cut a surface with the motion of a program or a plan."""
     refuse_options(options)
-    surface = _surface(options)
+    ((_, surface),) = _part(options).surfaces.items()
     cutter = _cutter(options)
     machine = Machine.load(options.machine)
     if options.motion.is_dir():

@@ -1,15 +1,24 @@
 """Raised tilts, and the part of a pass that is milled."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.heel import finely, smooth_cover
-from cnc_interp.cam.milled import kept_places, kept_range, run_around
-from cnc_interp.cam.shapes import Plane
+from cnc_interp.cam.iso_scallop import iso_scallop_paths
+from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
+from cnc_interp.cam.nbuffer import cut_needles
+from cnc_interp.cam.needles import Needles
+from cnc_interp.cam.shapes import Cylinder, Plane
+from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.spline_surfaces import BSplineSurface
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.core.units import MM
+from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
+from cnc_interp.core.units import DEG, MM, UM
 
 Y = np.array([0.0, 1.0, 0.0])
 
@@ -30,19 +39,23 @@ def test_milled_part_ends_with_the_overrun():
     curve = GuidingPlanes(surface, 1.5 * MM, Y, 6 * MM).curve(0.0)
     s = np.linspace(0.0, curve.length, 400)
     reach = np.full(400, 1 * MM)
-    low, high = kept_range(curve, s, reach, 0.5 * MM)
+    ((low, high),) = kept_ranges(curve, s, reach, 0.5 * MM)
     x = curve.frames(np.array([low, high])).position[:, 0]
     np.testing.assert_allclose(np.sort(x), [-15.5 * MM, 15.5 * MM], atol=0.41 * MM)
     kept = kept_places(curve, s, reach, 0.5 * MM)
     assert s[kept][0] >= low and s[kept][-1] <= high and not kept[0] and not kept[-1]
-    fine = finely(s, (low, high))
+    fine = finely(s, [(low, high)])
     assert fine[0] == low and fine[-1] == high and np.diff(fine).max() < 0.03 * MM
 
 
-def test_run_around_holds_what_is_milled():
-    good = np.array([1, 1, 1, 0, 1, 1, 0], bool)
-    assert run_around(good, np.array([0, 0, 0, 0, 1, 0, 0], bool)) == slice(4, 6)
-    assert run_around(good, np.zeros(7, bool)) == slice(0, 3)
+def test_places_around_hold_what_is_milled_and_bridge_a_hole():
+    good = np.array([1, 1, 1, 0, 1, 1, 0, 1, 1], bool)
+    kept = np.array([0, 0, 0, 0, 1, 0, 0, 0, 0], bool)
+    assert places_around(good, kept).tolist() == [4, 5]
+    kept[1] = True
+    assert places_around(good, kept).tolist() == [0, 1, 2, 4, 5]
+    assert places_around(good, np.zeros(9, bool)).tolist() == [0, 1, 2]
+    assert len(places_around(np.zeros(9, bool), np.zeros(9, bool))) == 0
 
 
 def steep_beyond(edge):
@@ -55,3 +68,26 @@ def steep_beyond(edge):
 def test_plane_that_touches_the_surface_is_refused_with_the_place():
     with pytest.raises(SurfaceError, match=r'touches the surface at \(.* mm instead of cutting'):
         GuidingPlanes(steep_beyond(14.0), 1.5 * MM, Y, 2 * MM)
+
+
+def test_yaw_and_tilt_together_where_each_alone_does_not_fit(monkeypatch):
+    """A trough of 13 mm across the feed: the heel needs 22.6 deg without a yaw."""
+    surface, mill = Cylinder(13 * MM, 0.7, 5 * MM, hollow=True), Cutter(5 * MM, 1.5 * MM)
+    choice = IsoScallopOptions(
+        stepover=1.4 * MM, tilt=3 * DEG, tilt_limits=(0.5 * DEG, 18 * DEG), points=25
+    )
+    made = iso_scallop_paths(surface, mill, Y, choice)
+    angles = [p.angles for p in made.passes]
+    assert all(np.abs(a.yaw).min() > 19 * DEG for a in angles) and 'yaw' in made.notes[0]
+    assert max(a.tilt.max() for a in angles) <= 18 * DEG + 1e-9
+    curves = [SplinePass.of(p, 0.5 * MM) for p in made.passes]
+    path = ToolPath.of(link([c for c in curves if c], surface, mill, LinkOptions()), 0.1 * UM)
+    heights = cut_needles(Needles.on(surface, 0.1 * MM, 0.5 * MM), mill, path.tip, path.axis)
+    found = heights.statistics()
+    assert found['uncut'] == 0.0 and found['highest'] < 10.5 * UM and found['lowest'] > -1.1 * UM
+    # Tilt alone, and yaw alone at the chosen tilt.
+    with pytest.raises(SurfaceError, match='enters the surface'):
+        iso_scallop_paths(surface, mill, Y, replace(choice, freedom='yaw', stray=None))
+    monkeypatch.setattr('cnc_interp.cam.pass_recursion.TURNS', ())
+    with pytest.raises(SurfaceError, match='enters the surface'):
+        iso_scallop_paths(surface, mill, Y, choice)

@@ -13,7 +13,7 @@ from cnc_interp.cam.nbuffer import TOP, Heights, cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections, thinned
-from cnc_interp.cam.spline_pass import SplinePass, chord_error, sampled
+from cnc_interp.cam.spline_pass import CLOSE, SplinePass, chord_error, sampled
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.cam.work import across
@@ -165,6 +165,7 @@ def test_links_do_not_touch_the_surface_and_passes_keep_their_chords():
     assert min(h.min() for h in heights) > -1.5 * UM
     assert one_way.number.max() == zigzag.number.max() == len(curves)
     assert one_way.rapid.sum() > zigzag.rapid.sum()
+    curves = [part for (part,) in curves]
     for k, curve in enumerate(curves, 1):  # every second pass runs backwards
         first = zigzag.tip[zigzag.number == k][-1 if k % 2 == 0 else 0]
         assert np.linalg.norm(first - curve.poses(np.array(curve.ends))[0][0]) < 1 * MM
@@ -193,7 +194,7 @@ def test_knots_are_dense_only_where_the_curvature_jumps():
     count = []
     for jump in (0.0, 10.0):
         made = SplinePass.following(rows(jump), ends)
-        assert np.abs(made.spline(fine) - rows(jump)(fine)).max() < 0.03 * UM
+        assert np.abs(made.spline(fine) - rows(jump)(fine)).max() < 1.5 * CLOSE
         count.append(len(made.spline.c))
     assert count[0] < 40 and 4 < count[1] - count[0] < 80
     # The knots that the jumps need lie beside them.

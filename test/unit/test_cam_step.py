@@ -178,15 +178,27 @@ def test_spline_face_is_the_spline(sense, weights, tmp_path):
     assert notes == []
 
 
-def test_trimmed_spline_face_is_told_to_be_the_whole_patch(tmp_path):
-    knots, points, degree = wavy()
+def test_trimmed_spline_face_is_the_part_within_its_boundary(tmp_path):
+    """A plane net: u and v are x and y, and the boundary is a triangle with a hole."""
+    knots = np.array([-9, -9, -9, -9, 9, 9, 9, 9.0]), np.array([-6, -6, -6, -6, 6, 6, 6, 6.0])
+    x, y = np.meshgrid(np.linspace(-9, 9, 4), np.linspace(-6, 6, 4), indexing='ij')
+    points = np.stack([x, y, 0 * x], axis=-1)
     part = Part()
-    part.face(part.spline(knots, points, degree), part.polygon(points[1, 1:4]))
+    triangle = part.polygon([(-8, -5, 0), (8, -5, 0), (0, 5, 0)])
+    ends = part.vertex((1, -2, 0))
+    hole = part.bound(part.circle(ends, ends, part.frame((0, -2, 0), (0, 0, -1)), 1.0))
+    part.face(part.spline(knots, points, (3, 3)), triangle, hole.replace('OUTER_', ''))
     notes = []
     found = read_surface(part.write(tmp_path / 'a.stp'), note=notes.append)
-    assert_same(found, BSplineSurface(knots, points * MM, degree))
-    (note,) = notes
-    assert 'face 1 is trimmed' in note
+    assert notes == []
+    np.testing.assert_allclose(found.domain, [[-8, 8], [-5, 5]], atol=1e-9)
+    u, v = found.grid(81, 101)
+    np.testing.assert_allclose(found.at(u, v).position / MM, np.stack([u, v, 0 * u], axis=-1),
+                               atol=1e-9)  # fmt: skip
+    edge = 0.8 * (8 - np.abs(u)) / 0.8 * 10 / 8 - 5 - v
+    away = np.minimum(edge, np.hypot(u, v + 2) - 1)
+    sure = np.abs(away) > 0.01
+    assert (found.contains(u, v) == (away > 0))[sure].all()
 
 
 def test_rational_spline_is_a_cylinder(tmp_path):
@@ -327,7 +339,7 @@ def test_round_faces_are_those_of_the_standard(kind, u, v, sense, tmp_path):
     np.testing.assert_allclose(point.normal, outward, atol=1e-12)
 
 
-def test_disc_is_its_square_and_says_so(tmp_path):
+def test_disc_is_round(tmp_path):
     part = Part()
     frame = part.frame((5, 0, 1), (0, 0, -1), (0.6, 0.8, 0))
     end = part.vertex((5 - 7 * 0.28, 7 * 0.96, 1))
@@ -335,9 +347,13 @@ def test_disc_is_its_square_and_says_so(tmp_path):
     part.face(part.add(f"PLANE('',{frame})"), loop)
     notes = []
     found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
-    np.testing.assert_allclose(found.domain, [[-7 * MM, 7 * MM]] * 2, atol=1e-15)
+    np.testing.assert_allclose(found.domain, [[-7 * MM, 7 * MM]] * 2, atol=2e-6)
+    u, v = found.grid(101, 101, 1 * MM)
+    away = 7 * MM - np.hypot(u, v)
+    sure = np.abs(away) > 3e-6
+    assert (found.contains(u, v) == (away > 0.0))[sure].all()
     np.testing.assert_allclose(found.at(*found.grid(2, 2)).normal[..., 2], -1.0)
-    assert len(notes) == 1 and '14 x 14 mm' in notes[0]
+    assert notes == []
 
 
 SQUARE = [(0, 0, 0), (8, 0, 0), (8, 6, 0), (0, 6, 0), (0, 0, 0)]
@@ -543,7 +559,9 @@ def test_oblique_cut_of_a_cylinder_spans_its_highest_and_lowest_point(tmp_path):
     notes = []
     found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
     np.testing.assert_allclose(found.domain, [[0, 0.5 * np.pi], [0, 8 * MM]], atol=1e-7)
-    assert len(notes) == 1 and 'is trimmed' in notes[0]
+    assert notes == []
+    inside = found.contains(*found.grid(201, 201))
+    assert 0.2 < inside.mean() < 0.9
 
 
 def test_missing_library_is_named_with_what_to_install(monkeypatch, tmp_path):
@@ -606,3 +624,62 @@ def test_face_makes_the_program_of_the_same_surface_in_json(tmp_path, capsys):
     capsys.readouterr()
     assert main(command) == BAD_INPUT
     assert '--face is for STEP files' in capsys.readouterr().err
+
+
+def step_of_two_planes():
+    """A floor of 24 x 16 mm, a wall on its far side, and a terrace above the wall."""
+    part = Part()
+    for origin, z, x, size in (
+        ((0, 0, 0), (0, 0, 1), (1, 0, 0), (24, 16)),
+        ((24, 0, 0), (-1, 0, 0), (0, 1, 0), (16, 6)),
+        ((24, 0, 6), (0, 0, 1), (1, 0, 0), (12, 16)),
+    ):
+        y = np.cross(z, x)
+        corners = [
+            np.array(origin) + a * np.array(x) + b * y
+            for a, b in ((0, 0), (size[0], 0), size, (0, size[1]))
+        ]
+        if z == (-1, 0, 0):
+            corners = [p * [1, 1, -1] for p in corners]
+        part.face(part.add(f"PLANE('',{part.frame(origin, z, x)})"), part.polygon(corners))
+    return part
+
+
+def test_several_faces_in_one_program_spare_each_other(tmp_path, capsys):
+    file = str(step_of_two_planes().write(tmp_path / 'a.step'))
+    said = {}
+    for name, more in (('spared', ()), ('ignored', ('--ignore-neighbours',))):
+        command = ['cam', 'iso-scallop', file, '--face', '1', '3', '--stepover', '2.5', '--json']
+        options = ['--simulate', '--spacing', '0.3', '--out', str(tmp_path / name), *more]
+        assert main([*command, *options]) == FINE, capsys.readouterr().err
+        out, err = capsys.readouterr()
+        said[name] = json.loads(out), err
+    floor, terrace = said['spared'][0]['faces']
+    assert (floor['face'], terrace['face']) == (1, 3)
+    assert 'face 1: ' in said['spared'][1] and 'would enter other faces' in said['spared'][1]
+    assert floor['milled_length'] < said['ignored'][0]['faces'][0]['milled_length'] - 8 * MM
+    assert terrace['programmed']['highest'] < 10.3e-6 and terrace['programmed']['uncut'] == 0.0
+    command = ['cam', 'simulate', str(tmp_path / 'spared' / 'program.mpf'), '--surface', file]
+    for name, low, high in (('spared', -12e-6, 0.0), ('ignored', -1.0, -0.3 * MM)):
+        command[2] = str(tmp_path / name / 'program.mpf')
+        assert main([*command, '--face', '2', '--margin', '0.2', '--json']) == FINE
+        lowest = json.loads(capsys.readouterr().out)['programmed']['lowest']
+        assert low < lowest <= high
+
+
+@pytest.mark.parametrize(
+    ('words', 'says'),
+    [
+        (['--face', '1', '1'], 'face 1 is named twice'),
+        (['--face', '1', '4'], 'there is no face 4; the faces are numbered from 1 to 3'),
+        (['--face', '1', '2'], 'leans too far to be lifted above the part'),
+        (['--face', '1', '3', '--corner-radius', '6.5'], 'face 1: the strip of a ball mill'),
+    ],
+)
+def test_choices_of_faces_that_do_not_fit_get_one_line(words, says, tmp_path, capsys):
+    file = str(step_of_two_planes().write(tmp_path / 'a.step'))
+    command = ['cam', 'iso-scallop', file, *words, '--stepover', '2.5', '--out', str(tmp_path)]
+    assert main(command) == BAD_INPUT
+    error = capsys.readouterr().err
+    (line,) = [x for x in error.splitlines() if not x.startswith('passes')]
+    assert says in line

@@ -1,0 +1,109 @@
+"""The passes of one face, cut back where the mill would enter other faces of the part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cnc_interp.cam.classical import ClassicalPaths
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.iso_scallop import IsoScallopPaths
+from cnc_interp.cam.milled import kept_ranges
+from cnc_interp.cam.neighbours import Neighbours
+from cnc_interp.cam.spline_pass import SplinePass
+from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM
+
+#: Length that is left out before a note says so [m].
+NOTICED = 0.5 * MM
+
+
+@dataclass(frozen=True)
+class MachinedFace:
+    """
+    One face and its passes.
+
+    Parameters
+    ----------
+    number : int
+        Number of the face.
+    surface : Surface
+        Its surface.
+    across : ndarray, shape (3,)
+        Unit normal N of the guiding planes [-].
+    paths : IsoScallopPaths or ClassicalPaths
+        The passes.
+    parts : list of list of SplinePass
+        The milled parts of each pass that has any.
+    seconds : float
+        Computing time [s].
+    notes : list of str
+        What the user should know.
+
+    """
+
+    number: int
+    surface: Surface
+    across: FloatArray
+    paths: IsoScallopPaths | ClassicalPaths
+    parts: list[list[SplinePass]]
+    seconds: float
+    notes: list[str] = field(default_factory=list)
+
+
+def cut_back(
+    paths: IsoScallopPaths | ClassicalPaths, cutter: Cutter, overrun: float,
+    fixed_axis: FloatArray | None, others: Neighbours | None,
+) -> tuple[list[list[SplinePass]], list[str]]:  # fmt: skip
+    """
+    Fit splines to the milled parts of all passes.
+
+    Parameters
+    ----------
+    paths : IsoScallopPaths or ClassicalPaths
+        The passes.
+    cutter : Cutter
+        The mill.
+    overrun : float
+        Length added at both ends of each part [m].
+    fixed_axis : ndarray, shape (3,), optional
+        Unit tool axis of a ball mill that keeps its axis [-].
+    others : Neighbours, optional
+        Points of the other faces of the part.
+
+    Returns
+    -------
+    parts : list of list of SplinePass
+        The milled parts of each pass that has any.
+    notes : list of str
+        How much was left out.
+
+    Raises
+    ------
+    SurfaceError
+        If the mill would enter other faces everywhere.
+
+    """
+    found = [SplinePass.of(made, overrun, fixed_axis, others) for made in paths.passes]
+    parts = [one for one in found if one]
+    if others is None:
+        return parts, []
+    whole = sum(
+        last - first
+        for made in paths.passes
+        for first, last in kept_ranges(made.curve, made.s, made.reach, overrun)
+    )
+    milled = sum(part.ends[1] - part.ends[0] for one in parts for part in one)
+    if not parts:
+        raise SurfaceError(
+            'on every pass the mill would enter other faces of the part; take a smaller mill, or '
+            '--ignore-neighbours'
+        )
+    if whole - milled < NOTICED:
+        return parts, []
+    left_out = (
+        f'{(whole - milled) / MM:.0f} of {whole / MM:.0f} mm of passes are left out: there the '
+        f'mill of {2.0 * (cutter.tool_radius + cutter.corner_radius) / MM:g} mm would enter other '
+        'faces of the part; with another --direction it may reach more'
+    )
+    return parts, [left_out]

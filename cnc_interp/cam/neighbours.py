@@ -1,0 +1,144 @@
+"""
+The other faces of a part, as points that the mill must not enter.
+
+A face of a STEP file is a part of a body. Passes end where the mill would enter another face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.milled import runs
+from cnc_interp.cam.vectors import unit
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.units import MM, UM
+
+#: Distance of the poses that are tested [m].
+STEP = 0.2 * MM
+#: Largest depth at which the mill may enter a neighbour [m].
+GOUGE = 1.0 * UM
+#: Parts shorter than this are left out [m].
+SHORTEST = 1.0 * MM
+
+Rows = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """
+    Points of faces that are not milled.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Points on the faces and their edges [m].
+    face : ndarray of int, shape (n,)
+        Number of the face of each point.
+
+    """
+
+    points: FloatArray
+    face: IntArray
+
+    def without(self, face: int) -> Neighbours | None:
+        """Return the points of all other faces; None if there are none."""
+        others = self.face != face
+        return Neighbours(self.points[others], self.face[others]) if others.any() else None
+
+    def turned(self, rotation: FloatArray) -> Neighbours:
+        """Return the points turned by a rotation matrix, shape (3, 3) [-]."""
+        return Neighbours(np.ascontiguousarray(self.points @ rotation.T), self.face)
+
+    def depth(self, cutter: Cutter, tip: FloatArray, axis: FloatArray) -> FloatArray:
+        """
+        Return how deep the mill and its shank of the same diameter enter the points.
+
+        Parameters
+        ----------
+        cutter : Cutter
+            The mill.
+        tip : ndarray, shape (m, 3)
+            Tool tips [m].
+        axis : ndarray, shape (m, 3)
+            Unit tool axes [-].
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Depths; negative where the mill stays away [m].
+
+        """
+        pose = np.concatenate([tip + cutter.corner_radius * axis, axis], axis=1)
+        found = deepest(self.points, pose, cutter.tool_radius, cutter.corner_radius)
+        return np.asarray(found)
+
+    def free_parts(
+        self, rows: Rows, cutter: Cutter, parts: list[tuple[float, float]]
+    ) -> list[tuple[float, float]]:
+        """
+        Cut parts of a pass back to where the mill stays out of the neighbours.
+
+        Parameters
+        ----------
+        rows : callable
+            Returns tip and a point above it on the axis, shape (n, 6) [m], for places of shape
+            (n,) [m].
+        cutter : Cutter
+            The mill.
+        parts : list of (float, float)
+            First and last place of each part [m].
+
+        Returns
+        -------
+        list of (float, float)
+            Parts without a gouge, in order [m].
+
+        """
+        free = []
+        for first, last in parts:
+            s = np.linspace(first, last, max(2, int(np.ceil((last - first) / STEP)) + 1))
+            row = rows(s)
+            good = self.depth(cutter, row[:, :3], unit(row[:, 3:] - row[:, :3])) <= GOUGE
+            found = [(float(s[x.start]), float(s[x.stop - 1])) for x in runs(good)]
+            free += [x for x in found if x[1] - x[0] >= SHORTEST]
+        return free
+
+
+@njit(cache=True, nogil=True)
+def deepest(points: FloatArray, pose: FloatArray, R: float, r: float) -> FloatArray:
+    """
+    Return how deep mills enter the deepest of points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Points [m].
+    pose : ndarray, shape (m, 6)
+        Centres C_L [m] and unit axes [-].
+    R, r : float
+        Radius of the circle of corner centres and corner radius [m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Depths; negative outside [m].
+
+    """
+    depth = np.full(len(pose), -np.inf)
+    for i in range(len(pose)):
+        c = pose[i]
+        for j in range(len(points)):
+            x, y, z = points[j, 0] - c[0], points[j, 1] - c[1], points[j, 2] - c[2]
+            along = x * c[3] + y * c[4] + z * c[5]
+            across = sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+            low, out = min(along, 0.0), max(across - R, 0.0)
+            distance = sqrt(low * low + out * out)
+            inside = r - distance if distance > 0.0 else r + min(along, R - across)
+            depth[i] = max(depth[i], inside)
+    return depth

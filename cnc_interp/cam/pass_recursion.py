@@ -25,6 +25,7 @@ from cnc_interp.cam.passes import (
     Pass,
     StripError,
     UnfitError,
+    WideStripError,
     constant_tilt,
     constant_width,
     evenly,
@@ -129,7 +130,7 @@ class PassRecursion:
         plane = self.planes.span[0] + 0.9 * width
         try:
             return self.fresh_pass(plane, 1, tilted=self.options.start == 'tilt')
-        except (HeelError, StripError) as error:
+        except (HeelError, StripError, WideStripError) as error:
             if self.options.stray is None:
                 raise
             return self.closer_pass(None, plane, 1, error)
@@ -192,7 +193,7 @@ class PassRecursion:
             made = self.fresh_pass(plane, number)
             if plane - before.plane > self.room(before, made.curve, made.angles):
                 raise StripError(problem, 'take a smaller plane distance')
-        except (HeelError, StripError) as error:
+        except (HeelError, StripError, WideStripError) as error:
             return self.closer_pass(before, plane, number, error)
         self.notes.append(f'pass {number} starts afresh: {problem}')
         return made
@@ -203,8 +204,8 @@ class PassRecursion:
         """
         Make a pass whose strip is narrower at some places, on a plane that is close enough.
 
-        The tilt is raised where the heel would enter the surface, and stays at its smallest value
-        where the surface is too convex. The plane comes so close that the strip still reaches the
+        The tilt is raised where the heel would enter the surface. It stays at its smallest value
+        where the surface is too convex, and at its largest where a wider strip does no harm. The plane comes so close that the strip still reaches the
         scallops of the previous pass, or the border. If it has to come much closer, the mill is
         turned, too: the heel then lies beside the hollow.
         """

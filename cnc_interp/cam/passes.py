@@ -40,6 +40,10 @@ class StripError(UnfitError):
     """A strip becomes narrower than it has to be, even at the smallest tilt."""
 
 
+class WideStripError(UnfitError):
+    """A strip is wider than it has to be at some places, even at the largest tilt."""
+
+
 @dataclass(frozen=True)
 class Angles:
     """
@@ -317,7 +321,9 @@ def constant_width(
     if strict and float(miss[~jumps].max(initial=0.0)) > 0.005 * half_width:
         i = int(np.argmax(np.where(jumps, 0.0, miss)))
         short = reach[i] < half_width
-        raise (StripError if short else UnfitError)(
+        wasteful = bool((reach[kept] > 1.005 * half_width).all())
+        kind = StripError if short else UnfitError if wasteful else WideStripError
+        raise kind(
             f'a strip of {2.0 * half_width / MM:.3f} mm is too {"wide" if short else "narrow"} at '
             f'{place(postures.contact[i])}: with the tilt at its '
             f'{"smallest" if short else "largest"}, '

@@ -36,8 +36,8 @@ from cnc_interp.cam.summary import describe, face_facts, facts_of, heights_in_wo
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
-from cnc_interp.cam.tool_path import LinkOptions, link
-from cnc_interp.cam.vectors import cross, unit
+from cnc_interp.cam.tool_path import UPRIGHT, LinkOptions, link
+from cnc_interp.cam.vectors import cross, norm, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
@@ -59,7 +59,7 @@ def make_program(options: argparse.Namespace) -> int:
     faces = [_machined(number, part, cutter, options) for number in part.surfaces]
     links = LinkOptions(options.linking, options.clearance * MM)
     around = None if options.ignore_neighbours else part.neighbours
-    up = unit(sum((unit(_mean_normal(face.surface)) for face in faces), np.zeros(3)))
+    up = _upwards(faces)
     steps = [
         step
         for face in faces
@@ -108,6 +108,14 @@ def make_program(options: argparse.Namespace) -> int:
         for note in face.notes:
             _note(f'face {face.number}: {note}' if len(faces) > 1 else note)
     return 0
+
+
+def _upwards(faces: list[MachinedFace]) -> FloatArray:
+    """Return the mean of the mean normals of all faces, shape (3,) [-]."""
+    mean = np.mean([unit(_mean_normal(face.surface)) for face in faces], axis=0)
+    if float(norm(mean)) < UPRIGHT:
+        raise SurfaceError('the faces look in opposite directions; make a program for each side')
+    return unit(mean)
 
 
 def _machined(

@@ -1,23 +1,19 @@
 """Raised tilts, and the part of a pass that is milled."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.heel import finely, smooth_cover
-from cnc_interp.cam.iso_scallop import iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
-from cnc_interp.cam.nbuffer import cut_needles
-from cnc_interp.cam.needles import Needles
-from cnc_interp.cam.shapes import Cylinder, Plane
-from cnc_interp.cam.spline_pass import SplinePass
+from cnc_interp.cam.pass_recursion import HeelError, PassRecursion
+from cnc_interp.cam.passes import constant_tilt
+from cnc_interp.cam.shapes import Bumps, Plane
 from cnc_interp.cam.spline_surfaces import BSplineSurface
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core.units import DEG, MM, UM
 
 Y = np.array([0.0, 1.0, 0.0])
@@ -71,23 +67,29 @@ def test_plane_that_touches_the_surface_is_refused_with_the_place():
 
 
 def test_yaw_and_tilt_together_where_each_alone_does_not_fit(monkeypatch):
-    """A trough of 13 mm across the feed: the heel needs 22.6 deg without a yaw."""
-    surface, mill = Cylinder(13 * MM, 0.7, 5 * MM, hollow=True), Cutter(5 * MM, 1.5 * MM)
+    """A bump beside the pass: the yaw turns the heel away from it, the tilt lifts the rest."""
+    surface = Bumps((16 * MM, 20 * MM), [(0.0, 6 * MM, 1 * MM, 3 * MM)])
+    mill, highest = Cutter(5 * MM, 1.5 * MM), 10 * DEG
     choice = IsoScallopOptions(
-        stepover=1.4 * MM, tilt=3 * DEG, tilt_limits=(0.5 * DEG, 18 * DEG), points=25
+        stepover=1.3 * MM, tilt=5 * DEG, tilt_limits=(0.5 * DEG, highest), points=25
     )
-    made = iso_scallop_paths(surface, mill, Y, choice)
-    angles = [p.angles for p in made.passes]
-    assert all(np.abs(a.yaw).min() > 19 * DEG for a in angles) and 'yaw' in made.notes[0]
-    assert max(a.tilt.max() for a in angles) <= 18 * DEG + 1e-9
-    curves = [SplinePass.of(p, 0.5 * MM) for p in made.passes]
-    path = ToolPath.of(link([c for c in curves if c], surface, mill, LinkOptions()), 0.1 * UM)
-    heights = cut_needles(Needles.on(surface, 0.1 * MM, 0.5 * MM), mill, path.tip, path.axis)
-    found = heights.statistics()
-    assert found['uncut'] == 0.0 and found['highest'] < 10.5 * UM and found['lowest'] > -1.1 * UM
-    # Tilt alone, and yaw alone at the chosen tilt.
-    with pytest.raises(SurfaceError, match='enters the surface'):
-        iso_scallop_paths(surface, mill, Y, replace(choice, freedom='yaw', stray=None))
+    recursion = PassRecursion(surface, mill, Y, choice)
+    curve = recursion.planes.curve(-2.3 * MM)
+    angles = constant_tilt(curve, highest, -40 * DEG, 25)
+    before = recursion.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=1)
+    # Tilt alone: even the largest leaves the heel in the bump.
+    reason = HeelError('pass 2: the bottom of the mill enters the surface', 'take a smaller mill')
+    assert recursion.closest(before, -1 * MM, 0.0) is None
+    made = recursion.closer_pass(before, -1 * MM, 2, reason)
+    yaw, tilt = made.angles.yaw, made.angles.tilt
+    assert abs(yaw[0]) > 19 * DEG and f'yaw {yaw[0] / DEG:.0f} deg' in recursion.notes[-1]
+    assert 5 * DEG < tilt.max() <= highest + 1e-9
+    assert 0.9 * MM < made.plane - before.plane <= 1.3 * MM + 1e-9
+    places = made.s[made.kept]
+    assert gouge_depth(surface, made.tool(places)).max() < 1 * UM
+    # Yaw alone: at the tilt that was chosen the heel enters the bump.
+    alone = constant_tilt(made.curve, 5 * DEG, float(yaw[0]), 25)
+    assert gouge_depth(surface, alone.postures(made.curve, mill, places)).max() > 1 * UM
     monkeypatch.setattr('cnc_interp.cam.pass_recursion.TURNS', ())
-    with pytest.raises(SurfaceError, match='enters the surface'):
-        iso_scallop_paths(surface, mill, Y, choice)
+    with pytest.raises(HeelError, match='enters the surface'):
+        recursion.closer_pass(before, -1 * MM, 2, reason)

@@ -205,9 +205,10 @@ class PassRecursion:
         Make a pass whose strip is narrower at some places, on a plane that is close enough.
 
         The tilt is raised where the heel would enter the surface. It stays at its smallest value
-        where the surface is too convex, and at its largest where a wider strip does no harm. The plane comes so close that the strip still reaches the
-        scallops of the previous pass, or the border. If it has to come much closer, the mill is
-        turned, too: the heel then lies beside the hollow.
+        where the surface is too convex, and at its largest where a wider strip does no harm. The
+        plane comes so close that the strip still reaches the scallops of the previous pass, or the
+        border. If it has to come much closer, the mill is turned, too: the heel then lies beside
+        the hollow.
         """
         start = self.planes.span[0] if before is None else before.plane
         own = self.options.yaw

@@ -645,6 +645,7 @@ def step_of_two_planes():
     return part
 
 
+@pytest.mark.thorough
 def test_several_faces_in_one_program_spare_each_other(tmp_path, capsys):
     file = str(step_of_two_planes().write(tmp_path / 'a.step'))
     said = {}

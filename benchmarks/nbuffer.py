@@ -26,7 +26,6 @@ from cnc_interp.cam.needle_tiles import TileCutter
 from cnc_interp.cam.needles import NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.cam.sweep import Sweep
-from cnc_interp.cam.tile_page import TilePage
 from cnc_interp.commands.tile_workers import tile_workers
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
@@ -67,6 +66,9 @@ def one_core() -> None:
 
 def in_tiles(sizes: list[int], counts: list[int]) -> None:
     """Print one line for each number of needles and workers."""
+    # Each worker imports this file; what only the page needs would cost seconds for each tile.
+    from cnc_interp.cam.tile_page import TilePage
+
     sweep = Sweep.of(MILL, *passes(POSES))
     print('   needles  workers  cut s  levels, page s  needles x poses / s   memory  heights')
     for size in sizes:

@@ -34,6 +34,8 @@ from cnc_interp.report.series import KINDS, axis_use
 AT_LIMIT = 0.98
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4
+#: Lengths that differ less are the same [m].
+SAME = 1e-9
 #: Motions of a simulated surface in its summary; the first one that is there counts.
 SIMULATED = ('executed', 'planned')
 #: Commands that can be swept.
@@ -332,6 +334,7 @@ def front(found: dict[Point, Found]) -> list[Point]:
              for point, one in found.items() if one.cycle_time is not None]  # fmt: skip
     for figures, point in sorted(known, key=lambda row: row[0]):
         # Those before are as fast or faster.
-        if not any(other[1] <= figures[1] and other[2] <= figures[2] for other in best.values()):
+        limits = figures[1] + SAME, figures[2] + SAME
+        if not any(other[1] <= limits[0] and other[2] <= limits[1] for other in best.values()):
             best[point] = figures
     return list(best)

@@ -119,14 +119,16 @@ def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
     }  # fmt: skip
     plain = {'color': BLUE, 'opacity': 0.5}
     figure = go.Figure([
-        trace(best, 'best', mode='lines+markers', line={'color': ORANGE, 'shape': 'hv'}),
         trace(moving, 'all', mode='markers', marker=by_error if scallops else plain),
+        trace(best, 'best', mode='lines+markers', line={'color': ORANGE, 'shape': 'hv'},
+              marker={'symbol': 'circle-open', 'size': 13}),
         trace([start], 'as it is', mode='markers',
               marker={'color': RED, 'size': 11, 'symbol': 'x'}),
     ])  # fmt: skip
     figure.update_layout(**base_layout(420) | {'hovermode': 'closest'})
     figure.update_xaxes(title='cycle time [s]')
-    figure.update_yaxes(title='highest ridge [um]' if scallops else 'largest error [um]')
+    title = 'highest ridge [um]' if scallops else 'largest error [um]'
+    figure.update_yaxes(title=title, rangemode='tozero')
     return with_axes(figure)
 
 

@@ -6,7 +6,8 @@ stops are planned by different processes, each from time zero. The clock of thei
 afterwards, with the same additions that ``FeedPlanner`` makes. So the motion has the same bits as
 from one process.
 
-A stretch without rests is planned by one process, part by part as it arrives.
+A stretch without rests is planned by one process, part by part as it arrives. So is the whole path
+if the error at the tool is limited: the drives swing on while the setpoints rest.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ class ParallelPlanner:
     """
 
     def __init__(self, planning: Planning, processes: int):
-        self._planning, self._most = planning, processes
-        self._sections = RestSections()
+        self._planning, self._most = planning, processes if planning.afresh_at_rests else 1
+        self._sections = RestSections(planning.afresh_at_rests)
         self._processes: list[PlannerProcess] = []
         self._given: deque[PlannerProcess] = deque()  # who has the sections, in order
         self._moving: PlannerProcess | None = None  # it has the begin of a stretch

@@ -42,6 +42,11 @@ class Planning:
     limits: AxisLimits
     options: PlanOptions
 
+    @property
+    def afresh_at_rests(self) -> bool:
+        """Whether motion after a rest is planned as if nothing was before; drives swing on."""
+        return self.options.tool is None
+
     def planner(self) -> FeedPlanner:
         """Return a planner at rest at time zero."""
         return FeedPlanner(self.limits, self.options)

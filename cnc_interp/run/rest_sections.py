@@ -38,16 +38,23 @@ class RestSections:
     Cuts a path that arrives in parts, at its exact stops if possible.
 
     Where a section ends may depend on the arrival of the parts. The motion does not.
+
+    Parameters
+    ----------
+    at_rests : bool
+        Whether sections may end at rests.
+
     """
 
-    def __init__(self) -> None:
+    def __init__(self, at_rests: bool = True) -> None:
+        self._at_rests = at_rests
         self._parts: list[AxisPath] = []
         self._work = 0
 
     def push(self, path: AxisPath) -> Iterator[Section]:
         """Add the next part of the path; yield the sections that are complete."""
         begin = counted = 0
-        for rest in np.flatnonzero(path.stop).tolist():
+        for rest in np.flatnonzero(path.stop).tolist() if self._at_rests else ():
             if rest == 0 and not self._parts:
                 continue  # the first point of the path
             self._work += rest - counted + STROKE

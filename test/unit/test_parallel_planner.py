@@ -160,6 +160,18 @@ def test_plan_files_are_the_same_with_processes(tmp_path):
     assert one == two
 
 
+def test_a_limit_of_the_error_at_the_tool_outlasts_rests(tmp_path):
+    """The drives swing on while the setpoints rest, so the next stretch depends on the last."""
+    file = tmp_path / 'strokes.ngc'
+    file.write_text(strokes(20))
+    settings = Settings(tool_error=3e-5)
+    for n in (1, 2):
+        planned_files(file, tmp_path / f'{n}', n, settings)
+    for name in FILES:
+        one, two = ((tmp_path / f'{n}' / name).read_bytes() for n in (1, 2))
+        assert one == two, name
+
+
 def test_the_first_refusal_of_the_program_is_told(tmp_path, monkeypatch):
     """Reading is ahead of planning; what planning refuses may stand before it."""
     file = tmp_path / 'strokes.ngc'

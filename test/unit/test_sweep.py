@@ -97,6 +97,9 @@ def test_the_front_has_what_nothing_beats():
     found = {p: Found(t, e) for p, t, e in zip(points, times, errors, strict=True)}
     found[Point(('plan',), ())] = Found(fault='refused')
     assert front(found) == [points[3], points[1], points[4]]
+    # Less than a nanometre is no gain.
+    close = {p: Found(t, e) for p, t, e in zip(points[:2], (1.0, 2.0), (1e-5, 0.99999e-5))}
+    assert front(close) == points[:1]
     # A slower point with a larger error is among the best if its scallop is lower.
     rough = {p: Found(t, e, scallop=1.0) for p, t, e in zip(points[:2], (1.0, 2.0), (1.0, 1.0))}
     assert front(rough) == points[:1]

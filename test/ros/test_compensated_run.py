@@ -2,20 +2,26 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import UM
+from cnc_interp.drives.tool_error import tool_error
+from cnc_interp.kinematics.machine import Machine
+from cnc_interp.settings.choices import Settings
 
 PYRAMID = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'
 
 
 def test_compensation_takes_the_error_out(tmp_path):
     results = []
-    for model in ('', 'xyzac_tired'):
-        request = RunRequest(PYRAMID, machine='xyzac_tired', compensate=model, quiet=True)
+    for model in (None, 'xyzac_tired'):
+        settings = Settings(compensation=model)
+        request = RunRequest(PYRAMID, machine='xyzac_tired', settings=settings, quiet=True)
         (result,) = run_session(request)
         assert result.ok and not result.excesses, result.message
         results.append(result.contour_error)
@@ -23,6 +29,18 @@ def test_compensation_takes_the_error_out(tmp_path):
 
 
 def test_a_model_with_other_axes_is_refused():
-    request = RunRequest(PYRAMID, machine='xyzac_tired', compensate='xyz', quiet=True)
+    settings = Settings(compensation='xyz')
+    request = RunRequest(PYRAMID, machine='xyzac_tired', settings=settings, quiet=True)
     with pytest.raises(InterpError, match='machine_node cannot be configured'):
         run_session(request)
+
+
+def test_a_limit_on_the_error_at_the_tool_holds_for_what_was_executed(tmp_path):
+    largest, out = 100 * UM, tmp_path / 'out'
+    settings = Settings(tool_error=largest)
+    request = RunRequest(PYRAMID, machine='xyzac_tired', settings=settings, out=out, quiet=True)
+    (result,) = run_session(request)
+    assert result.ok and not result.excesses, result.message
+    rows = np.load(out / 'setpoints.npz')
+    error = tool_error(Machine.load('xyzac_tired'), 1e-3, rows['position'], rows['velocity'])
+    assert 0.9 * largest < error.tip.max() <= 1.001 * largest

@@ -64,7 +64,8 @@ class Needles:
                 'in tiles: cam simulate --tiles DIR'
             )
         needles = grid.needles(slice(0, grid.shape[0]), slice(0, grid.shape[1]))
-        counted = surface.contains(*np.meshgrid(grid.u, grid.v, indexing='ij'), -margin)
+        u, v = np.meshgrid(grid.u, grid.v, indexing='ij')
+        counted = surface.contains(u, v, -margin)
         if not counted.any():
             raise InterpError(
                 f'no needle lies {margin / MM:g} mm inside the border; take a smaller margin'

@@ -78,7 +78,8 @@ def simulate_in_tiles(
 
     """
     out: Path = options.tiles
-    if not surface.contains(*surface.grid(SAMPLES, SAMPLES)).all():
+    u, v = surface.grid(SAMPLES, SAMPLES)
+    if not surface.contains(u, v).all():
         raise InterpError('--tiles does not follow the boundary of a trimmed face; leave it out')
     grid = NeedleGrid.on(surface, options.spacing * MM, options.margin * MM)
     about = {

@@ -69,6 +69,7 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_lost(scheduler, tmp_p
     assert part.end(signal.SIGINT) == FINE
 
 
+@pytest.mark.thorough
 def test_a_cluster_cuts_needles_with_the_same_bits(scheduler, tmp_path, capsys):
     pytest.importorskip('zarr', reason='needs the optional part tiles')
     _, address = scheduler

@@ -175,7 +175,7 @@ def contours() -> None:
             wrong += fits(edges, code, radius)
     print(f'| 300 random ones, {refused} of them refused | G41, G42, 0.5 to 6 | {worst[0]:.1e} | '
           f'{worst[1]:.1e} |')  # fmt: skip
-    print(f'\nOf the refused ones the cutter touches all edges of {wrong}.')
+    print(f'\nRefused although the cutter can touch all edges: {wrong}.')
 
 
 def fits(edges: list[Edge], code: str, radius: float) -> bool:

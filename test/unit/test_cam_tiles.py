@@ -263,7 +263,7 @@ def test_the_command_says_the_same_in_tiles(files, tmp_path, capsys):
         (['--tiles', 'DIR', '--workers', '0'], '--workers must be 1 or more'),
         (['--tiles', 'DIR', '--html', 'x.html'], 'DIR/index.html; leave out --html'),
         (['--tiles', 'DIR', '--spacing', '1e-6'], 'choose another spacing'),
-        (['--spacing', '0.001'], 'cut them in tiles: cam simulate --tiles DIR'),
+        (['--spacing', '0.0003'], 'cut them in tiles: cam simulate --tiles DIR'),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(files, tmp_path, capsys, words, message):

@@ -20,6 +20,7 @@ from cnc_interp.commands.convert import add_convert_command
 from cnc_interp.commands.home import add_home_command
 from cnc_interp.commands.identify import add_identify_commands
 from cnc_interp.commands.jog import add_jog_command
+from cnc_interp.commands.learn import add_learn_command
 from cnc_interp.commands.mdi import add_mdi_command
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
@@ -93,6 +94,7 @@ def parser() -> argparse.ArgumentParser:
     add_urdf_command(commands)
     add_bag_commands(commands)
     add_identify_commands(commands)
+    add_learn_command(commands)
     add_cam_commands(commands, tile_workers)
     return top
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.client.bag import Bag
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.wire.run_id_messages import run_id_of
 
@@ -23,6 +23,14 @@ class RecordedFeedback:
         Interpolation period [s].
     setpoint, rate, feedback : ndarray, shape (K, n_axes)
         Commanded position and velocity, measured position [m, rad, per s].
+    block : ndarray of int, shape (K,)
+        Block of each setpoint; 0 beside the program.
+    plan : ndarray of int, shape (K,)
+        Number of the plan of each setpoint.
+    complete : bool
+        Whether the last setpoint is that of the end of the program.
+    program_id : str
+        The run.
 
     """
 
@@ -30,6 +38,10 @@ class RecordedFeedback:
     setpoint: FloatArray
     rate: FloatArray
     feedback: FloatArray
+    block: IntArray
+    plan: IntArray
+    complete: bool
+    program_id: str
 
 
 def recorded_feedback(bag: Bag) -> RecordedFeedback:
@@ -65,4 +77,9 @@ def recorded_feedback(bag: Bag) -> RecordedFeedback:
         parts.append(rows)
         following += len(rows[0])
     setpoint, rate, feedback = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return RecordedFeedback(float(chunks[0].period), setpoint, rate, feedback)
+    plans = [np.full(len(chunk.sequences), chunk.plan) for chunk in chunks]
+    return RecordedFeedback(
+        float(chunks[0].period), setpoint, rate, feedback,
+        np.concatenate([np.asarray(chunk.sequences, dtype=np.int64) for chunk in chunks]),
+        np.concatenate(plans), bool(chunks[-1].end_of_program), name,
+    )  # fmt: skip

@@ -16,6 +16,9 @@ Derivatives are those of polynomials through some setpoints before and after. To
 after, all tables are later by the same ``lead``, so the path stays the path. The setpoints of a
 drive with a longer dead time are sent earlier. The signs at a reversal are smoothed over a few
 milliseconds. Everything that is played is compensated: programs, stop tails, motion by hand.
+
+What earlier runs of a program have taught (``learning.py``) is added to g, while the setpoints are
+those of that program, bit for bit. After any other setpoint the added part fades to zero.
 """
 
 from __future__ import annotations
@@ -46,8 +49,14 @@ LEAST = 0.2
 #: A step, and a velocity of the motor, below these are rest [m or rad, per s].
 STILL, SLOW = 1e-12, 1e-7
 
+#: Time in which the learnt part fades [s].
+FADE = 15e-3
 #: Words before the rows of the axes: inner step, its memory, words of an axis, setpoints known.
-STEP, MEMORY, COUNT, KNOWN, HEAD = 0, 1, 2, 3, 4
+STEP, MEMORY, COUNT, KNOWN = 0, 1, 2, 3
+#: Then those of what is learnt: its rows, 0 for none; addresses of setpoints and feed-forwards;
+#: periods of a fade; the row that is played, 0 for none; periods left, all of them while the
+#: setpoints are those of the rows; whether the last setpoint was that of row 0.
+ROWS, SETPOINTS, RATES, FADING, ROW, LEFT, READY, HEAD = 4, 5, 6, 7, 8, 9, 10, 11
 #: Words of an axis: periods by which its position is sent later; friction and its excess at rest
 #: over the inertia, velocity of Stribeck; sign of the last motion.
 LATER, COULOMB, EXCESS, STRIBECK, SIGN = 0, 1, 2, 3, 4
@@ -106,6 +115,53 @@ def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, f
     return sent, rate
 
 
+@njit(cache=True, nogil=True)
+def find_row(head: FloatArray, setpoints: FloatArray, wanted: FloatArray) -> float:
+    """
+    Find the learnt row of the next setpoint, which is ``head[ROW]`` then.
+
+    Parameters
+    ----------
+    head : ndarray
+        Words before those of the axes; the state is changed.
+    setpoints : ndarray, shape (K, n_axes)
+        Setpoints of the program that is learnt [m, rad].
+    wanted : ndarray, shape (n_axes,)
+        The next setpoint [m, rad].
+
+    Returns
+    -------
+    float
+        Weight of the row, 0 to 1.
+
+    """
+    row, left, fading = int(head[ROW]), head[LEFT], head[FADING]
+    if row > 0:
+        row += 1
+        if row == len(setpoints):
+            row = 0
+        elif left < fading or not _same(setpoints[row], wanted):
+            left -= 1.0
+            if left <= 0.0:
+                row = 0
+    if row == 0:
+        left = fading
+        if head[READY] > 0.0 and _same(setpoints[1], wanted):
+            row = 1
+    head[READY] = 1.0 if _same(setpoints[0], wanted) else 0.0
+    head[ROW], head[LEFT] = row, left
+    return 0.5 - 0.5 * math.cos(math.pi * left / fading)
+
+
+@njit(cache=True, nogil=True)
+def _same(first: FloatArray, second: FloatArray) -> bool:
+    """Tell whether all axes are equal."""
+    for j in range(len(first)):
+        if first[j] != second[j]:
+            return False
+    return True
+
+
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
 def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
     """Compensate all axes, then step the drives; see ``drives.CycleDrives``."""
@@ -116,6 +172,13 @@ def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
     wanted = carray(pointer(setpoint), (2, n))
     for j in range(n):
         told[0, j], told[1, j] = compensate(words[j], known, wanted[0, j])
+    if head[ROWS] > 0.0:
+        shape = (int(head[ROWS]), n)
+        weight = find_row(head, carray(pointer(np.uintp(head[SETPOINTS])), shape), wanted[0])
+        if head[ROW] > 0.0:
+            rates = carray(pointer(np.uintp(head[RATES])), shape)[int(head[ROW])]
+            for j in range(n):
+                told[1, j] += weight * rates[j]
     fault: int = call_drives(
         np.uintp(head[STEP]), np.uintp(head[MEMORY]), told.ctypes.data, feedback, n
     )  # fmt: skip

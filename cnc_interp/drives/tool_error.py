@@ -113,7 +113,9 @@ class ToolMotion:
         self._waiting = tip[len(x) :], axis[len(x) :]
         tips, axes = np.concatenate([self._tips, tips]), np.concatenate([self._axes, axes])
         self._tips, self._axes = tips[len(x) :], axes[len(x) :]
-        found = _errors(tips, axes, tip[: len(x)], axis[: len(x)], self._memory + self.late)
+        found = path_and_axis_errors(
+            tips, axes, tip[: len(x)], axis[: len(x)], self._memory + self.late
+        )
         return ToolError(found[:, 0], found[:, 1])
 
     def settle(self, position: FloatArray | None = None) -> ToolError:
@@ -157,7 +159,7 @@ def tool_error(
 
 
 @njit(cache=True, nogil=True)
-def _errors(
+def path_and_axis_errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
     """

@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.drives.compensation import FIRST, HEAD, STATE, Compensation, compensate_once
+from cnc_interp.drives.compensation import (
+    COUNT,
+    FADE,
+    FADING,
+    FIRST,
+    HEAD,
+    KNOWN,
+    LEFT,
+    MEMORY,
+    RATES,
+    ROWS,
+    SETPOINTS,
+    STATE,
+    STEP,
+    Compensation,
+    compensate_once,
+)
+from cnc_interp.drives.learnt_motion import LearntMotion
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.drives import CycleDrives
 
@@ -22,16 +41,30 @@ class CompensatedDrives:
         Its drives and loads are the model.
     period : float
         Interpolation period [s].
+    learnt : LearntMotion, optional
+        What earlier runs have taught; it counts while its setpoints are played.
 
     """
 
-    def __init__(self, inner: CycleDrives, model: Machine, period: float):
+    def __init__(
+        self,
+        inner: CycleDrives,
+        model: Machine,
+        period: float,
+        learnt: LearntMotion | None = None,
+    ):
         compensation = Compensation(model, period, inner.position)
         self._inner, self._shape = inner, compensation.words.shape
         self.lag, self.step = compensation.lead, int(compensate_once.address)
-        head = [inner.step, inner.memory.ctypes.data, self._shape[1], compensation.known]
-        told = np.zeros(2 * self._shape[0])
-        self.memory = np.concatenate([np.array(head, float), compensation.words.ravel(), told])
+        head, told = np.zeros(HEAD), np.zeros(2 * self._shape[0])
+        head[[STEP, MEMORY]] = inner.step, inner.memory.ctypes.data
+        head[[COUNT, KNOWN]] = self._shape[1], compensation.known
+        self._learnt = learnt  # its arrays must stay where they are
+        if learnt is not None:
+            head[ROWS] = len(learnt.setpoint)
+            head[[SETPOINTS, RATES]] = learnt.setpoint.ctypes.data, learnt.rate.ctypes.data
+            head[[FADING, LEFT]] = math.ceil(FADE / period - 1e-9)
+        self.memory = np.concatenate([head, compensation.words.ravel(), told])
         self._newest = HEAD + FIRST + STATE * compensation.known
 
     @property

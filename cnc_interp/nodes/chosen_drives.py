@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.compensation import compensated_model
+from cnc_interp.drives.learnt_motion import LearntMotion, learnt_for
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.drives import CycleDrives, Drives
@@ -36,13 +38,14 @@ def chosen_drives(node: Any, values: dict[str, Any], machine: Machine, period: f
         If there are no such drives, or if they cannot be used.
 
     """
-    kind, model = values['drives'], values['compensation']
+    kind, model, learnt = (values[name] for name in ('drives', 'compensation', 'learnt'))
     if kind == 'simulated':
         drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
-        return compensated(drives, machine, model, period) if model else drives
+        motion = learnt_for(Path(learnt), values['machine'], model, period) if learnt else None
+        return compensated(drives, machine, model, period, motion) if model else drives
     if kind not in ('hal', 'trajectory'):
         raise InterpError(f'drives: {kind!r} is unknown; choose simulated, hal or trajectory')
-    if model:
+    if model or learnt:
         raise InterpError(f'drives of {kind} are not compensated so far; leave compensation out')
     refuse_switches(machine)
     errors = values['following_error_limit'], values['following_angle_limit']
@@ -74,7 +77,11 @@ def joints_of(names: list[str], machine: Machine) -> list[str]:
 
 
 def compensated(
-    drives: CycleDrives, machine: Machine, model: str, period: float
+    drives: CycleDrives,
+    machine: Machine,
+    model: str,
+    period: float,
+    learnt: LearntMotion | None = None,
 ) -> CompensatedDrives:
     """
     Put drives behind the inverse of a model.
@@ -89,6 +96,8 @@ def compensated(
         Machine whose drives are the model.
     period : float
         Interpolation period [s].
+    learnt : LearntMotion, optional
+        What earlier runs have taught.
 
     Raises
     ------
@@ -96,7 +105,7 @@ def compensated(
         If the model has other axes, or cannot be compensated.
 
     """
-    return CompensatedDrives(drives, compensated_model(model, machine), period)
+    return CompensatedDrives(drives, compensated_model(model, machine), period, learnt)
 
 
 def refuse_switches(machine: Machine) -> None:

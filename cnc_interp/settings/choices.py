@@ -116,6 +116,9 @@ class Settings:
         MOTION, 'machine whose drives are the model that is compensated, as identify writes it',
         option='compensate', metavar='M',
     )  # fmt: skip
+    learnt: Path | None = file(  # noqa: RUF009 (a field)
+        MOTION, 'what earlier runs taught, added to the compensation; `learn` writes it'
+    )
     tool_error: float | None = number(
         None, LENGTH, LENGTHS, PLANNING,
         'largest error that the drives leave at the tool, also at flank height', nothing='none',

@@ -98,6 +98,7 @@ OTHERS = Settings(
     tolerance_share=2.0 / 3.0,
     interpolation_period=0.002,
     compensation='identified.yaml',
+    learnt=Path('learnt.npz').resolve(),
     tool_error=1.0e-4 / 3.0,
     from_line=12,
     line_pass=3,
@@ -302,8 +303,8 @@ def test_the_form_gives_the_settings_that_filled_it_in():
         settings_filled_in(OTHERS, form | {'flank_height': 'high'})
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
     compared = {'corner', 'parametrization', 'top', 'septic', 'law'}
-    of_nodes = {'interpolation_period', 'compensation', 'tool_error', 'retract', 'plunge_feed'}
-    assert hidden == compared | of_nodes | {'from_line', 'line_pass'}
+    of_nodes = {'interpolation_period', 'compensation', 'learnt', 'tool_error'}
+    assert hidden == compared | of_nodes | {'retract', 'plunge_feed', 'from_line', 'line_pass'}
 
 
 def test_the_documentation_lists_every_choice_with_its_default():

@@ -156,10 +156,10 @@ def find_row(head: FloatArray, setpoints: FloatArray, wanted: FloatArray) -> flo
 @njit(cache=True, nogil=True)
 def _same(first: FloatArray, second: FloatArray) -> bool:
     """Tell whether all axes are equal."""
+    differs = 0
     for j in range(len(first)):
-        if first[j] != second[j]:
-            return False
-    return True
+        differs += first[j] != second[j]
+    return differs == 0
 
 
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)

@@ -101,7 +101,6 @@ def test_two_runs_take_four_fifths_of_the_error_out(up_and_down):
         known, before = found[: len(q) - first], learnt.rate if learnt else None
         learnt = motion_of(setpoint, learnt_rates(model, T, lead, setpoint, known, before))
         assert not learnt.rate[0].any() and not learnt.rate[-1].any()
-    print(tips)
     assert tips[2] < 0.2 * tips[0]
     assert tips[3] < 0.22 * tips[0]  # it does not come back
 

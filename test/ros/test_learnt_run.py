@@ -29,11 +29,16 @@ def run(settings, bag):
 @pytest.mark.thorough
 def test_a_run_teaches_the_next_one(tmp_path, capfd):
     model = tmp_path / 'model.yaml'
-    text = find_machine_file(TIRED).read_text()
-    for gain, other in (('60.0', '48.0'), ('52.0', '62.0')):
-        text = text.replace(f'position_gain_per_s: {gain}', f'position_gain_per_s: {other}')
+    rows = find_machine_file(TIRED).read_text().splitlines(keepends=True)
+    for axis, value, other in (
+        ('X', 'delay_ms: 1.5', 'delay_ms: 2.0'),
+        ('Y', 'velocity_lag_ms: 5.0', 'velocity_lag_ms: 6.0'),
+    ):
+        k = next(k for k, row in enumerate(rows) if f'{axis}: {{position_gain' in row)
+        assert value in rows[k]
+        rows[k] = rows[k].replace(value, other)
+    text = ''.join(rows)
     model.write_text(text)
-    assert text != find_machine_file(TIRED).read_text()
     settings = Settings(compensation=str(model))
     bags, files = [[tmp_path / f'{what}{k}' for k in range(2)] for what in ('bag', 'learnt')]
     plain = run(settings, bags[0])

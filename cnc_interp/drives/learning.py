@@ -152,7 +152,7 @@ def measured_error(
         np.repeat(setpoints[-1:], max(len(feedback) + ahead - len(setpoints), 0), axis=0),
     ])  # fmt: skip
     path, actual = transform.forward(commanded), transform.forward(feedback)
-    return path_and_axis_errors(*path, *actual, before + ahead)
+    return np.asarray(path_and_axis_errors(*path, *actual, before + ahead))
 
 
 def _smooth(values: FloatArray, drive: AxisDrive, period: float) -> FloatArray:

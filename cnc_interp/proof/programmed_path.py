@@ -178,32 +178,6 @@ class ProgrammedPath:
         ))  # fmt: skip
 
 
-def bulges(points: FloatArray) -> FloatArray:
-    """
-    Bound how far the motion between samples is from the chords that begin and end at a sample.
-
-    With a constant acceleration that is an eighth of the second difference. The acceleration may
-    have its peak between two samples, as in the middle of a corner. It is larger there by at most
-    half of its change in a period, the third difference.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, D)
-        Samples of the motion.
-
-    Returns
-    -------
-    ndarray, shape (K - 2, D)
-        Bounds at the inner samples, for each coordinate.
-
-    """
-    second, third = (np.abs(np.diff(points, order, axis=0)) for order in (2, 3))
-    if not len(third):
-        return np.asarray(second / 8.0)
-    change = np.maximum(np.vstack([third[:1], third]), np.vstack([third, third[-1:]]))
-    return np.asarray(second / 8.0 + change / 16.0)
-
-
 def distances_to_vertices(
     points: FloatArray,
     vertices: FloatArray,
@@ -214,8 +188,8 @@ def distances_to_vertices(
     """
     Find the distance between each vertex and a sampled motion.
 
-    Between two samples the motion deviates from its chord, see ``bulges``. The distance is reduced
-    by this value, because a vertex lies outside its rounding.
+    Between two samples the motion deviates from its chord by up to an eighth of the second
+    difference. The distance is reduced by this value, because a vertex lies outside its rounding.
 
     Parameters
     ----------
@@ -237,7 +211,7 @@ def distances_to_vertices(
 
     """
     bulge = np.zeros(points.shape)
-    bulge[1:-1] = bulges(points)
+    bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0
     unit = np.ones((1, 3)) if unit is None else unit
     unit = np.ascontiguousarray(np.broadcast_to(unit, vertices.shape))
     nearest: tuple[FloatArray, IntArray] = _distances_to_vertices(

@@ -101,20 +101,3 @@ def test_a_vertex_is_approached_between_two_samples_of_an_arc():
     # The arc itself is 2 um away; its chords are 3.6 um away.
     assert nearest[0] == pytest.approx(2e-6, abs=2e-8)
     assert where[0] == 9
-
-
-@pytest.mark.parametrize('shift', [0.0, 0.25, 0.5])
-def test_a_corner_whose_acceleration_peaks_between_two_samples_passes_its_vertex(shift):
-    # Through cds.ngc on xyzbc: 20 um are used to the full, the samples stand on both sides.
-    jerk, period, push = np.array([5.0, -5.0, 0.0]), 1e-3, np.array([0.3, -0.3, 0.0])
-    fine = np.linspace(-0.01, 0.01, 20001)
-
-    def at(t):
-        acceleration = push * t[:, None] ** 2 / 2 - jerk * np.abs(t[:, None]) ** 3 / 6
-        return acceleration + np.array([2e-3, 2e-3, 0.0]) * t[:, None]
-
-    samples = at(period * (np.arange(-8, 9) + shift))
-    vertex = np.array([[-14e-6, 14e-6, 0.0]])
-    true = np.linalg.norm(at(fine) - vertex, axis=1).min()
-    found, _ = distances_to_vertices(samples, vertex, np.array([0]), np.array([16]))
-    assert true - 1e-7 < found[0] <= true + 1e-13

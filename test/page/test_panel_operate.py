@@ -115,6 +115,7 @@ def test_the_task_list(panel, part):
     panel.press_key(tab, 'cycle start', lambda: asked in tab.text('start'))
     choose(panel, tab, LINE, 2, f'starts at line {LINE}, pass 2;')
     panel.press_key(tab, 'cycle start', lambda: 'plunge' in tab.text('start'))
+    panel.spin_until(lambda: panel.loaded[-1].start_line == LINE)  # the page may hear it first
     run = panel.loaded[-1]
     assert (run.start_line, run.start_pass) == (LINE, 2) and 0.0 < run.start_at < run.path_length
     assert f'start at line {LINE} (pass 2 of {PASSES})' in tab.text('start')

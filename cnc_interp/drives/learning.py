@@ -156,7 +156,7 @@ def measured_error(
 
 
 def _smooth(values: FloatArray, drive: AxisDrive, period: float) -> FloatArray:
-    """Return values behind the low pass, forwards and backwards."""
+    """Return values after a low pass, forwards and backwards."""
     from scipy.signal import butter, sosfiltfilt
 
     cutoff = cutoff_of(drive, period)

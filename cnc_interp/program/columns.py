@@ -33,6 +33,7 @@ from cnc_interp.program.cutter_radius import CutterRadius
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import (
     AXIS,
+    BESIDE_ARC,
     CHANGES,
     CHORD_SHARE,
     CONTOUR,
@@ -131,7 +132,11 @@ class TargetColumns:
         self._parts: list[Blocks] = []
         self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
-        self._dense, self._led = 0, False  # what goes before the next motion (``Moves``)
+        self._dense, self._led, self._since_arc = (
+            0,
+            False,
+            BESIDE_ARC,
+        )  # what goes before the next motion (``Moves``)
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         first = EXTRA.start
         self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.extra_names]
@@ -288,13 +293,17 @@ class TargetColumns:
         return self.take()
 
     def _convert(self, last: bool) -> None:
-        """Convert the collected rows to blocks; the last row waits for rows that repeat it."""
+        """
+        Convert the collected rows to blocks.
+
+        The last ones wait: for rows that repeat them, and for an arc beside which they are.
+        """
         rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, WIDTH).copy()
         by_rotary = np.isnan(rows[:, AXIS.start])
         if by_rotary.any():
             rows[by_rotary, AXIS] = self._geometry.tool_axis(rows[by_rotary, ROTARY])
         rows = merge_repeated(rows)
-        held = rows[:0] if last else rows[-1:]
+        held = rows[:0] if last else rows[-BESIDE_ARC:]
         rows = rows[: len(rows) - len(held)]
         self._rows = array('d', held.tobytes())
         self._full = min(4 * self._full, _BATCH_ROWS * WIDTH)
@@ -304,13 +313,14 @@ class TargetColumns:
             self._emit(beginning, np.zeros(1, np.int64), rows[:1])
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
-            moves = self._moves(self._before, rows)
+            moves = self._moves(self._before, rows, held)
             if moves.undecided and not last:
                 rows, later = np.split(rows, [len(rows) - moves.undecided])
                 self._rows = array('d', later.tobytes()) + self._rows
-                moves = self._moves(self._before, rows)
+                moves = self._moves(self._before, rows, np.concatenate([later, held]))
             if len(rows):
                 self._before, self._dense, self._led = rows[-1], moves.dense, moves.led
+                self._since_arc = moves.since_arc
             for part in _portions(moves):
                 some = moves[part]
                 self._emit(*self._blocks(some), some.rows)
@@ -346,11 +356,18 @@ class TargetColumns:
         waits[-1] = _waits(row)[0]
         return replace(curve, exact_stop=stop, program_stop=waits)
 
-    def _moves(self, start: FloatArray, rows: FloatArray) -> Moves:
-        """Return the motions from a start target, shape (30,), through these rows."""
-        before = np.vstack([start, rows])[:-1]
+    def _moves(self, start: FloatArray, rows: FloatArray, coming: FloatArray) -> Moves:
+        """Return the motions from a start target, shape (WIDTH,), through these rows."""
         return Moves(
-            self._geometry, self._zero, before, rows, self._settings, self._dense, self._led
+            self._geometry,
+            self._zero,
+            np.vstack([start, rows])[:-1],
+            rows,
+            self._settings,
+            self._dense,
+            self._led,
+            self._since_arc,
+            coming,
         )
 
     def _blocks(self, moves: Moves) -> tuple[Blocks, IntArray]:
@@ -372,7 +389,7 @@ class TargetColumns:
         named = linear | moves.rests[row]
         rotary_from[named] = moves.rotary(row[named], piece[named] / counts[row[named]])
         # Chords have used a part of the tolerance; the rest remains for the smoothing.
-        share = np.where(moves.beside_arcs(self._settings)[row], 1.0 - CHORD_SHARE, 1.0)
+        share = np.where(moves.beside_arcs[row], 1.0 - CHORD_SHARE, 1.0)
         feedrate, duration = moves.speeds()
         blocks = Blocks(
             tip=tip,

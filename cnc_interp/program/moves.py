@@ -73,12 +73,16 @@ class Moves:
         Number of short blocks before the first motion, at most ``FEWEST_DENSE``.
     led : bool
         Whether the motion before the first one is ROTARY_LINEAR.
+    since_arc : int
+        How many motions before the first one the last arc is, at most ``BESIDE_ARC``.
+    coming : ndarray, shape (m, WIDTH), optional
+        The targets after the last motion; ``BESIDE_ARC`` of them, fewer where the motion ends.
 
     Attributes
     ----------
     interpolation : ndarray of int, shape (n,)
         What runs linearly in each motion, as in ``Blocks``.
-    dense, led : int, bool
+    dense, led, since_arc : int, bool, int
         The same before the next motion.
     undecided : int
         Number of last motions whose ``interpolation`` depends on the next ones.
@@ -86,6 +90,10 @@ class Moves:
         Motions of axes in which extra axes move and rotary axes do not.
     rests : ndarray of bool, shape (n,)
         Motions with tool-tip programming in which words turn the rotary axes about a resting tip.
+    beside_arcs : ndarray of bool, shape (n,)
+        Motions that have the tolerance of an arc: arcs, however short, and short lines beside
+        them. A curve of dense programs ends where the tolerance changes, and both shall become
+        one curve.
 
     """
 
@@ -98,6 +106,8 @@ class Moves:
         settings: Settings,
         dense: int = 0,
         led: bool = False,
+        since_arc: int = BESIDE_ARC,
+        coming: FloatArray | None = None,
     ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
         self.dense, self.led, self.undecided = dense, led, 0
@@ -114,12 +124,15 @@ class Moves:
         turned = turned.any(axis=1) | beside.any(axis=1)
         self._by_axes = (rows[:, AXES] != 0.0) & turned
         self.interpolation = self._interpolation(settings)
+        self.since_arc = since_arc
+        coming = rows[:0] if coming is None else coming
+        self.beside_arcs = self._beside_arcs(np.isfinite(coming[:, SWEEP]), settings)
 
     def __getitem__(self, part: slice) -> Moves:
         """Return some of the motions."""
         some = copy(self)
         for name in ('_before', 'rows', 'sweep', 'axis_before', '_start', '_arc', '_by_axes',
-                     'interpolation', 'beside', 'rests'):  # fmt: skip
+                     'interpolation', 'beside', 'rests', 'beside_arcs'):  # fmt: skip
             setattr(some, name, getattr(self, name)[part])
         return some
 
@@ -331,21 +344,19 @@ class Moves:
         turns &= (self.interpolation == POSES) & self._travels()
         return np.asarray(self._arc | turns)
 
-    def beside_arcs(self, settings: Settings) -> BoolArray:
-        """
-        Return which motions have the tolerance of an arc, shape (n,).
-
-        These are arcs, however short, and short lines beside them. A curve of dense programs ends
-        where the tolerance changes, and both shall become one curve.
-        """
-        row = np.arange(len(self._arc))
-        last = np.maximum.accumulate(np.where(self._arc, row, -FEWEST_DENSE))
-        following = np.where(self._arc, row, len(row) + FEWEST_DENSE)
+    def _beside_arcs(self, coming: BoolArray, settings: Settings) -> BoolArray:
+        """Return ``beside_arcs``, of motions before which of the ``coming`` targets end arcs."""
+        count, arc = len(self._arc), np.concatenate([self._arc, coming])
+        row = np.arange(len(arc))
+        last = np.maximum.accumulate(np.where(arc, row, -1 - self.since_arc))
+        following = np.where(arc, row, len(row) + BESIDE_ARC)
         following = np.minimum.accumulate(following[::-1])[::-1]
-        near = np.minimum(row - last, following - row) <= BESIDE_ARC
+        near = (np.minimum(row - last, following - row) <= BESIDE_ARC)[:count]
         near &= ~self._arc & (self.rows[:, RAPID] == 0.0)
         lines = np.flatnonzero(near)
         near[lines] = self._short(lines, settings) if len(lines) else False
+        if count:
+            self.since_arc = int(min(count - 1 - last[count - 1], BESIDE_ARC))
         return np.asarray(self._arc | near)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:

@@ -222,7 +222,7 @@ def test_the_command_line_shows_changes_and_refuses_in_one_line(bench):
     assert done.stdout == 'G57: X 10 C -5 -> X 48.5 C -5\n', done.stderr
     assert cnc_interp(bench, 'tools', '8', '--length', '60', '--remark', 'flat').returncode == 0
     shown = cnc_interp(bench, 'tools').stdout
-    assert re.search(r'^8 +60\.000 +0\.000  flat$', shown, re.M) and str(bench.file) in shown
+    assert re.search(r'^8 +60\.000 +0\.000 +flat$', shown, re.M) and str(bench.file) in shown
     cnc_interp(bench, 'offsets', 'G57', '--use')
     shown = cnc_interp(bench, 'offsets').stdout
     assert re.search(r'^work G57 +1\.500 ', shown, re.M)

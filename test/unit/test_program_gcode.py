@@ -252,6 +252,25 @@ def test_the_batch_size_changes_nothing(rows, monkeypatch):
             lines.append(random.choice(['M0', 'G61', 'G64', 'ORIVECT', 'ORIAXES', 'G4 P1']))
     whole = read('\n'.join(lines)).blocks
     assert {POSES, ROTARY_LINEAR} == set(whole.interpolation)
+    same_in_batches_of(rows, lines, whole, monkeypatch)
+
+
+@pytest.mark.parametrize('rows', [1, 3, 7, 10])
+def test_the_batch_size_changes_nothing_beside_arcs(rows, monkeypatch):
+    random = np.random.default_rng(7)
+    lines, x = ['G64 P0.02', 'G0 X0 Y0', 'G1 F600'], 0.0
+    for _ in range(12):
+        for _ in range(random.integers(0, 25)):
+            x += random.choice([0.2, 0.2, 0.2, 30.0])
+            lines.append(f'G1 X{x:.1f}')
+        x += 2.0
+        lines.append(f'{random.choice(["G2", "G3"])} X{x:.1f} I1 J0')
+    whole = read('\n'.join(lines)).blocks
+    assert len(np.unique(whole.contour_tolerance)) == 2
+    same_in_batches_of(rows, lines, whole, monkeypatch)
+
+
+def same_in_batches_of(rows, lines, whole, monkeypatch):
     monkeypatch.setattr(columns, '_BATCH_ROWS', rows)
     parts = read('\n'.join(lines)).blocks
     for name in whole.__dataclass_fields__:

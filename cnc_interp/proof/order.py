@@ -27,7 +27,7 @@ from cnc_interp.kinematics.transform import Transform
 from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_axes import ProgrammedAxes
-from cnc_interp.proof.programmed_path import ProgrammedPath
+from cnc_interp.proof.programmed_path import ProgrammedPath, peaks
 
 # Between vertices a distance of so many tolerances is in order.
 ROOM = 2.0
@@ -126,7 +126,8 @@ class Pursuit:
 
         """
         # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
-        bulge = np.diff(points, 2, axis=0) / 8.0
+        bulge, more = np.abs(np.diff(points, 2, axis=0)) / 8.0, peaks(points)
+        bulge += np.maximum(np.vstack([more[:1], more]), np.vstack([more, more[-1:]]))
         if first == 0:
             bulge[:2] = 0.0
         last = first + len(points) - 3 == count

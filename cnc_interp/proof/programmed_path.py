@@ -178,6 +178,28 @@ class ProgrammedPath:
         ))  # fmt: skip
 
 
+def peaks(points: FloatArray) -> FloatArray:
+    """
+    Bound by how much more than an eighth of its second difference a motion bulges over a chord.
+
+    That eighth takes the acceleration from both samples. Where it has a peak between them, as in
+    the middle of a corner, it is larger there by at most half of what it changes in a period
+    nearby: half a third difference.
+
+    Parameters
+    ----------
+    points : ndarray, shape (..., K, D)
+        Samples of the motion.
+
+    Returns
+    -------
+    ndarray, shape (..., K - 3, D)
+        Bounds over the chord in the middle of each four samples, as far as these tell.
+
+    """
+    return np.asarray(np.abs(np.diff(points, 3, axis=-2)) / 16.0)
+
+
 def distances_to_vertices(
     points: FloatArray,
     vertices: FloatArray,
@@ -189,7 +211,8 @@ def distances_to_vertices(
     Find the distance between each vertex and a sampled motion.
 
     Between two samples the motion deviates from its chord by up to an eighth of the second
-    difference. The distance is reduced by this value, because a vertex lies outside its rounding.
+    difference, and by the ``peaks``. The distance is reduced by the former, because a vertex lies
+    outside its rounding.
 
     Parameters
     ----------

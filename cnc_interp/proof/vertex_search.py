@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.proof.columns import spans
+from cnc_interp.proof.columns import gathered, spans
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import REACH, SLACK
-from cnc_interp.proof.programmed_path import distances_to_vertices
+from cnc_interp.proof.programmed_path import distances_to_vertices, peaks
 
 
 class VertexSearch:
@@ -64,7 +64,7 @@ class VertexSearch:
             Sample before the nearest point.
 
         """
-        missed = tolerance + SLACK if unit is None else np.ones(len(vertices))
+        allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))
         unit = np.broadcast_to(np.ones(3) if unit is None else unit, vertices.shape)
         # A vertex lies between its own row and the next. Rounding may shift the row of a sample by
@@ -72,7 +72,7 @@ class VertexSearch:
         # before.
         spread = np.where(self.plan.blocks['exact_stop'], 0, 1)
         nearest, where = self._among(rows - spread, rows + 1 + spread, points_of, vertices, unit)
-        far = nearest > missed
+        far = nearest > (allowed + SLACK if unit is None else allowed)
         if far.any():
             way = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(vertices, axis=0), axis=1)])
             reach = REACH * tolerance[far]
@@ -82,7 +82,22 @@ class VertexSearch:
             nearest[far], where[far] = self._among(
                 first, last, points_of, vertices[far], unit[far]
             )
+        far = nearest > allowed
+        if far.any():
+            more = self._peaks(where[far], points_of, unit[far])
+            nearest[far] = np.maximum(nearest[far] - more, 0.0)
         return nearest, where
+
+    def _peaks(
+        self,
+        where: IntArray,
+        points_of: Callable[[FloatArray], FloatArray],
+        unit: FloatArray,
+    ) -> FloatArray:
+        """Return the largest of the ``peaks`` over the chords near these samples, shape (m,)."""
+        around = np.clip(where[:, None] + np.arange(-2, 4), 0, self.count - 1)
+        points = points_of(gathered(self.plan.position, around.ravel())).reshape(-1, 6, 3)
+        return np.asarray(np.linalg.norm(peaks(points) / unit[:, None], axis=2).max(axis=1))
 
     def _among(
         self,

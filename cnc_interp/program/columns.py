@@ -12,71 +12,41 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from math import inf, nan
+from math import nan
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG
 from cnc_interp.program.active_modes import NONE, ModesOfBlocks
-from cnc_interp.program.blocks import (
-    GO_ON,
-    OPTIONAL_STOP,
-    POSES,
-    ROTARY_LINEAR,
-    STOP,
-    Blocks,
-)
+from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cutter_radius import CutterRadius
+from cnc_interp.program.divided_moves import blocks_of, portions, start_pose, waits_at
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import (
     AXIS,
     BESIDE_ARC,
     CHANGES,
-    CHORD_SHARE,
-    CONTOUR,
     EXACT_STOP,
     EXTRA,
     EXTRA_LETTERS,
-    GREAT_CIRCLE,
-    LINE,
     MODES,
-    NAMED,
-    ORIENTATION,
     PASSES,
     POINT,
-    RAPID,
     ROTARY,
-    SAME,
-    SWEEP,
     WIDTH,
     Moves,
     merge_repeated,
 )
 from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.subdivide import (
-    MOST_PIECES,
-    angle_between,
-    piece_counts,
-    ragged,
-)
 from cnc_interp.settings.choices import Settings
 
 #: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
 AT_M1, AT_M0 = 2.0, 3.0
-_WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
 #: The arc columns of a line that is not an arc.
 NO_ARC = (nan,) * 7
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
-_ANTIPARALLEL = 1e-4  # [rad]
-_MOST_TURN = 500.0 * 360.0 * DEG
-#: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
-_LONGEST_TURN = 8.0 * 360.0 * DEG
-
-
 #: More changes of the setup than this are not kept one by one.
 MOST_CHANGES = 1000
 
@@ -321,9 +291,11 @@ class TargetColumns:
             if len(rows):
                 self._before, self._dense, self._led = rows[-1], moves.dense, moves.led
                 self._since_arc = moves.since_arc
-            for part in _portions(moves):
+            for part in portions(moves):
                 some = moves[part]
-                self._emit(*self._blocks(some), some.rows)
+                blocks, row = blocks_of(some, self._settings, self._extra, self._source)
+                self.start.see(some.rows[row, PASSES])
+                self._emit(blocks, row, some.rows)
 
     def _emit(self, blocks: Blocks, row: IntArray, rows: FloatArray) -> None:
         """Add blocks, made of these rows, and note before which ones the setup changes."""
@@ -349,11 +321,12 @@ class TargetColumns:
     def _beginning(self, row: FloatArray) -> Blocks:
         """Return the start pose, or the spline that ends in this row."""
         if self._curve is None:
-            return self._start_pose(row)
+            here = Moves(self._geometry, self._zero, row, row, self._settings)
+            return start_pose(here, self._geometry, self._extra)
         curve, self._curve = self._curve, None
         stop, waits = curve.exact_stop.copy(), curve.program_stop.copy()
         stop[-1] |= row[0, EXACT_STOP] != 0.0
-        waits[-1] = _waits(row)[0]
+        waits[-1] = waits_at(row)[0]
         return replace(curve, exact_stop=stop, program_stop=waits)
 
     def _moves(self, start: FloatArray, rows: FloatArray, coming: FloatArray) -> Moves:
@@ -369,124 +342,3 @@ class TargetColumns:
             self._since_arc,
             coming,
         )
-
-    def _blocks(self, moves: Moves) -> tuple[Blocks, IntArray]:
-        """Return the blocks of some motions, and the row of each."""
-        rows = moves.rows
-        counts = self._piece_counts(moves)
-        row, piece = ragged(counts)
-        self.start.see(rows[row, PASSES])
-        u = (piece + 1.0) / counts[row]
-        final = piece + 1 == counts[row]
-        rotary = moves.rotary(row, u)
-        tip, axis = moves.poses(row, u)
-        end = rows[row]
-        on_circle = end[:, GREAT_CIRCLE] != 0.0
-        interpolation = moves.interpolation[row]
-        linear = interpolation != POSES
-        rotary[~linear & (on_circle | (end[:, NAMED] == 0.0))] = nan
-        rotary_from = np.full((len(row), 2), nan)
-        named = linear | moves.rests[row]
-        rotary_from[named] = moves.rotary(row[named], piece[named] / counts[row[named]])
-        # Chords have used a part of the tolerance; the rest remains for the smoothing.
-        share = np.where(moves.beside_arcs[row], 1.0 - CHORD_SHARE, 1.0)
-        feedrate, duration = moves.speeds()
-        blocks = Blocks(
-            tip=tip,
-            axis=axis,
-            rotary=rotary,
-            feedrate=feedrate[row],
-            duration=duration[row] / counts[row],
-            rapid=end[:, RAPID] != 0.0,
-            exact_stop=(end[:, EXACT_STOP] != 0.0) & final,
-            contour_tolerance=share * end[:, CONTOUR],
-            orientation_tolerance=end[:, ORIENTATION].copy(),
-            line_number=end[:, LINE].astype(np.int64),
-            program_stop=np.where(final, _waits(end), GO_ON),
-            extra=moves.extra(row, u)[:, [column - EXTRA.start for column in self._extra]],
-            interpolation=interpolation,
-            rotary_from=rotary_from,
-        )
-        return blocks, row
-
-    def _piece_counts(self, moves: Moves) -> IntArray:
-        """Return the number of pieces of each motion, shape (n,)."""
-        rows = moves.rows
-        counts = np.ones(len(rows), dtype=np.int64)
-        on_circle = rows[:, GREAT_CIRCLE] != 0.0
-        if on_circle.any():
-            angle = angle_between(moves.axis_before[on_circle], rows[on_circle, AXIS])
-            if (angle > np.pi - _ANTIPARALLEL).any():
-                worst = rows[on_circle][np.argmax(angle)]
-                raise ProgramError(
-                    'the tool axis turns by 180 deg in one block, so its plane of rotation is '
-                    'undefined; add a block between',
-                    self._source,
-                    int(worst[LINE]),
-                )
-            counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
-        curved = np.flatnonzero(moves.curved())
-        if len(curved):
-            turned = np.abs(moves.sweep[curved]).sum(axis=1) + np.nan_to_num(
-                np.abs(rows[curved, SWEEP])
-            )
-            if (turned > _MOST_TURN).any():
-                raise ProgramError(
-                    'more than 500 turns in one block; correct it or cut it into blocks',
-                    self._source,
-                    int(rows[curved[np.argmax(turned)], LINE]),
-                )
-            pieces = piece_counts(
-                lambda block, u: moves.chordal(curved[block], u),
-                turned,
-                CHORD_SHARE * rows[curved, CONTOUR],
-                CHORD_SHARE * rows[curved, ORIENTATION] / self._settings.flank_height,
-            )
-            if pieces.max() > MOST_PIECES:
-                raise ProgramError(
-                    f'more than {MOST_PIECES:,} chords in one block; widen the tolerances',
-                    self._source,
-                    int(rows[curved[np.argmax(pieces)], LINE]),
-                )
-            counts[curved] = np.maximum(counts[curved], pieces)
-        turning = moves.interpolation == ROTARY_LINEAR
-        if turning.any():
-            turns = np.abs(moves.sweep[turning]).max(axis=1) / _LONGEST_TURN
-            counts[turning] = np.maximum(counts[turning], np.ceil(turns).astype(np.int64))
-        return counts
-
-    def _start_pose(self, row: FloatArray) -> Blocks:
-        """Return row 0, the start pose. It has no motion, so no feedrate and no duration."""
-        here = Moves(self._geometry, self._zero, row, row, self._settings)
-        tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
-        rotary = row[:, ROTARY].copy()
-        if np.isfinite(rotary).all():
-            axis = self._geometry.tool_axis(rotary)
-            if np.abs(axis - row[:, AXIS]).max() > SAME:
-                rotary[:] = nan  # the tool axis came from a direction
-        return Blocks(
-            tip=tip,
-            axis=row[:, AXIS].copy(),
-            rotary=rotary,
-            feedrate=np.full(1, inf),
-            duration=np.full(1, nan),
-            rapid=row[:, RAPID] != 0.0,
-            exact_stop=row[:, EXACT_STOP] != 0.0,
-            contour_tolerance=row[:, CONTOUR].copy(),
-            orientation_tolerance=row[:, ORIENTATION].copy(),
-            line_number=row[:, LINE].astype(np.int64),
-            extra=row[:, self._extra],
-        )
-
-
-def _waits(rows: FloatArray) -> IntArray:
-    """Return whether the program waits for the operator after each target, shape (n,)."""
-    return np.asarray(_WAITS[rows[:, EXACT_STOP].astype(np.int64)])
-
-
-def _portions(moves: Moves) -> list[slice]:
-    """Divide motions into parts that do not give too many blocks each."""
-    turned = np.nan_to_num(np.abs(moves.rows[:, SWEEP])) + np.abs(moves.sweep).sum(axis=1)
-    portion = np.floor(np.cumsum(turned) / _MOST_TURN)
-    edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(turned)]
-    return [slice(first, last) for first, last in pairwise(edges) if last > first]

@@ -1,0 +1,218 @@
+"""
+Motions divided into blocks: arcs into chords, curved motion into pieces.
+
+Lines in machine axes stay whole, however far the rotary axes turn, up to eight turns.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import inf, nan
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG
+from cnc_interp.program.blocks import (
+    GO_ON,
+    OPTIONAL_STOP,
+    POSES,
+    ROTARY_LINEAR,
+    STOP,
+    Blocks,
+)
+from cnc_interp.program.moves import (
+    AXIS,
+    CHORD_SHARE,
+    CONTOUR,
+    EXACT_STOP,
+    EXTRA,
+    GREAT_CIRCLE,
+    LINE,
+    NAMED,
+    ORIENTATION,
+    RAPID,
+    ROTARY,
+    SAME,
+    SWEEP,
+    Moves,
+)
+from cnc_interp.program.rotary_geometry import RotaryGeometry
+from cnc_interp.program.subdivide import MOST_PIECES, angle_between, piece_counts, ragged
+from cnc_interp.settings.choices import Settings
+
+#: How the program waits, by EXACT_STOP of a target.
+_WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
+_ANTIPARALLEL = 1e-4  # [rad]
+_MOST_TURN = 500.0 * 360.0 * DEG
+#: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
+_LONGEST_TURN = 8.0 * 360.0 * DEG
+
+
+def portions(moves: Moves) -> list[slice]:
+    """Divide motions into parts that do not give too many blocks each."""
+    turned = np.nan_to_num(np.abs(moves.rows[:, SWEEP])) + np.abs(moves.sweep).sum(axis=1)
+    portion = np.floor(np.cumsum(turned) / _MOST_TURN)
+    edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(turned)]
+    return [slice(first, last) for first, last in pairwise(edges) if last > first]
+
+
+def blocks_of(
+    moves: Moves, settings: Settings, extra: list[int], source: str
+) -> tuple[Blocks, IntArray]:
+    """
+    Divide motions into blocks.
+
+    Parameters
+    ----------
+    moves : Moves
+        The motions.
+    settings : Settings
+        Flank height, at which the orientation tolerance counts.
+    extra : list of int
+        Columns of the extra axes of the machine.
+    source : str
+        File name for error messages.
+
+    Returns
+    -------
+    blocks : Blocks
+        The blocks, one or more for each motion.
+    row : ndarray of int, shape (M,)
+        The motion of each block.
+
+    Raises
+    ------
+    ProgramError
+        If the plane of a rotation is undefined, or if a motion needs too many blocks.
+
+    """
+    rows = moves.rows
+    counts = _piece_counts(moves, settings, source)
+    row, piece = ragged(counts)
+    u = (piece + 1.0) / counts[row]
+    final = piece + 1 == counts[row]
+    rotary = moves.rotary(row, u)
+    tip, axis = moves.poses(row, u)
+    end = rows[row]
+    on_circle = end[:, GREAT_CIRCLE] != 0.0
+    interpolation = moves.interpolation[row]
+    linear = interpolation != POSES
+    rotary[~linear & (on_circle | (end[:, NAMED] == 0.0))] = nan
+    rotary_from = np.full((len(row), 2), nan)
+    named = linear | moves.rests[row]
+    rotary_from[named] = moves.rotary(row[named], piece[named] / counts[row[named]])
+    # Chords have used a part of the tolerance; the rest remains for the smoothing.
+    share = np.where(moves.beside_arcs[row], 1.0 - CHORD_SHARE, 1.0)
+    feedrate, duration = moves.speeds()
+    blocks = Blocks(
+        tip=tip,
+        axis=axis,
+        rotary=rotary,
+        feedrate=feedrate[row],
+        duration=duration[row] / counts[row],
+        rapid=end[:, RAPID] != 0.0,
+        exact_stop=(end[:, EXACT_STOP] != 0.0) & final,
+        contour_tolerance=share * end[:, CONTOUR],
+        orientation_tolerance=end[:, ORIENTATION].copy(),
+        line_number=end[:, LINE].astype(np.int64),
+        program_stop=np.where(final, waits_at(end), GO_ON),
+        extra=moves.extra(row, u)[:, [column - EXTRA.start for column in extra]],
+        interpolation=interpolation,
+        rotary_from=rotary_from,
+    )
+    return blocks, row
+
+
+def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
+    """Return the number of pieces of each motion, shape (n,)."""
+    rows = moves.rows
+    counts = np.ones(len(rows), dtype=np.int64)
+    on_circle = rows[:, GREAT_CIRCLE] != 0.0
+    if on_circle.any():
+        angle = angle_between(moves.axis_before[on_circle], rows[on_circle, AXIS])
+        if (angle > np.pi - _ANTIPARALLEL).any():
+            worst = rows[on_circle][np.argmax(angle)]
+            raise ProgramError(
+                'the tool axis turns by 180 deg in one block, so its plane of rotation is '
+                'undefined; add a block between',
+                source,
+                int(worst[LINE]),
+            )
+        counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
+    curved = np.flatnonzero(moves.curved())
+    if len(curved):
+        turned = np.abs(moves.sweep[curved]).sum(axis=1) + np.nan_to_num(
+            np.abs(rows[curved, SWEEP])
+        )
+        if (turned > _MOST_TURN).any():
+            raise ProgramError(
+                'more than 500 turns in one block; correct it or cut it into blocks',
+                source,
+                int(rows[curved[np.argmax(turned)], LINE]),
+            )
+        pieces = piece_counts(
+            lambda block, u: moves.chordal(curved[block], u),
+            turned,
+            CHORD_SHARE * rows[curved, CONTOUR],
+            CHORD_SHARE * rows[curved, ORIENTATION] / settings.flank_height,
+        )
+        if pieces.max() > MOST_PIECES:
+            raise ProgramError(
+                f'more than {MOST_PIECES:,} chords in one block; widen the tolerances',
+                source,
+                int(rows[curved[np.argmax(pieces)], LINE]),
+            )
+        counts[curved] = np.maximum(counts[curved], pieces)
+    turning = moves.interpolation == ROTARY_LINEAR
+    if turning.any():
+        turns = np.abs(moves.sweep[turning]).max(axis=1) / _LONGEST_TURN
+        counts[turning] = np.maximum(counts[turning], np.ceil(turns).astype(np.int64))
+    return counts
+
+
+def start_pose(here: Moves, geometry: RotaryGeometry, extra: list[int]) -> Blocks:
+    """
+    Return row 0, the start pose. It has no motion, so no feedrate and no duration.
+
+    Parameters
+    ----------
+    here : Moves
+        One motion that goes nowhere, at the start target.
+    geometry : RotaryGeometry
+        Kinematics of the machine.
+    extra : list of int
+        Columns of the extra axes of the machine.
+
+    Returns
+    -------
+    Blocks
+        One row.
+
+    """
+    row = here.rows
+    tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
+    rotary = row[:, ROTARY].copy()
+    if np.isfinite(rotary).all():
+        axis = geometry.tool_axis(rotary)
+        if np.abs(axis - row[:, AXIS]).max() > SAME:
+            rotary[:] = nan  # the tool axis came from a direction
+    return Blocks(
+        tip=tip,
+        axis=row[:, AXIS].copy(),
+        rotary=rotary,
+        feedrate=np.full(1, inf),
+        duration=np.full(1, nan),
+        rapid=row[:, RAPID] != 0.0,
+        exact_stop=row[:, EXACT_STOP] != 0.0,
+        contour_tolerance=row[:, CONTOUR].copy(),
+        orientation_tolerance=row[:, ORIENTATION].copy(),
+        line_number=row[:, LINE].astype(np.int64),
+        extra=row[:, extra],
+    )
+
+
+def waits_at(rows: FloatArray) -> IntArray:
+    """Return whether the program waits for the operator after each target, shape (n,)."""
+    return np.asarray(_WAITS[rows[:, EXACT_STOP].astype(np.int64)])

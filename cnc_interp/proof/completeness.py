@@ -1,0 +1,160 @@
+"""
+Completeness of a motion: it passes every programmed vertex, and every axis meets its words.
+
+At an exact stop all axes rest. A rotary axis passes its word on its own branch and whole turn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.proof.columns import gathered
+from cnc_interp.proof.path_grid import ROUNDING
+from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.program_shapes import SLACK, Program
+from cnc_interp.proof.verdict import Ledger
+from cnc_interp.proof.vertex_search import VertexSearch
+
+# Largest accepted distance between an exact stop and its vertex [m].
+STOP_DISTANCE = 1e-6
+# Rotary words are met within this at an exact stop [rad].
+STOP_ANGLE = 1e-6
+# At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
+# the outer rotary axis is held to its word as if the tool were so far away.
+POLE_TOLERANCES = 4.0
+
+
+def prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
+    """Check that the motion passes every vertex, begins and ends on the program, and stops."""
+    blocks, height, machine = plan.blocks, plan.flank_height, program.machine
+    vertex_top, transform = blocks['tip'] + height * blocks['axis'], program.transform
+    rows, count = np.arange(len(blocks['tip'])), len(plan.position)
+
+    def tips(position: FloatArray) -> FloatArray:
+        return transform.forward(position)[0]
+
+    def tops(position: FloatArray) -> FloatArray:
+        tip, axis = transform.forward(position)
+        return tip + height * axis
+
+    contour, orientation = program.contour, program.orientation
+    search = VertexSearch(plan)
+    nearest, _ = search.nearest(tips, blocks['tip'], contour)
+    ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
+    nearest_top, where = search.nearest(tops, vertex_top, orientation)
+    ledger.judge('vertex missed by top', nearest_top, orientation, slack=SLACK, rows=rows)
+    for name, sample, row in (('first', 0, 0), ('last', count - 1, len(rows) - 1)):
+        at = plan.position[sample : sample + 1]
+        gaps = (
+            float(np.linalg.norm(tips(at)[0] - blocks['tip'][row])),
+            float(np.linalg.norm(tops(at)[0] - vertex_top[row])),
+        )
+        gap, room = max(gaps), np.zeros(2)
+        if name == 'first' and plan.starts_inside:  # on a corner, beside its vertex
+            room = np.array([contour[:2].min(), orientation[:2].min()])
+        ledger.require(
+            (gaps <= room + SLACK).all(),
+            f'the motion is {gap * 1e3:.3g} mm away from the {name} pose of the program '
+            f'(line {blocks["line"][row]})',
+        )
+    if machine.has_rotary:
+        _prove_rotary_words(ledger, plan, program, search, where)
+    if machine.extra_names:
+        _prove_extra_words(ledger, plan, program, search, where)
+    stops = np.flatnonzero(blocks['exact_stop'])
+    if len(stops):
+        ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
+        # While an axis passes through rest, it moves less than J T^3 / 3 in one period.
+        crawl = machine.max_jerk * plan.period**3 / 3.0
+        slowest = []
+        for i in where[stops]:
+            around = plan.position[max(int(i) - 1, 0) : int(i) + 3]
+            use = np.max(np.abs(np.diff(around, axis=0)) / crawl, axis=1)
+            slowest.append(0.0 if i + 2 > count - 1 else float(use.min()))
+        moving = stops[np.array(slowest) > ROUNDING]
+        if len(moving):
+            line = int(blocks['line'][moving[0]])
+            ledger.require(
+                False, f'no rest at the exact stop of line {line}; {len(moving)} stops missed'
+            )
+
+
+def _prove_rotary_words(
+    ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
+) -> None:
+    """
+    Check that rotary axes pass their words, each on its own branch and whole turn.
+
+    The samples ``where`` the vertices are passed are replaced where the rotary axes tell better.
+
+    A rounded vertex may turn the tool axis by the tolerances at flank height. So each rotary axis
+    may miss its word by this angle over the sine of the angle between itself and the tool axis.
+    """
+    rotary = np.array(plan.blocks['rotary'], dtype=float)
+    rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
+    rows = rows[rows > 0]
+    if not len(rows):
+        return
+    height, transform = max(plan.flank_height, 1e-3), program.transform
+    contour, orientation = program.contour, program.orientation
+    words = np.nan_to_num(rotary)
+    allowed = np.ones((len(rotary), 3))
+    for i in range(2):
+        step = np.zeros(2)
+        step[i] = 1e-4
+        ahead, back = (transform.tool_axis(words + way) for way in (step, -step))
+        sine = np.linalg.norm(ahead - back, axis=1) / 2e-4
+        least = POLE_TOLERANCES * orientation / height
+        allowed[:, i] = (contour + orientation) / height / np.maximum(sine, least)
+    by_axes = program.path.by_axes
+    linear = by_axes | np.r_[by_axes[1:], False]
+    allowed[linear, :2] = (orientation[linear] / height)[:, None]
+    stops = np.asarray(plan.blocks['exact_stop'], dtype=bool).copy()
+    stops[-1] = True
+    allowed[stops, :2] = np.minimum(allowed[stops, :2], STOP_ANGLE)
+
+    def points(position: FloatArray) -> FloatArray:
+        return np.hstack([position[:, 3:5], np.zeros((len(position), 1))])
+
+    targets = np.hstack([words, np.zeros((len(words), 1))])
+    angle = allowed[:, :2].max(axis=1)
+    gap, passed = search.nearest(points, targets, angle, allowed)
+    ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
+    # A turn of the tool about its own axis is hardly visible in the workpiece frame, so the
+    # nearest sample by tip and tool axis may be any on the way.
+    rows = rows[by_axes[rows]]
+    seen, there = (gathered(plan.position, at[rows]) for at in (where, passed))
+    on_the_way = np.abs(points(seen) - targets[rows]).max(axis=1, initial=0.0) > STOP_ANGLE
+    tip = transform.forward(there)[0]
+    near = np.linalg.norm(tip - plan.blocks['tip'][rows], axis=1) <= STOP_DISTANCE
+    rows = rows[on_the_way & near]
+    where[rows] = passed[rows]
+
+
+def _prove_extra_words(
+    ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
+) -> None:
+    """
+    Demand that extra axes end on their words.
+
+    A word is met between the last sample of its block and the next sample. A rounded vertex may
+    miss it by the contour tolerance, as the tip does. Where the tip rests, only these axes show
+    where the block ends.
+    """
+    words, machine = plan.blocks['extra_axes'], program.machine
+    if words.shape[1] != len(machine.extra_names):
+        ledger.require(False, f'blocks.npz has no words for the axes {machine.extra_names}')
+        return
+    rows = np.arange(len(words))
+    after = np.clip(search.starts[1:], 1, search.count - 1)
+    both = [gathered(plan.position, at) for at in (after - 1, after)]
+    resting = np.r_[False, np.abs(np.diff(plan.blocks['tip'], axis=0)).max(axis=1) < SLACK]
+    for k, name in enumerate(machine.extra_names):
+        ends = np.stack([position[:, machine.axis_names.index(name)] for position in both])
+        gap = np.maximum(words[:, k] - ends.max(axis=0), ends.min(axis=0) - words[:, k])
+        gap = np.maximum(gap, 0.0)
+        ledger.judge(f'word missed by {name}', gap, program.contour, slack=SLACK, rows=rows)
+        alone = resting & (np.r_[0.0, np.abs(np.diff(words[:, k]))] > SLACK)
+        nearer = np.abs(ends - words[:, k]).argmin(axis=0)
+        where[alone] = (after - 1 + nearer)[alone]

@@ -5,8 +5,9 @@ Errors at the tool in runs that learn from the run before; prints rows of docs/m
     PYTHONPATH=.:benchmarks python benchmarks/learnt.py --cutoff 25 0.75 --runs 7 --only s_path
 
 Programs are planned on ``xyzac_tired`` and executed by its simulated drives, compensated by models
-that are 20 % wrong. Of the impeller the first 400 lines are taken. ``--cutoff`` tries another low
-pass: largest cutoff [Hz] and its share of the frequency of the mode.
+that are 20 % wrong. The largest error is compared with that of the first run, and with that of the
+drives as they are, not compensated. Of the impeller the first 400 lines are taken. ``--cutoff``
+tries another low pass: largest cutoff [Hz] and its share of the frequency of the mode.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from cnc_interp.drives import learning
 from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_kernels import follow_all
 from cnc_interp.drives.drive_model import words_of
+from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.kinematics.machine import Machine
 
 PROGRAMS = {
@@ -35,8 +37,8 @@ PROGRAMS = {
 LINES = 400
 
 
-def setpoints_of(name: str, folder: Path) -> tuple[FloatArray, float] | None:
-    """Plan a program; return setpoints and period, or None where it is not there."""
+def setpoints_of(name: str, folder: Path) -> tuple[FloatArray, FloatArray, float] | None:
+    """Plan a program; return positions, velocities and period, or None where it is not there."""
     file = PROGRAMS[name]
     if name == 'impeller':
         found = next(file.glob('*.ngc'), None)
@@ -47,7 +49,7 @@ def setpoints_of(name: str, folder: Path) -> tuple[FloatArray, float] | None:
         file.write_text('\n'.join([*lines, 'M2', '']), encoding='utf-8')
     quietly('plan', str(file), '--machine', MACHINE, '--out', str(folder / name))
     rows = np.load(folder / name / 'setpoints.npz')
-    return rows['position'], float(rows['time'][1] - rows['time'][0])
+    return rows['position'], rows['velocity'], float(rows['time'][1] - rows['time'][0])
 
 
 def runs(
@@ -85,15 +87,23 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in [options.only] if options.only else PROGRAMS:
             found = setpoints_of(name, Path(folder))
-            for what, model in models.items() if found else ():
-                q, period = found
+            if not found:
+                continue
+            q, velocity, period = found
+            before = tool_error(machine, period, q, velocity).tip.max() / UM
+            print(f'| {name} | as they are | - | {before:.1f} | | | | |', flush=True)
+            for what, model in models.items():
                 errors = runs(machine, model, q, period, options.runs)
                 for number, error in enumerate(errors):
                     tip, axis = error[:, 0] / UM, error[:, 1] / DEG * 1e3
-                    less = tip.max() / (errors[0][:, 0].max() / UM) - 1.0
+                    less, of_all = (
+                        (tip.max() / other - 1.0) * 100
+                        for other in (errors[0][:, 0].max() / UM, before)
+                    )
                     print(
-                        f'| {name} | {what} | {number} | {tip.max():.1f} ({less * 100:+.0f} %) | '
-                        f'{tip.mean():.2f} | {axis.max():.1f} | {axis.mean():.2f} |',
+                        f'| {name} | {what} | {number} | {tip.max():.1f} | {less:+.0f} % | '
+                        f'{of_all:+.0f} % | {tip.mean():.2f} | {axis.max():.1f} | '
+                        f'{axis.mean():.2f} |',
                         flush=True,
                     )
 

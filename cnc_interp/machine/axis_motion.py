@@ -6,6 +6,7 @@ It does not know which drives there are, see ``drives.py``.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.drives.drive_model import memory_of
+from cnc_interp.drives.tool_error import AHEAD
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.kinematics.transform import Transform
@@ -36,9 +38,11 @@ class Recording:
         with a FIFO answer an earlier setpoint; their errors count from that one.
     tip, axis : ndarray, shape (K, 3)
         Actual tool tip [m] and tool axis [-] in W.
-    tip_lag, contour_error : ndarray, shape (K,)
-        Distances of the actual tip from the commanded tip and from the path of the latest
-        commanded tips [m].
+    tip_lag : ndarray, shape (K,)
+        Distance of the actual tip from the commanded tip [m].
+    contour_error : ndarray, shape (K,)
+        Distance of the actual tip of a few periods before from the path of the commanded tips,
+        see ``ContourErrors`` [m].
     feedrate : ndarray, shape (K,)
         Actual speed of the tip relative to the workpiece, over each period [m/s].
     largest_use : ndarray, shape (3, n_axes)
@@ -57,6 +61,43 @@ class Recording:
     contour_error: FloatArray
     feedrate: FloatArray
     largest_use: FloatArray
+
+
+class ContourErrors:
+    """
+    Distances of the actual tip from the path of the commanded tips.
+
+    A table that brakes may be ahead of its setpoint. So a tip is compared with the next setpoints,
+    too, and its error comes when these are known.
+
+    Parameters
+    ----------
+    period : float
+        Interpolation period [s].
+    lag : float
+        How much later than their setpoints the axes are there, about [s].
+    tip : ndarray, shape (3,)
+        Where the tip stands at rest [m].
+
+    """
+
+    def __init__(self, period: float, lag: float, tip: FloatArray):
+        late = math.ceil(AHEAD / period)
+        self._memory = memory_of(period, lag) + late
+        self._trail = np.tile(tip, (self._memory - 1, 1))
+        self._waiting = np.tile(tip, (late, 1))
+
+    def push(self, commanded: FloatArray, tips: FloatArray) -> FloatArray:
+        """
+        Take the next commanded and actual tips, shape (K, 3) [m]; return K distances [m].
+
+        They are those of the tips of ``AHEAD`` before.
+        """
+        trail = np.concatenate([self._trail, commanded])
+        waiting = np.concatenate([self._waiting, tips])
+        self._trail, self._waiting = trail[1 - self._memory :], waiting[len(tips) :]
+        errors: FloatArray = path_errors(trail, waiting[: len(tips)], self._memory)
+        return errors
 
 
 class AxisMotion:
@@ -86,7 +127,7 @@ class AxisMotion:
             raise StreamError('the interpolation period must be positive')
         self.machine, self.period = machine, period
         self._transform = Transform.of(machine)
-        self._memory = memory_of(period, lag)
+        self._lag = lag
         self._longest_step: FloatArray = machine.limits[0] * period
         self._recent_use = np.zeros_like(machine.limits)
         self.largest_use = np.zeros_like(machine.limits)
@@ -105,9 +146,8 @@ class AxisMotion:
         if beyond:
             raise StreamError(f'{beyond}; reset and move inside')
         self.setpoints = np.tile(start, (BEFORE, 1))
-        tips = self._transform.forward(start[None, :])[0]
-        self._tips = np.tile(tips, (self._memory - 1, 1))
-        self._tip = tips
+        self._tip = self._transform.forward(start[None, :])[0]
+        self._contour = ContourErrors(self.period, self._lag, self._tip[0])
 
     def measure(
         self,
@@ -138,8 +178,6 @@ class AxisMotion:
         self._recent_use = np.maximum(self._recent_use, use)
         commanded = self._transform.forward(answered)[0]
         tip, axis = self._transform.forward(x)
-        trail = np.concatenate([self._tips, commanded])
-        self._tips = trail[1 - self._memory :]
         moves = np.diff(np.concatenate([self._tip, tip]), axis=0)
         self._tip = tip[-1:]
         return Recording(
@@ -150,7 +188,7 @@ class AxisMotion:
             tip=tip,
             axis=axis,
             tip_lag=np.sqrt(np.sum((tip - commanded) ** 2, axis=1)),
-            contour_error=path_errors(trail, tip, self._memory),
+            contour_error=self._contour.push(commanded, tip),
             feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period,
             largest_use=use,
         )

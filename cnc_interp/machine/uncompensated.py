@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.drives.drive_kernels import follow_all
-from cnc_interp.drives.drive_model import lag_of, memory_of, words_of
+from cnc_interp.drives.drive_model import lag_of, words_of
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
-from cnc_interp.machine.axis_motion import path_errors
+from cnc_interp.machine.axis_motion import ContourErrors
 
 
 class Uncompensated:
@@ -30,9 +28,8 @@ class Uncompensated:
     def __init__(self, model: Machine, period: float, position: FloatArray):
         self._words = words_of(model, period, position)
         self._transform = Transform.of(model)
-        self._memory = memory_of(period, lag_of(model))
         at_rest = self._transform.forward(position[None, :])[0]
-        self._trail = np.repeat(at_rest, self._memory - 1, axis=0)
+        self._contour = ContourErrors(period, lag_of(model), at_rest[0])
 
     def contour_errors(self, positions: FloatArray, velocities: FloatArray) -> FloatArray:
         """
@@ -46,11 +43,9 @@ class Uncompensated:
         Returns
         -------
         ndarray, shape (K,)
-            Distances from the path of the latest commanded tips [m].
+            Distances from the path of the commanded tips, those of a few periods before [m].
 
         """
         x, _ = follow_all(self._words, positions, velocities)
-        trail = np.concatenate([self._trail, self._transform.forward(positions)[0]])
-        self._trail = trail[1 - self._memory :]
-        errors: FloatArray = path_errors(trail, self._transform.forward(x)[0], self._memory)
-        return errors
+        commanded, tips = (self._transform.forward(at)[0] for at in (positions, x))
+        return self._contour.push(commanded, tips)

@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine.axis_motion import ContourErrors
 from cnc_interp.machine.simulated import simulate
 from cnc_interp.machine.uncompensated import Uncompensated
 
@@ -23,3 +25,14 @@ def test_the_error_told_in_pieces_is_that_of_the_whole_motion():
     ]
     assert np.array_equal(np.concatenate(pieces), whole)
     assert whole.max() > 4e-5
+    # The planner and the report predict the same error.
+    planned = ToolMotion(TIRED, T, start).push(positions, velocities)
+    assert np.abs(planned.tip - whole).max() < 1e-12
+
+
+def test_a_tip_ahead_of_its_setpoint_on_the_path_has_no_error():
+    way = 1e-4 * np.arange(100.0)
+    commanded = np.stack([way, 0.0 * way, 0.0 * way], axis=1)
+    ahead = commanded + [4e-4, 1e-6, 0.0]
+    errors = ContourErrors(T, 5e-3, commanded[0]).push(commanded, ahead)
+    assert np.abs(errors[10:] - 1e-6).max() < 1e-12

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(
 
 IMPELLER = Path(__file__).parents[3] / 'shared/programs/linuxcnc-impeller-xyzac'
 #: Lines of a program that runs to its end, and of one that outlasts every test.
-SHORT, LONG = 4, 200
+SHORT, LONG = 4, 80
 TABS = 10
 
 

@@ -30,7 +30,9 @@ th[data-sort] { cursor: pointer; position: sticky; top: 0; background: white; }
 td:nth-child(-n+3), th:nth-child(-n+3) { text-align: left; }
 tr.red td:nth-child(3) { color: #c0392b; font-weight: 600; }
 td small, td details { display: block; font-weight: 400; font-size: 12px; color: #5c6b78;
-  max-width: 760px; }
+  max-width: 640px; white-space: pre-line; }
+td:first-child { min-width: 230px; max-width: 270px; overflow-wrap: anywhere; }
+th, td { padding-right: 10px; }
 #find { font: inherit; padding: 4px 8px; margin: 2px 0 8px; width: 280px;
   border: 1px solid #c3cad1; border-radius: 4px; }
 """
@@ -159,7 +161,8 @@ def _cell(row: dict[str, Any], column: str, form: str, wide: int) -> str:
         return f'<td data-value="{value}">{value:{form}}</td>'
     more, span = '', ''
     if column == 'verdict':
-        more = f'<small>{escape(row["message"])}</small>' if row['message'] else ''
+        told = escape(row['message'].replace(f'{row["program"]}:', 'line '))
+        more = f'<small>{told}</small>' if told else ''
         span = f' colspan="{wide}"' if row['cycle_time_s'] is None else ''
     elif column == 'program' and row['notices']:
         more = f'<details><summary>notices</summary>{escape(row["notices"])}</details>'

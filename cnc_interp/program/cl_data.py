@@ -34,7 +34,7 @@ _UNIT_VECTOR = 5e-3  # published points carry four decimals
 
 _NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:E[-+]?\d+)?'
 _NEXT = rf'(?:\s*,\s*|\s+)({_NUMBER})'
-_GOTO = re.compile(rf'GOTO\s*/?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
+_GOTO = re.compile(rf'GOTO(?:\s*/)?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
 _NUMBERS = re.compile(rf'{_NUMBER}(?:\s*,\s*{_NUMBER})*')
 _STATEMENT = re.compile(r'([A-Z][A-Z0-9_]*)\s*(?:/\s*(.*)|(.*))')
 

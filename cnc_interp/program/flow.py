@@ -16,13 +16,14 @@ from cnc_interp.program.expressions import ExpressionError, evaluate, parse
 from cnc_interp.program.source import Place
 from cnc_interp.program.words import BlockWords
 
+# One line may have 65,536 characters. So no two neighbours of a pattern match the same spaces.
 _O_WORD = re.compile(
     r'O\s*(\d+|<[^<>]+>)\s*'
     r'(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|'
     r'CONTINUE)(?![A-Z_])\s*(.*)'
 )
-_IF = re.compile(r'IF\s*(.*?)\s*(?<![A-Z_])(GOTO[FB]?|THEN)(?![A-Z_])\s*(.*)')
-_WHILE = re.compile(r'WHILE\s*(.*?)\s*(?<![A-Z_])DO\s*(\d+)')
+_IF = re.compile(r'IF(.*?)(?<![A-Z_])(GOTO[FB]?|THEN)(?![A-Z_])\s*(.*)')
+_WHILE = re.compile(r'WHILE(.*?)(?<![A-Z_])DO\s*(\d+)')
 _END = re.compile(r'END\s*(\d+)')
 _GOTO = re.compile(r'GOTO([FB]?)(?![A-Z_])\s*(.*)')
 _LABEL = re.compile(r'([A-Z_][A-Z_]\w*)\s*:(?!=)\s*')

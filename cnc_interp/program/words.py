@@ -36,7 +36,7 @@ _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
 #: Functions that tell how an axis word is meant: absolute, incremental, or direction of turn.
 WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
 # X1E-3 could be a small number, or X1 with a word of an extruder, which stands alone.
-_EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z]\s*=?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
+_EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z](?:\s*=)?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
 # A name of several letters before a parenthesis, but not a word with a number as in M6(TOOL 3).
 _GROUP_BEFORE = re.compile(r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])[A-Z_][A-Z_]\w*)$')
 

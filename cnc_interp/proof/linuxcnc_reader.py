@@ -48,9 +48,10 @@ _NUMBER = re.compile(r'-?\d+\.?\d*')
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
 
 
-#: A program with cutter radius compensation, anywhere outside of a comment.
-_COMPENSATED = re.compile(r'(?mi)^[^;(]*G0*4[12]\b')
-_BY_NORMALS = re.compile(r'(?mi)^[^;(]*(?:G0*4[12]\.2\b|CUT3DF)')
+#: Cutter radius compensation in a text without comments. A match begins at its letter: a pattern
+#: that begins at a line start would look at the whole rest of the text from each line.
+_COMPENSATED = re.compile(r'(?<![A-Z<_])G[ \t]*0*4[12](?!\d)', re.IGNORECASE)
+_BY_NORMALS = re.compile(r'(?<![A-Z<_])(?:G[ \t]*0*4[12]\.2(?!\d)|CUT3DF)', re.IGNORECASE)
 
 
 class LinuxCNCError(InterpError):
@@ -103,12 +104,12 @@ def read_by_linuxcnc(
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
     if len(axis_names) > 5:
         raise LinuxCNCError("LinuxCNC's rs274 prints no extra axes")
+    setup = setup or Setup()
+    text = _prepared(text, skip, setup.tool)
     if _BY_NORMALS.search(text):
         raise LinuxCNCError('LinuxCNC has no compensation along normals')
     if _COMPENSATED.search(text):
         raise LinuxCNCError('LinuxCNC begins a compensated contour at another place')
-    setup = setup or Setup()
-    text = _prepared(text, skip, setup.tool)
     most = BESIDE + EACH * (rows + text.count('\n'))
     seconds = SECONDS + SECONDS_PER_MB * (len(text) >> 20)
 

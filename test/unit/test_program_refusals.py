@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from processor_time import bounded_processor_time
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError, SettingsError
@@ -168,14 +169,28 @@ def test_options_must_be_greater_than_zero(bad):
 
 
 def test_a_line_of_a_million_characters_fails_at_once():
-    for text in (
-        'X' + '1' * 1000000 + 'Q',
-        'X' + ' ' * 1000000 + 'Q',
-        '(' * 1000000,
-        'Y' * 1000000,
-        '1' * 1000000,
-    ):
+    for text in ('X' + '1' * 1000000 + 'Q', '(' * 1000000, 'Y' * 1000000, '1' * 1000000):
         assert len(str(refused(text))) < 200
+
+
+@pytest.mark.parametrize(
+    ('name', 'head', 'body'),
+    [
+        *(('part.ngc', head, ' ') for head in ('X', 'G1 X1', 'IF', 'WHILE', 'O1', 'A3=', 'GOTO')),
+        *(('part.ngc', head, '1') for head in ('X', 'G', '#', 'WHILE')),
+        *(('part.ngc', head, 'IF ') for head in ('', 'IF', 'WHILE')),
+        *(('part.ngc', '', body) for body in ('(', 'X ', '"', 'A=', 'DO ', '[#', '-1', 'É')),
+        *(('part.apt', 'GOTO', body) for body in (' ', '1', ' 1', ', ', '/')),
+        *(('part.apt', 'FEDRAT/', body) for body in (' ', '/', '1,')),
+    ],
+)  # fmt: skip
+def test_the_longest_lines_take_time_in_proportion_to_their_length(name, head, body):
+    """Processor time is bounded: a quadratic pattern takes more than 10 s, a linear one 0.1 s."""
+    start = 'GOTO/0,0,0\n' if name == 'part.apt' else 'G0 X0\n'
+    text = start + (head + body * 65_000)[:65_000] + '!\n'
+
+    with bounded_processor_time(5.0), pytest.raises(ProgramError):
+        read_text(text, name, TableAC(), Settings(most_jumps=100))
 
 
 def test_the_documentation_names_every_word_that_is_refused_by_name():

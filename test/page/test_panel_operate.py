@@ -235,6 +235,30 @@ def test_the_tool_goes_to_a_pose(panel):
     assert tab.faults == []
 
 
+def test_a_key_acts_on_what_is_shown_where_the_typing_was_lost_on_its_way(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    before = panel.next_state()
+    tab.type_key('p')
+    tab.wait(lambda: tab.run('!!document.querySelector(".pose").offsetParent'))
+    tab.click('here')
+    field = 'document.querySelector(`[data-mark="pose K"]`)'
+    tab.wait(lambda: tab.run(f'({field}.querySelector("input") ?? {field}).value') != '')
+    tab.run('void (window.socket.emit = () => {})')
+    tab.fill('pose Z', f'{1e3 * before.tip[2] - 3:.3f}')
+    tab.fill('mdi', 'G1 G91 X1 F600')
+    tab.run('void delete window.socket.emit')
+    goal = before.tip[2] - 3e-3
+    panel.press_key(tab, 'go there', lambda: abs(panel.peers.state.tip[2] - goal) < 1e-5)
+    panel.until(MachineState.IDLE)
+    tab.wait(lambda: tab.text('state') == 'idle')
+    x = panel.next_state().tip[0] + 1e-3
+    tab.type_key('Enter', 13)
+    tab.wait(lambda: 'done' in tab.text('mdi answer'))
+    panel.spin_until(lambda: abs(panel.peers.state.tip[0] - x) < 1e-5)
+    assert tab.faults == []
+
+
 def test_the_request_of_a_pose_keeps_what_is_not_named():
     request = pose_request({'X': '', 'Z': '12,5', 'I': '', 'K': ''}, 0.2)
     assert np.array_equal(request.tip, [np.nan, np.nan, 0.0125], equal_nan=True)

@@ -10,6 +10,7 @@ from nicegui import ui
 from cnc_interp.client.mdi import LineHistory, modes_text
 from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.page.readings import NOTHING
+from cnc_interp.client.page.shown import act_on_shown
 
 
 class MdiField:
@@ -39,7 +40,7 @@ class MdiField:
             self._modes = ui.label(NOTHING).classes('small').props('data-mark="modes"')
             self.field = ui.input(placeholder='MDI: a line of G-code, Enter')
             self.field.props('dense outlined autocomplete=off spellcheck=false data-mark="mdi"')
-            self.field.on('keydown.enter', self._enter)
+            act_on_shown(self.field, 'keydown.enter', (self.field,), self._enter)
             self.field.on('keydown.up', lambda: self._recall(1))
             self.field.on('keydown.down', lambda: self._recall(-1))
             self._told = ui.label().classes('small').props('data-mark="mdi answer"')

@@ -11,6 +11,7 @@ from cnc_interp_msgs.srv import MoveAxes
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer, OperatorClient
+from cnc_interp.client.page.shown import act_on_shown
 from cnc_interp.core.units import MM
 
 TIP, AXIS = 'XYZ', 'IJK'
@@ -74,13 +75,14 @@ class PoseField:
                 field = ui.input()
                 field.props(f'dense outlined inputmode=decimal autocomplete=off prefix={name}')
                 self._fields[name] = field.props(f'data-mark="pose {name}"')
-            self._key('here', self._take_here)
-            self._key('go there', self._go).classes('moves')
+            self._key('here').on('click', self._take_here)
+            go = self._key('go there').classes('moves')
+            act_on_shown(go, 'click', self._fields.values(), self._go)
         self._box.set_visibility(False)
 
     @staticmethod
-    def _key(text: str, act: Callable[[], Any]) -> Any:
-        key = ui.button(text, on_click=act, color='blue-grey-8')
+    def _key(text: str) -> Any:
+        key = ui.button(text, color='blue-grey-8')
         return key.props(f'dense unelevated no-caps data-mark="{text}"')
 
     def toggle(self) -> None:

@@ -13,6 +13,7 @@ from cnc_interp.client.page.keyboard import MARKS
 #: The scripts in the order in which they are loaded, and the values in capitals in them.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
+    'shown': {},
     'listing': {},
     'keyboard': {'MARKS': MARKS},
     'jog_pad': {'ARROWS': ARROWS},

@@ -7,6 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
+from cnc_interp.client.page.shown import act_on_shown
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.declaration import Choice
@@ -45,14 +46,14 @@ class SettingsDialog:
                 texts = filled_in(settings)
                 self._fields = {c.name: self._field(c, texts[c.name]) for c in offered()}
             with ui.element('div').classes('ends'):
-                for text, act in (
-                    ('defaults', lambda: self.open(Settings())),
-                    ('cancel', self._dialog.close),
-                    ('use', self._accept),
-                ):
-                    button = ui.button(text, on_click=act)
-                    button.props(f'dense no-caps unelevated data-mark="{text} settings"')
+                self._key('defaults').on('click', lambda: self.open(Settings()))
+                self._key('cancel').on('click', self._dialog.close)
+                act_on_shown(self._key('use'), 'click', self._fields.values(), self._accept)
         self._dialog.open()
+
+    @staticmethod
+    def _key(text: str) -> Any:
+        return ui.button(text).props(f'dense no-caps unelevated data-mark="{text} settings"')
 
     @staticmethod
     def _field(choice: Choice, text: str) -> Any:

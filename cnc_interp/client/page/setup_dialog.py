@@ -11,6 +11,7 @@ from typing import Any
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
+from cnc_interp.client.page.shown import act_on_shown
 from cnc_interp.client.setup_client import SetupClient, shown, unit_of
 from cnc_interp.core.units import MM
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
@@ -60,7 +61,8 @@ class SetupDialog:
                 for letter in axes:
                     self._field(f'here {letter}', '')
                 ui.label('')
-                self._key('touch off', partial(self._touch_off, axes), 'touch off')
+                here = [f'here {letter}' for letter in axes]
+                self._setting_key('touch off', 'touch off', here, partial(self._touch_off, axes))
             ui.label('tools [mm]').classes('title')
             with ui.element('div').classes('rows tools'):
                 for text in ('number', 'length', 'radius', 'corner', 'remark', '', '', ''):
@@ -74,8 +76,8 @@ class SetupDialog:
                 told = ui.label(f'last change by {table.changed_by}: {table.change}')
                 told.classes('small').props('data-mark="setup change"')
             with ui.element('div').classes('ends'):
-                self._key('no tool in the spindle', partial(self._load, 0), 'load tool 0')
-                self._key('close', self._dialog.close, 'close setup')
+                self._key('no tool in the spindle', 'load tool 0', partial(self._load, 0))
+                self._key('close', 'close setup', self._dialog.close)
         self._dialog.open()
 
     # Building -----------------------------------------------------------------------------------
@@ -89,9 +91,15 @@ class SetupDialog:
         if value is not None:
             self._known[mark] = text, value
 
-    def _key(self, text: str, act: Callable[[], Any], mark: str) -> None:
+    def _key(self, text: str, mark: str, act: Callable[[], Any] | None = None) -> Any:
         key = ui.button(text, on_click=act, color='blue-grey-8')
-        key.props(f'dense no-caps unelevated data-mark="{mark}"')
+        return key.props(f'dense no-caps unelevated data-mark="{mark}"')
+
+    def _setting_key(
+        self, text: str, mark: str, marks: list[str], act: Callable[[], Awaitable[None]]
+    ) -> None:
+        """Make a key that takes the texts of some fields."""
+        act_on_shown(self._key(text, mark), 'click', [self._fields[m] for m in marks], act)
 
     def _offset_row(self, name: str, axes: list[str]) -> None:
         """Make the row of one offset; what is not set is empty."""
@@ -106,14 +114,16 @@ class SetupDialog:
             self._field(f'{name} {letter}', text, value)
         if not turned:
             ui.label('')
-        self._key('set', partial(self._set_offset, name, [*axes, *turned]), f'set {name}')
+        letters = [*axes, *turned]
+        marks, act = [f'{name} {k}' for k in letters], partial(self._set_offset, name, letters)
+        self._setting_key('set', f'set {name}', marks, act)
         clear = partial(self._ask, 'set_offset', offset=name, clear=True)
-        self._key('clear', clear, f'clear {name}')
+        self._key('clear', f'clear {name}', clear)
         if name == 'G92':
             ui.label('')
         else:
             use = partial(self._ask, 'set_offset', offset=name, activate=True)
-            self._key('use', use, f'use {name}')
+            self._key('use', f'use {name}', use)
 
     def _tool_row(self, number: int | None) -> None:
         """Make the row of one tool, or the one for a new tool."""
@@ -128,12 +138,13 @@ class SetupDialog:
             value = None if tool is None else getattr(tool, name)
             self._field(f'{mark} {name}', '' if value is None else f'{value / MM:.3f}', value)
         self._field(f'{mark} remark', '' if tool is None else tool.remark)
-        self._key('set', partial(self._set_tool, mark, number), f'set {mark}')
+        marks = [f'{mark} {name}' for name in (*LENGTHS, 'remark', *['number'] * (number is None))]
+        self._setting_key('set', f'set {mark}', marks, partial(self._set_tool, mark, number))
         if number is None:
             return
         remove = partial(self._ask, 'set_tool', number=number, remove=True)
-        self._key('remove', remove, f'remove {mark}')
-        self._key('in the spindle', partial(self._load, number), f'load {mark}')
+        self._key('remove', f'remove {mark}', remove)
+        self._key('in the spindle', f'load {mark}', partial(self._load, number))
 
     # Commands -----------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import Any
 from nicegui import events, ui
 
 from cnc_interp.client.operator_client import Answer
+from cnc_interp.client.page.shown import act_on_shown
 
 
 class StartField:
@@ -33,10 +34,9 @@ class StartField:
             self._line = self._field('line', 'start line')
             self._pass = self._field('pass', 'start pass')
             self._pass.tooltip('which execution of the line, where loops or calls repeat it')
-            self.keys = (
-                self._key('start here', self._take),
-                self._key('from the top', lambda: self._give(0, 0)),
-            )
+            here, top = self.keys = self._key('start here'), self._key('from the top')
+            act_on_shown(here, 'click', (self._line, self._pass), self._take)
+            top.on('click', lambda: self._give(0, 0))
         ui.on('pick_line', self._pick)
 
     @staticmethod
@@ -45,8 +45,8 @@ class StartField:
         return field.props(f'dense outlined inputmode=numeric autocomplete=off data-mark="{mark}"')
 
     @staticmethod
-    def _key(text: str, act: Callable[[], Awaitable[None]]) -> Any:
-        key = ui.button(text, on_click=act)
+    def _key(text: str) -> Any:
+        key = ui.button(text)
         return key.props(f'dense no-caps unelevated color=blue-grey-8 data-mark="{text}"')
 
     def clear(self) -> None:

@@ -1,0 +1,44 @@
+"""
+Keys that act on what their page shows.
+
+The server has a copy of the text in each field. What is sent into a connection that breaks is gone,
+and then the copy is old. So a key that reads fields sends the texts in them when it is pressed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from typing import Any
+
+from nicegui import events, ui
+
+
+def act_on_shown(
+    element: Any, kind: str, fields: Iterable[Any], act: Callable[[], Awaitable[None]]
+) -> None:
+    """
+    Have an element act on an event, after its fields have got the texts that the page shows.
+
+    Parameters
+    ----------
+    element : ui.element
+        The key, or the field itself.
+    kind : str
+        The event: ``click``, ``keydown.enter``.
+    fields : iterable of ui.element
+        The fields that ``act`` reads, each with a mark. Only text fields differ from their copies:
+        switches and lists show what the server has.
+    act : callable
+        What is done.
+
+    """
+    copies = {field.props['data-mark']: field for field in fields if isinstance(field, ui.input)}
+
+    async def acted(event: events.GenericEventArguments) -> None:
+        shown = event.args if isinstance(event.args, dict) else {}
+        for mark, field in copies.items():
+            if isinstance(text := shown.get(mark), str):
+                field.set_value(text)
+        await act()
+
+    element.on(kind, acted, js_handler='() => emit(shown())')

@@ -27,13 +27,13 @@ pytestmark = pytest.mark.skipif(
 
 IMPELLER = Path(__file__).parents[3] / 'shared/programs/linuxcnc-impeller-xyzac'
 #: Lines of a program that runs to its end, and of one that outlasts every test.
-SHORT, LONG = 4, 80
+SHORT, LONG = 4, 24
 TABS = 10
 
 
-def zigzag(name, lines, after_first=''):
-    """A program of lines to and fro, each of 1.5 s."""
-    moves = [f'G1 X{30 * (k % 2)} Y{5 * (k % 8)} F2000\n' for k in range(1, lines + 1)]
+def zigzag(name, lines, after_first='', feed=2000):
+    """A program of lines of 30 mm to and fro."""
+    moves = [f'G1 X{30 * (k % 2)} Y{5 * (k % 8)} F{feed}\n' for k in range(1, lines + 1)]
     moves.insert(1, after_first)
     return f'({name} <of lines>)\nG21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n{"".join(moves)}M30\n'
 
@@ -91,7 +91,8 @@ def short_program(tmp_path):
 @pytest.fixture
 def long_program(tmp_path):
     path = tmp_path / 'long.ngc'
-    path.write_text(zigzag('LONG', LONG))
+    text = zigzag('LONG', LONG, feed=500)
+    path.write_text(text.replace('M30', '(more lines than the page shows)\n' * 60 + 'M30'))
     return path
 
 

@@ -1,8 +1,8 @@
 """
 Keys that act on what their page shows.
 
-The server has a copy of the text in each field. What is sent into a connection that breaks is gone,
-and then the copy is old. So a key that reads fields sends the texts in them when it is pressed.
+The server has a copy of the text in each field. What is sent into a connection that breaks is
+gone, and then the copy is old. So a key that reads fields sends the texts in them when pressed.
 """
 
 from __future__ import annotations

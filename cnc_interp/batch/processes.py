@@ -32,8 +32,8 @@ TILES_PRELOADED = ('cnc_interp.cam.preloaded',)
 PROCESS_NAME = 'cnc_batch'
 #: Time between looks whether all shall end [s].
 LOOK = 0.2
-#: A process that is killed so often is not begun again.
-MOST_KILLS = 20
+#: A call whose process is killed so often is not begun again: something always kills it.
+MOST_KILLS = 200
 #: Signals by which others end a process; by any other signal it ends itself.
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 
@@ -100,7 +100,7 @@ class Processes:
     memory : float
         Most memory that a process may ask for [bytes].
     longest : float
-        Longest time of a call [s].
+        Longest time of a call, all its processes together [s].
     stopped : callable, optional
         Asked again and again whether all shall end.
     preloaded : sequence of str
@@ -144,14 +144,14 @@ class Processes:
             If ``stopped`` says so.
 
         """
-        waiting: deque[tuple[int, Callable[[], A], int]] = deque()
+        waiting: deque[tuple[int, Callable[[], A], int, float]] = deque()
         coming = enumerate(arguments)
         running: dict[Connection, _Running[A]] = {}
         try:
             while True:
                 while len(running) < self._workers:
                     if not waiting and (more := next(coming, None)) is not None:
-                        waiting.append((*more, 0))
+                        waiting.append((*more, 0, self._longest))
                     if not waiting:
                         break
                     self._start(function, *waiting.popleft(), running)
@@ -162,8 +162,9 @@ class Processes:
                 for connection in self._heard(running):
                     call = running.pop(connection)
                     ended: Ended[R] = _end_of(connection, call)
-                    if ended.result is Loss.KILLED and call.kills < MOST_KILLS:
-                        waiting.append((call.number, call.make, call.kills + 1))
+                    left = call.deadline - time.monotonic()
+                    if ended.result is Loss.KILLED and call.kills < MOST_KILLS and left > 0:
+                        waiting.append((call.number, call.make, call.kills + 1, left))
                     else:
                         yield ended
         finally:
@@ -175,17 +176,16 @@ class Processes:
 
     def _start(
         self, function: Callable[[A], R], number: int, make: Callable[[], A], kills: int,
-        running: dict[Connection, _Running[A]],
+        left: float, running: dict[Connection, _Running[A]],
     ) -> None:  # fmt: skip
-        """Start the process of a call."""
+        """Start the process of a call that has some time left [s]."""
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(
             target=_live, args=(function, make(), theirs, self._memory), daemon=True
         )
         process.start()
         theirs.close()
-        deadline = time.monotonic() + self._longest
-        running[ours] = _Running(number, make, process, deadline, kills)
+        running[ours] = _Running(number, make, process, time.monotonic() + left, kills)
 
     @staticmethod
     def _heard(running: dict[Connection, _Running[A]]) -> list[Connection]:
@@ -210,7 +210,7 @@ def _end_of(connection: Connection, call: _Running[A]) -> Ended[R]:
     if sent:
         return Ended(call.number, sent[0], call.kills)
     if late:
-        return Ended(call.number, Loss.TOO_LONG, call.kills)
+        return Ended(call.number, Loss.KILLED if call.kills else Loss.TOO_LONG, call.kills)
     code = call.process.exitcode or 0
     if -code in FROM_OUTSIDE:
         return Ended(call.number, Loss.KILLED, call.kills)

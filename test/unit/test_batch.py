@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cnc_interp.batch import processes
 from cnc_interp.batch.jobs import Jobs, programs_of
 from cnc_interp.batch.processes import PROCESS_NAME, Loss, Processes
 from cnc_interp.batch.run import run_batch
@@ -223,6 +224,28 @@ def test_what_a_worker_dies_of_is_told():
     assert (ended[2].result, ended[2].why) == (Loss.CRASHED, 'exit code 3')
     assert ended[3].result is Loss.TOO_LONG
     assert ended[4].result is Loss.KILLED and ended[4].kills > 3
+
+
+def stubborn(path):
+    """A function of a worker that is killed 30 times, and once is not."""
+    with Path(path).open('a+') as file:
+        file.write('x')
+        times = file.tell()
+    if times <= 30:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return times
+
+
+def test_a_killed_call_is_begun_again_as_long_as_it_has_time(tmp_path, monkeypatch):
+    (ended,) = Processes(1, 4 * GIGA, 60.0).run(stubborn, [partial(str, tmp_path / 'calls')])
+    assert (ended.result, ended.kills) == (31, 30)
+    # Attempts are counted, and their time is.
+    monkeypatch.setattr(processes, 'MOST_KILLS', 5)
+    (ended,) = Processes(1, 4 * GIGA, 60.0).run(half, [partial(int, 4)])
+    assert (ended.result, ended.kills) == (Loss.KILLED, 5)
+    monkeypatch.undo()
+    (ended,) = Processes(1, 4 * GIGA, 0.3).run(half, [partial(int, 4)])
+    assert ended.result is Loss.KILLED and ended.kills < 100
 
 
 def test_faults_of_a_program_are_its_row(monkeypatch, programs):

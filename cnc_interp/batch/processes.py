@@ -15,7 +15,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
@@ -73,15 +73,30 @@ class Ended(Generic[R]):
     why: str = ''
 
 
-@dataclass
-class _Running(Generic[A]):
-    """A process and its call."""
+@dataclass(frozen=True)
+class _Call(Generic[A]):
+    """A call that waits: its argument is made when it begins, and some time is left for it [s]."""
 
     number: int
     make: Callable[[], A]
+    left: float
+    kills: int = 0
+
+
+@dataclass(frozen=True)
+class _Running(Generic[A]):
+    """A call, its process, and the time at which it has no time left [s]."""
+
+    call: _Call[A]
     process: ForkServerProcess
     deadline: float
-    kills: int
+
+    def again(self) -> _Call[A] | None:
+        """Return the call to begin again after a kill; None if it may not be."""
+        left = self.deadline - time.monotonic()
+        if left <= 0 or self.call.kills >= MOST_KILLS:
+            return None
+        return replace(self.call, left=left, kills=self.call.kills + 1)
 
 
 def total_memory() -> float:
@@ -144,74 +159,73 @@ class Processes:
             If ``stopped`` says so.
 
         """
-        waiting: deque[tuple[int, Callable[[], A], int, float]] = deque()
-        coming = enumerate(arguments)
+        killed: deque[_Call[A]] = deque()
+        coming = (_Call(n, make, self._longest) for n, make in enumerate(arguments))
         running: dict[Connection, _Running[A]] = {}
         try:
             while True:
                 while len(running) < self._workers:
-                    if not waiting and (more := next(coming, None)) is not None:
-                        waiting.append((*more, 0, self._longest))
-                    if not waiting:
+                    call = killed.popleft() if killed else next(coming, None)
+                    if call is None:
                         break
-                    self._start(function, *waiting.popleft(), running)
+                    self._start(function, call, running)
                 if not running:
                     return
                 if self._stopped():
                     raise InterpError('stopped; what is done is kept')
                 for connection in self._heard(running):
-                    call = running.pop(connection)
-                    ended: Ended[R] = _end_of(connection, call)
-                    left = call.deadline - time.monotonic()
-                    if ended.result is Loss.KILLED and call.kills < MOST_KILLS and left > 0:
-                        waiting.append((call.number, call.make, call.kills + 1, left))
+                    one = running.pop(connection)
+                    ended: Ended[R] = _end_of(connection, one)
+                    again = one.again() if ended.result is Loss.KILLED else None
+                    if again is not None:
+                        killed.append(again)
                     else:
                         yield ended
         finally:
-            for call in running.values():
-                call.process.kill()
-            for connection, call in running.items():
-                call.process.join()
+            for one in running.values():
+                one.process.kill()
+            for connection, one in running.items():
+                one.process.join()
                 connection.close()
 
     def _start(
-        self, function: Callable[[A], R], number: int, make: Callable[[], A], kills: int,
-        left: float, running: dict[Connection, _Running[A]],
-    ) -> None:  # fmt: skip
-        """Start the process of a call that has some time left [s]."""
+        self, function: Callable[[A], R], call: _Call[A], running: dict[Connection, _Running[A]]
+    ) -> None:
+        """Start the process of a call."""
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(
-            target=_live, args=(function, make(), theirs, self._memory), daemon=True
+            target=_live, args=(function, call.make(), theirs, self._memory), daemon=True
         )
         process.start()
         theirs.close()
-        running[ours] = _Running(number, make, process, time.monotonic() + left, kills)
+        running[ours] = _Running(call, process, time.monotonic() + call.left)
 
     @staticmethod
     def _heard(running: dict[Connection, _Running[A]]) -> list[Connection]:
         """Wait; return the connections of processes that have ended, or work for too long."""
-        deadline = min(call.deadline for call in running.values())
+        deadline = min(one.deadline for one in running.values())
         heard = wait(list(running), min(max(0.0, deadline - time.monotonic()), LOOK))
         now = time.monotonic()
-        late = [c for c, call in running.items() if now > call.deadline and c not in heard]
+        late = [c for c, one in running.items() if now > one.deadline and c not in heard]
         return [*heard, *late]  # type: ignore[list-item]
 
 
-def _end_of(connection: Connection, call: _Running[A]) -> Ended[R]:
+def _end_of(connection: Connection, running: _Running[A]) -> Ended[R]:
     """Return what a call has become; its process has said something, died, or has no time left."""
+    call, process = running.call, running.process
     late, sent = not connection.poll(), []
     if late:
-        call.process.kill()
+        process.kill()
     else:
         with contextlib.suppress(EOFError, OSError):  # it died before it said all
             sent.append(connection.recv())
-    call.process.join()
+    process.join()
     connection.close()
     if sent:
         return Ended(call.number, sent[0], call.kills)
     if late:
         return Ended(call.number, Loss.KILLED if call.kills else Loss.TOO_LONG, call.kills)
-    code = call.process.exitcode or 0
+    code = process.exitcode or 0
     if -code in FROM_OUTSIDE:
         return Ended(call.number, Loss.KILLED, call.kills)
     why = signal.Signals(-code).name if code < 0 else f'exit code {code}'

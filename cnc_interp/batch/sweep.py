@@ -246,7 +246,7 @@ class Sweep:
         bounds = [(float(one.values[0]), float(one.values[-1])) for one in ranges]
         self.run([()])
 
-        def times(function: object, members: Iterable[Any]) -> list[float]:
+        def times(members: Iterable[Any]) -> list[float]:
             points = [
                 tuple(
                     (name, f'{value:.{DIGITS}g}')
@@ -259,7 +259,8 @@ class Sweep:
 
         generations = max(1, most // (GENERATION * len(ranges)))
         differential_evolution(
-            _not_called, bounds, popsize=GENERATION, maxiter=generations - 1, workers=times,
+            lambda member: times([member])[0], bounds, popsize=GENERATION,
+            maxiter=generations - 1, workers=lambda _, members: times(members),
             updating='deferred', polish=False, rng=1, tol=0.0,
         )  # fmt: skip
 
@@ -301,11 +302,6 @@ class Sweep:
             return Found(**read_json(self._file(point)))
         except (OSError, UnreadableError, TypeError):
             return None
-
-
-def _not_called(_: Any) -> float:
-    """Stand for the function that ``Sweep.search`` evaluates by itself."""
-    raise NotImplementedError
 
 
 def _found(ended: Ended[Found]) -> Found:

@@ -215,8 +215,8 @@ def test_block_delete_leaves_lines_with_a_slash_out(panel, part):
     assert tab.faults == []
 
 
-def test_the_tool_goes_to_a_pose(panel):
-    tab = panel.open_in_charge()
+def show_pose(panel, tab):
+    """Show the fields of a pose, filled with where the tool is; returns the machine's state."""
     tab.wait(lambda: tab.text('state') == 'idle')
     before = panel.next_state()
     tab.type_key('p')
@@ -224,6 +224,12 @@ def test_the_tool_goes_to_a_pose(panel):
     tab.click('here')
     field = 'document.querySelector(`[data-mark="pose K"]`)'
     tab.wait(lambda: tab.run(f'({field}.querySelector("input") ?? {field}).value') != '')
+    return before
+
+
+def test_the_tool_goes_to_a_pose(panel):
+    tab = panel.open_in_charge()
+    before = show_pose(panel, tab)
     tab.fill('pose Z', f'{1e3 * before.tip[2] + 4:.3f}')
     way = 'document.querySelector(`[data-mark="go there"]`)'
     assert tab.run(f'{way}.matches(".moves")')  # neither space nor Enter presses it
@@ -237,13 +243,7 @@ def test_the_tool_goes_to_a_pose(panel):
 
 def test_a_key_acts_on_what_is_shown_where_the_typing_was_lost_on_its_way(panel):
     tab = panel.open_in_charge()
-    tab.wait(lambda: tab.text('state') == 'idle')
-    before = panel.next_state()
-    tab.type_key('p')
-    tab.wait(lambda: tab.run('!!document.querySelector(".pose").offsetParent'))
-    tab.click('here')
-    field = 'document.querySelector(`[data-mark="pose K"]`)'
-    tab.wait(lambda: tab.run(f'({field}.querySelector("input") ?? {field}).value') != '')
+    before = show_pose(panel, tab)
     tab.run('void (window.socket.emit = () => {})')
     tab.fill('pose Z', f'{1e3 * before.tip[2] - 3:.3f}')
     tab.fill('mdi', 'G1 G91 X1 F600')

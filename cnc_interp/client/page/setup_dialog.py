@@ -61,8 +61,7 @@ class SetupDialog:
                 for letter in axes:
                     self._field(f'here {letter}', '')
                 ui.label('')
-                here = [f'here {letter}' for letter in axes]
-                self._setting_key('touch off', 'touch off', here, partial(self._touch_off, axes))
+                self._reading_key('touch off', 'touch off', partial(self._touch_off, axes))
             ui.label('tools [mm]').classes('title')
             with ui.element('div').classes('rows tools'):
                 for text in ('number', 'length', 'radius', 'corner', 'remark', '', '', ''):
@@ -95,11 +94,9 @@ class SetupDialog:
         key = ui.button(text, on_click=act, color='blue-grey-8')
         return key.props(f'dense no-caps unelevated data-mark="{mark}"')
 
-    def _setting_key(
-        self, text: str, mark: str, marks: list[str], act: Callable[[], Awaitable[None]]
-    ) -> None:
-        """Make a key that takes the texts of some fields."""
-        act_on_shown(self._key(text, mark), 'click', [self._fields[m] for m in marks], act)
+    def _reading_key(self, text: str, mark: str, act: Callable[[], Awaitable[None]]) -> None:
+        """Make a key that reads fields of the dialog."""
+        act_on_shown(self._key(text, mark), 'click', self._fields.values(), act)
 
     def _offset_row(self, name: str, axes: list[str]) -> None:
         """Make the row of one offset; what is not set is empty."""
@@ -114,9 +111,8 @@ class SetupDialog:
             self._field(f'{name} {letter}', text, value)
         if not turned:
             ui.label('')
-        letters = [*axes, *turned]
-        marks, act = [f'{name} {k}' for k in letters], partial(self._set_offset, name, letters)
-        self._setting_key('set', f'set {name}', marks, act)
+        act = partial(self._set_offset, name, [*axes, *turned])
+        self._reading_key('set', f'set {name}', act)
         clear = partial(self._ask, 'set_offset', offset=name, clear=True)
         self._key('clear', f'clear {name}', clear)
         if name == 'G92':
@@ -138,8 +134,7 @@ class SetupDialog:
             value = None if tool is None else getattr(tool, name)
             self._field(f'{mark} {name}', '' if value is None else f'{value / MM:.3f}', value)
         self._field(f'{mark} remark', '' if tool is None else tool.remark)
-        marks = [f'{mark} {name}' for name in (*LENGTHS, 'remark', *['number'] * (number is None))]
-        self._setting_key('set', f'set {mark}', marks, partial(self._set_tool, mark, number))
+        self._reading_key('set', f'set {mark}', partial(self._set_tool, mark, number))
         if number is None:
             return
         remove = partial(self._ask, 'set_tool', number=number, remove=True)

@@ -26,18 +26,18 @@ def act_on_shown(
     kind : str
         The event: ``click``, ``keydown.enter``.
     fields : iterable of ui.element
-        The fields that ``act`` reads, each with a mark. Only text fields differ from their copies:
-        switches and lists show what the server has.
+        Fields with marks, those that ``act`` reads among them; looked through at each event. Only
+        text fields differ from their copies: switches and lists show what the server has.
     act : callable
         What is done.
 
     """
-    copies = {field.props['data-mark']: field for field in fields if isinstance(field, ui.input)}
 
     async def acted(event: events.GenericEventArguments) -> None:
         shown = event.args if isinstance(event.args, dict) else {}
-        for mark, field in copies.items():
-            if isinstance(text := shown.get(mark), str):
+        for field in fields:
+            text = shown.get(field.props['data-mark'])
+            if isinstance(field, ui.input) and isinstance(text, str):
                 field.set_value(text)
         await act()
 

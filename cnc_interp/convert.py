@@ -16,7 +16,7 @@ from cnc_interp.convert_splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.kinematics.branch import start_positions
+from cnc_interp.kinematics.branch import on_pole, start_positions
 from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.transform import Transform
 from cnc_interp.program import Program
@@ -44,8 +44,6 @@ SAME_POINT = 1e-9
 SAME_AXIS = 1e-9
 #: Smallest deviation that is stated; smaller ones are rounding [m].
 ROUNDING = 1e-13
-#: At tool axes closer to the pole than this the outer rotary axis does not move [-].
-ON_POLE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -264,7 +262,7 @@ def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
         elif not np.array_equal(axis, blocks.axis[i - 1]):
             choices = []
             for pair in transform.rotary_solutions(axis):
-                if 1.0 - abs(float(axis @ transform.pole)) < ON_POLE:
+                if on_pole(transform, axis):
                     pair[transform.outer] = here[transform.outer]
                 choices.append(pair + 2.0 * np.pi * np.round((here - pair) / (2.0 * np.pi)))
             if not choices:

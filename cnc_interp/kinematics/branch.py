@@ -8,8 +8,13 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.kinematics.transform import Transform
 
-#: A tool axis whose cosine with the pole differs from 1 by less lies on the pole [-].
-ON_POLE = 1e-14
+#: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
+ON_POLE = 1e-9
+
+
+def on_pole(transform: Transform, axis: FloatArray) -> bool:
+    """Tell whether a tool axis, shape (3,), lies on the pole."""
+    return float(np.linalg.norm(np.cross(axis, transform.pole))) < ON_POLE
 
 
 def branch_at(transform: Transform, rotary: FloatArray) -> float:
@@ -76,10 +81,10 @@ def start_positions(
         return named, branch_at(transform, named)
     low, high = machine.travel[~machine.is_linear].T
     outer = transform.outer
-    on_pole = 1.0 - abs(axis @ transform.pole) < ON_POLE
+    free = on_pole(transform, axis)
     found = []
     for branch, pair in zip((1.0, -1.0), transform.rotary_solutions(axis), strict=False):
-        if on_pole:
+        if free:
             pair[outer] = near[outer]
         pair = pair + 2.0 * np.pi * np.round((near - pair) / (2.0 * np.pi))
         if (pair >= low).all() and (pair <= high).all():

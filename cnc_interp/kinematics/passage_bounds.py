@@ -38,8 +38,8 @@ from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSe
 TURN, BEND, SPEED, RISE = range(4)
 #: Parameters at which the distance from the pole is looked at first.
 LOOKS = 9
-#: A tool axis that turns less rests [-].
-NO_TURN = 1e-12
+#: A tool axis that turns less rests [-], and one that stays nearer to the pole stays on it [-].
+NO_TURN, STAYS = 1e-12, 2e-5
 #: Bisections for a place on a segment.
 HALVINGS = 50
 #: Path lengths that differ by less are equal [-], and the most parts of half a segment.
@@ -179,7 +179,8 @@ def near_pole(
         sine[0] = start[i] = pole_sine(packed, kind, shape, spans, 0.0)
         if sine[0] - turns[i] > limit:
             continue
-        if turns[i] < NO_TURN and sine[0] <= limit:  # the tool stays on the pole
+        stays = turns[i] < NO_TURN or sine[0] + turns[i] <= STAYS
+        if stays and sine[0] + turns[i] <= limit:
             near[i, 0], near[i, 1] = 0.0, 1.0
             continue
         for k in range(1, LOOKS):

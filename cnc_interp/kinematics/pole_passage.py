@@ -23,7 +23,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.branch import branch_at
+from cnc_interp.kinematics.branch import ON_POLE, branch_at
 from cnc_interp.kinematics.path_at_pole import SAME_PLACE, Guides, PassageEnd, PathAtPole
 from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, RESTING
 from cnc_interp.kinematics.transform import Transform
@@ -31,8 +31,6 @@ from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 #: Longest way before and after the pole on which the outer axis is given [m].
 REACH = 30.0 * MM
-#: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
-ON_POLE = 1e-9
 #: Between two cores that are passed together, the path is not farther from the pole than this [-].
 FAR = 10.0
 #: A stretch does not begin in a segment farther from the pole than this [rad].

@@ -41,6 +41,8 @@ THIRD_ERROR = 0.01
 ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
 #: Cells are not cut in two below this length [m]: s itself has its digits.
 FINEST_CELL = 1e-10
+#: Parameters that differ by less are the same place: a cell between them has no length.
+SAME_PARAMETER = 1e-12
 #: A segment is cut into at most this many cells.
 MOST_CELLS = 4096
 #: Parameters between the cells of a corner and of any other segment, before refinement.
@@ -85,7 +87,7 @@ def septic_fits(
 def guided_grid(grid: FloatArray, guide: FloatArray) -> FloatArray:
     """Return the parameters of a grid, shape (k,), with the ends of a guide among them."""
     for k in range(GUIDE_FROM, GUIDE_TO + 1):
-        if 0.0 < guide[k] < 1.0 and not (grid == guide[k]).any():
+        if 0.0 < guide[k] < 1.0 and np.abs(grid - guide[k]).min() > SAME_PARAMETER:
             grid = np.sort(np.append(grid, guide[k]))
     return grid
 

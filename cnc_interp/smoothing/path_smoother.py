@@ -21,6 +21,7 @@ from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.native.joining import Jets, line_between
 from cnc_interp.smoothing.native.spline_run import SplineRun
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.upright import Upright
 
 
 class PathSmoother:
@@ -40,6 +41,7 @@ class PathSmoother:
         self.settings, self.machine = settings, machine
         self._style = Style.of(settings)
         self.stops: list[int] = []  # program rows of corners at which a stop is faster
+        self._upright = Upright(machine, settings.flank_height)
         self._lookahead = LookAhead(settings, machine, stops=self.stops)
         self._run: SplineRun | None = None
         self._recent: Blocks | None = None  # the last two linear blocks
@@ -70,6 +72,7 @@ class PathSmoother:
         found: list[PathSegments | None] = []
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
+        blocks = self._upright.push(blocks)
         spline = blocks.on_spline
         ends = spline & blocks.exact_stop  # a spline ends in this row
         cuts = np.flatnonzero((spline[1:] != spline[:-1]) | ends[:-1]) + 1

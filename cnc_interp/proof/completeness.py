@@ -18,6 +18,8 @@ from cnc_interp.proof.vertex_search import VertexSearch
 
 # Largest accepted distance between an exact stop and its vertex [m].
 STOP_DISTANCE = 1e-6
+# Samples before and after a vertex among which a rest is looked for.
+SEARCHED = 20_000
 # Rotary words are met within this at an exact stop [rad].
 STOP_ANGLE = 1e-6
 # At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
@@ -66,18 +68,35 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> Non
     if len(stops):
         ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
         # While an axis passes through rest, it moves less than J T^3 / 3 in one period.
-        crawl = machine.max_jerk * plan.period**3 / 3.0
-        slowest = []
-        for i in where[stops]:
-            around = plan.position[max(int(i) - 1, 0) : int(i) + 3]
-            use = np.max(np.abs(np.diff(around, axis=0)) / crawl, axis=1)
-            slowest.append(0.0 if i + 2 > count - 1 else float(use.min()))
-        moving = stops[np.array(slowest) > ROUNDING]
-        if len(moving):
+        named = np.isfinite(blocks['rotary']).all(axis=1)
+        crawl = ROUNDING * machine.max_jerk * plan.period**3 / 3.0
+
+        def moves(row: int) -> bool:
+            i = int(where[row])
+            if i + 2 > count - 1 or _rests(plan.position[max(i - 1, 0) : i + 3], crawl):
+                return False
+            if named[row]:
+                return True
+            # An axis that the program does not name may turn while tip and tool stand there.
+            first = max(i - SEARCHED, 0)
+            near = plan.position[first : i + SEARCHED]
+            gaps = np.stack([tips(near) - blocks['tip'][row], tops(near) - vertex_top[row]])
+            away = np.flatnonzero(np.linalg.norm(gaps, axis=2).max(axis=0) > SLACK)
+            low = away[away < i - first].max(initial=-1) + 1
+            high = away[away > i - first].min(initial=len(near))
+            return not _rests(near[low:high], crawl)
+
+        moving = [row for row in stops if moves(row)]
+        if moving:
             line = int(blocks['line'][moving[0]])
             ledger.require(
                 False, f'no rest at the exact stop of line {line}; {len(moving)} stops missed'
             )
+
+
+def _rests(position: FloatArray, crawl: FloatArray) -> bool:
+    """Tell whether no axis moves more than ``crawl`` in one of the periods."""
+    return bool((np.abs(np.diff(position, axis=0)) <= crawl).all(axis=1).any())
 
 
 def _prove_rotary_words(

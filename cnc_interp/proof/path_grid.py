@@ -30,6 +30,8 @@ ROUNDED = 1e-14
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
+# A path that is longer than the way of its tip by this factor turns about a resting tip [-].
+TURNS = 1e6
 # An excess of up to 0.1 % of a limit is rounding.
 ROUNDING = 1.001
 
@@ -166,11 +168,13 @@ def _prove_programmed_feed(
     Demand that the path has no higher programmed feed than its blocks, at some grid points.
 
     The path length may count more than the way of the tip; then the speed is higher by as much.
+    Where the tip rests, as in a turn at the pole, no speed of the path is too high for it.
     """
     (a, b), path, (named, feed) = part, plan.path, written
     way = np.linalg.norm(np.diff(held(path['tip'], a, b, 1, 1), axis=0), axis=1)
     with np.errstate(divide='ignore', invalid='ignore'):
         longer = np.fmax(np.diff(held(path['s'], a, b, 1, 1)) / way, 1.0)
+    longer[longer > TURNS] = np.inf
     allowed = feed[np.searchsorted(named, rows[a:b])] * np.maximum(longer[:-1], longer[1:])
     programmed = np.where(np.isfinite(allowed), path['programmed_feed'][a:b], 0.0)
     ledger.check(

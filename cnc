@@ -81,7 +81,7 @@ try_everything_else() {
   workspace=$(mktemp -d)
   tools/colcon_check "$workspace"
   rm -rf "$workspace"
-  tools/bare_system
+  tools/bare_system --tests
   if RS274=$(tools/get_rs274 "$venv/linuxcnc"); then export RS274; fi
 }
 

@@ -196,6 +196,7 @@ def test_rapid_override_by_key_and_keyboard(panel):
     assert panel.peers.state.feed_override == 1.0 and tab.faults == []
 
 
+@pytest.mark.thorough
 def test_block_delete_leaves_lines_with_a_slash_out(panel, part):
     part.write_text(PART.replace('G90 G1 X0 Y40', '/G1 Y200\nG90 G1 X0 Y40'))
     tab = panel.open_in_charge()
@@ -269,6 +270,7 @@ def test_the_request_of_a_pose_keeps_what_is_not_named():
             pose_request(texts, 1.0)
 
 
+@pytest.mark.thorough
 def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):
     tab = panel.open_in_charge()
     panel.load(tab, part)

@@ -162,6 +162,7 @@ new MutationObserver(() => { window.plansAgain ||= mark.textContent !== 'planned
 """
 
 
+@pytest.mark.thorough
 def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
     tab = panel.open_in_charge()
     tab.click('settings')
@@ -192,6 +193,7 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
     stop_and_reset(panel, tab)
 
 
+@pytest.mark.thorough
 def test_a_program_is_operated_from_the_page(panel, long_program, short_program):
     tab = panel.open_in_charge()
     panel.load(tab, long_program)
@@ -414,6 +416,7 @@ document.documentElement.scrollWidth <= innerWidth &&
 """
 
 
+@pytest.mark.thorough
 def test_the_keyboard(panel, long_program, short_program):
     tab = panel.open_in_charge()
     panel.load(tab, long_program)
@@ -462,6 +465,7 @@ DOWN = """document.querySelector(`[data-mark="jog {}"]`).dispatchEvent(
 UP = "window.dispatchEvent(new PointerEvent('pointerup'))"
 
 
+@pytest.mark.thorough
 def test_axes_are_moved_by_hand_from_the_page(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('state') == 'idle')
@@ -514,6 +518,7 @@ def test_axes_are_moved_by_hand_from_the_page(panel):
     assert tab.faults == []
 
 
+@pytest.mark.thorough
 def test_lines_by_hand_are_given_on_the_page(panel, long_program):
     tab = panel.open_in_charge()
     panel.load(tab, long_program)

@@ -26,6 +26,7 @@ def hear_ctrl_c():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.mark.thorough
 def test_a_run_with_the_page_beside_it(tmp_path):
     program = tmp_path / 'short.ngc'
     program.write_text(PROGRAM)

@@ -64,6 +64,7 @@ def move(panel, **axes):
     )
 
 
+@pytest.mark.thorough
 def test_edit_touch_off_and_run(panel, tmp_path):
     tab = panel.open_in_charge()
     tab.click('offsets')
@@ -111,6 +112,7 @@ def test_a_page_that_looks_only_changes_nothing(panel):
     assert setup_of(panel) == before
 
 
+@pytest.mark.thorough
 def test_what_a_program_uses_is_refused_with_one_line(panel, tmp_path):
     tab = panel.open_in_charge()
     program = tmp_path / 'waits.ngc'

@@ -21,6 +21,7 @@ pytestmark = pytest.mark.skipif(
 PROGRAM = 'G21 G90 G94\nG0 X0 Y0\n' + 'G2 X0 Y0 I20 J0 F6000\n' * 3 + 'M30\n'
 
 
+@pytest.mark.thorough
 def test_error_with_and_without_compensation():
     machine = {'machine': 'xyzac_tired'}
     parameters = {node: dict(machine) for node in NODES}

@@ -86,6 +86,7 @@ def told(bench):
     return q, s, block
 
 
+@pytest.mark.thorough
 def test_jogged_away_twice_it_comes_back_and_the_bag_is_proven(bench, tmp_path):
     listener = rclpy.create_node('recorder', namespace=bench.namespace, context=bench.context)
     bench.executor.add_node(listener)
@@ -132,6 +133,7 @@ def test_jogged_away_twice_it_comes_back_and_the_bag_is_proven(bench, tmp_path):
         assert all(plan.same == plan.recorded for plan in compute_again(bag))
 
 
+@pytest.mark.thorough
 def test_held_on_the_way_back_it_goes_back_from_there(bench):
     handle = bench.begin()
     held_at(bench, 0.03)
@@ -150,6 +152,7 @@ def test_held_on_the_way_back_it_goes_back_from_there(bench):
     assert told(bench)[1][-1] == pytest.approx(path_of(PROGRAM).s[-1], abs=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('when', ['away', 'jogging', 'back'])
 @pytest.mark.parametrize('how', ['emergency_stop', 'cancel'])
 def test_it_stops_at_every_moment(bench, when, how):
@@ -179,6 +182,7 @@ def test_it_stops_at_every_moment(bench, when, how):
     assert not len(bench.next_state().resume_positions)
 
 
+@pytest.mark.thorough
 def test_cycle_start_waits_for_the_hand_and_a_jog_for_cycle_start(bench):
     handle = bench.begin()
     held_at(bench, 0.02)

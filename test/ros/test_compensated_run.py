@@ -17,6 +17,7 @@ from cnc_interp.settings.choices import Settings
 PYRAMID = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'
 
 
+@pytest.mark.thorough
 def test_compensation_takes_the_error_out(tmp_path):
     results = []
     for model in (None, 'xyzac_tired'):
@@ -35,6 +36,7 @@ def test_a_model_with_other_axes_is_refused():
         run_session(request)
 
 
+@pytest.mark.thorough
 def test_a_limit_on_the_error_at_the_tool_holds_for_what_was_executed(tmp_path):
     largest, out = 100 * UM, tmp_path / 'out'
     settings = Settings(tool_error=largest)

@@ -59,6 +59,7 @@ def executed(bench, reasons, **choices):
     return q[block > 0], s[block > 0], line[block > 0]
 
 
+@pytest.mark.thorough
 def test_the_executed_setpoints_are_those_of_the_full_run(bench):
     approach, stop = MachineState.REASON_APPROACH, MachineState.REASON_PROGRAM_STOP
     q, s, line = executed(bench, [stop])

@@ -128,6 +128,7 @@ def test_what_is_refused_is_told(bench):
     until_idle(bench)
 
 
+@pytest.mark.thorough
 def test_a_program_and_motion_by_hand_exclude_each_other(bench):
     until_idle(bench)
     assert move(bench, axes=['C'], values=[1.0], relative=True, speed=0.2).success

@@ -120,6 +120,7 @@ def test_nothing_stays_of_a_run_that_ends_in_order(how, folder):
     assert list((folder / 'tmp').iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_the_next_run_removes_what_a_killed_one_has_left(folder):
     run = started(folder)
     names = seen_until(run, lambda found: len(segments(found)) == PARTICIPANTS)

@@ -195,6 +195,7 @@ def test_hold_goes_on_and_cancel_leaves_the_path(bench):
     done(bench, 'M30')
 
 
+@pytest.mark.thorough
 def test_beside_motion_by_hand_and_programs_a_line_is_refused(bench):
     asked = MoveAxes.Request(axes=['C'], values=[1.0], relative=True, speed=0.2)
     bench.spin_until(bench.mover.call_async(asked).done)
@@ -223,6 +224,7 @@ def cnc_interp(bench, *lines):
     )
 
 
+@pytest.mark.thorough
 def test_the_command_line_gives_lines(bench):
     before = stands(bench)
     told = cnc_interp(bench, 'G91', 'G1 X-1.5 F500', '--json').communicate()

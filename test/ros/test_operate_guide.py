@@ -28,6 +28,7 @@ def environment():
     return {k: v for k, v in os.environ.items() if not k.startswith('PYTEST')}
 
 
+@pytest.mark.thorough
 def test_the_commands_lead_to_a_proven_part(tmp_path):
     (tmp_path / 'examples').symlink_to(ROOT / 'examples')
     panel, *others = command_lines()

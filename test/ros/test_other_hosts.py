@@ -155,6 +155,7 @@ def attack(hosts, words, participants, **variables):
     return json.loads(found.stdout.splitlines()[-1]), tcp, unread
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ('words', 'participants'),
     [

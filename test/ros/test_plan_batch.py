@@ -78,6 +78,7 @@ def client(tmp_path):
     running.close()
 
 
+@pytest.mark.thorough
 def test_a_batch_over_ros_makes_the_same_table(client, tmp_path):
     programs = tmp_path / 'programs'
     for k in range(6):
@@ -97,6 +98,7 @@ def test_a_batch_over_ros_makes_the_same_table(client, tmp_path):
     assert (tmp_path / 'out' / 'monday' / 'batch.html').is_file()
 
 
+@pytest.mark.thorough
 def test_a_cancelled_batch_keeps_what_it_has(client, tmp_path):
     programs, results = tmp_path / 'programs', tmp_path / 'out' / 'long' / 'results'
     for k in range(60):

@@ -28,7 +28,14 @@ IN_AXES = (
 )
 
 
-@pytest.fixture(scope='module', params=[SHORT, DENSE, IN_AXES], ids=['short', 'dense', 'axes'])
+@pytest.fixture(
+    scope='module',
+    params=[
+        pytest.param(SHORT, id='short', marks=pytest.mark.thorough),
+        pytest.param(DENSE, id='dense'),
+        pytest.param(IN_AXES, id='axes', marks=pytest.mark.thorough),
+    ],
+)
 def messages(request, tmp_path_factory):
     """All messages of a recorded run by topic; nothing is sourced."""
     folder = tmp_path_factory.mktemp('record')

@@ -215,6 +215,7 @@ def cnc_interp(bench, *arguments):
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.thorough
 def test_the_command_line_shows_changes_and_refuses_in_one_line(bench):
     assert cnc_interp(bench, 'offsets', 'G57', 'X', '10', 'C', '-5', '--clear').returncode == 0
     bench.move(X=0.05)

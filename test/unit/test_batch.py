@@ -216,6 +216,7 @@ def half(number):
     return number / 2
 
 
+@pytest.mark.thorough
 def test_what_a_worker_dies_of_is_told():
     calls = [partial(int, k) for k in range(6)]
     ended = {e.number: e for e in Processes(2, 4 * GIGA, 20.0).run(half, calls)}
@@ -242,6 +243,7 @@ def slow_to_die(seconds):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.thorough
 def test_a_killed_call_is_begun_again_as_long_as_it_has_time(tmp_path, monkeypatch):
     (ended,) = Processes(1, 4 * GIGA, 60.0).run(stubborn, [partial(str, tmp_path / 'calls')])
     assert (ended.result, ended.kills) == (31, 30)
@@ -283,6 +285,7 @@ def greedy_plan(*_, **__):
     return np.ones(10**10)
 
 
+@pytest.mark.thorough
 def test_interrupted_and_started_again(programs, tmp_path):
     for k in range(40):
         (programs / f'more {k}.ngc').write_text(LINE.format(f'{k}\nY{k + 1}\nX0'))

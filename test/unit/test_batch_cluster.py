@@ -42,6 +42,7 @@ def scheduler():
         part.end(signal.SIGKILL)
 
 
+@pytest.mark.thorough
 def test_a_cluster_makes_the_same_table_though_a_worker_is_lost(scheduler, tmp_path):
     part, address = scheduler
     other = Part('--join', address)

@@ -164,6 +164,7 @@ def assert_same(found, expected):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * max(1.0, np.abs(b).max()))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('sense', ['T', 'F'])
 @pytest.mark.parametrize('weights', [None, 1.0, 2.0])
 def test_spline_face_is_the_spline(sense, weights, tmp_path):
@@ -240,6 +241,7 @@ def inch(part):
     return f"(CONVERSION_BASED_UNIT('INCH',{measure})LENGTH_UNIT()NAMED_UNIT($))"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('name', 'length'), [('mm', MM), ('m', 1.0), ('inch', INCH)])
 def test_units_are_those_of_the_file(name, length, tmp_path):
     part = Part(METRE if name == 'm' else MILLIMETRE)
@@ -304,6 +306,7 @@ def rounded_face(kind, u, v, sense):
     return part
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('sense', ['T', 'F'])
 @pytest.mark.parametrize(
     ('kind', 'u', 'v'),
@@ -359,6 +362,7 @@ def test_disc_is_round(tmp_path):
 SQUARE = [(0, 0, 0), (8, 0, 0), (8, 6, 0), (0, 6, 0), (0, 0, 0)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('form', ['plain', 'trimmed', 'rational'])
 @pytest.mark.parametrize(('sense', 'highest'), [('T', 0.0), ('F', 6.0)])
 def test_spline_edges_run_with_or_against_their_curve(form, sense, highest, tmp_path):
@@ -447,6 +451,7 @@ def two_faces():
     return part
 
 
+@pytest.mark.thorough
 def test_several_faces_are_listed(tmp_path):
     path = two_faces().write(tmp_path / 'a.step')
     with pytest.raises(SurfaceError, match='choose one of 3 faces with --face N') as listed:
@@ -469,6 +474,7 @@ def changed(old, new):
     return change
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ('change', 'says'),
     [
@@ -593,6 +599,7 @@ def test_a_reader_that_dies_is_one_line(end, says, monkeypatch, tmp_path):
     assert '\n' not in str(fault.value)
 
 
+@pytest.mark.thorough
 def test_time_and_memory_of_a_file_are_limited(monkeypatch, tmp_path):
     monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
     path = two_faces().write(tmp_path / 'a.step')

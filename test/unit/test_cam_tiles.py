@@ -236,6 +236,7 @@ def files(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_command_says_the_same_in_tiles(files, tmp_path, capsys):
     assert main([*files, '--json']) == FINE
     (whole,) = json.loads(capsys.readouterr().out).values()

@@ -77,6 +77,7 @@ def of_setpoints(q: FloatArray, load: DriveLoad) -> FloatArray:
     return np.where(turns, torque(replace(load, coulomb=0.0), velocity, acceleration), share)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('law', ['optimal', 'vpop'])
 def test_a_line_uses_the_whole_torque_and_no_more(law):
     piece = plan_path(line_path(0.6), LOADED, PlanOptions(law=law))

@@ -427,6 +427,7 @@ def test_strokes_in_order(axis, program, visits, labels, caught, tmp_path, capsy
         assert code == 0, text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('axis', ['Z', 'C'])
 @pytest.mark.parametrize('rows', [2, 53])
 def test_strokes_in_chunks(axis, rows, tmp_path, monkeypatch):

@@ -109,6 +109,7 @@ def test_a_block_of_hours_is_told():
     assert not read('G93 G1 X1 F1\nX2 F0.02\n', 'part.ngc').notices
 
 
+@pytest.mark.thorough
 def test_text_that_cannot_be_read_on_does_not_hide_what_was_refused_before():
     lines = 'X1\n' * 200_000
     error = str(refused(f'G21 G90 G94\nG0 X0 Y0 Z0\nG1 Xfoo F100\n{lines}{"X" * 200_000}\n'))

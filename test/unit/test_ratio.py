@@ -118,6 +118,7 @@ def test_ratio_is_known_where_the_axes_are_not():
     assert ratios_at(corners, HEIGHT, rates) == pytest.approx(MOST)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     'blocks',
     [

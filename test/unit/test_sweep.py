@@ -75,6 +75,7 @@ def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path, cap
     assert len(times()) == 6 and first.items() <= times().items()
 
 
+@pytest.mark.thorough
 def test_a_search_finds_what_a_grid_would_and_does_not_depend_on_workers(tmp_path):
     words = ('plan', zigzag(tmp_path), WIDE)
     found = []

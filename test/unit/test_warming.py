@@ -43,6 +43,7 @@ print(sorted(compiled() - before))
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('curves', [False, True], ids=['corners', 'curves'])
 def test_a_long_program_needs_no_kernel_that_was_not_warm(curves):
     code = RUN.format(here=str(Path(__file__).parent), curves=curves)

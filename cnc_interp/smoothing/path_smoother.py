@@ -69,10 +69,13 @@ class PathSmoother:
             If the tool axis of a block reverses, or control points do not form a curve.
 
         """
-        found: list[PathSegments | None] = []
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
-        blocks = self._upright.push(blocks)
+        return self._joined(self._taken(self._upright.push(blocks)))
+
+    def _taken(self, blocks: Blocks) -> list[PathSegments | None]:
+        """Process lines and splines."""
+        found: list[PathSegments | None] = []
         spline = blocks.on_spline
         ends = spline & blocks.exact_stop  # a spline ends in this row
         cuts = np.flatnonzero((spline[1:] != spline[:-1]) | ends[:-1]) + 1
@@ -80,11 +83,14 @@ class PathSmoother:
             if first < last:
                 take = self._curve if spline[first] else self._linear
                 found += take(blocks[first:last])
-        return self._joined(found)
+        return found
 
     def finish(self) -> PathSegments:
         """Return the remaining segments; the tool rests at the end."""
-        return self._joined(self._end_run(None) if self._run else [self._lookahead.finish()])
+        last = self._upright.finish()
+        found = [] if last is None else self._taken(last)
+        found += self._end_run(None) if self._run else [self._lookahead.finish()]
+        return self._joined(found)
 
     def _linear(self, blocks: Blocks) -> list[PathSegments | None]:
         """Process linear blocks. They end a spline."""

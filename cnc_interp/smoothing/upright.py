@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import UM
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.smoothing.machine_traits import MachineTraits
@@ -41,6 +42,7 @@ class Upright:
         self._height = height
         self._moved = 0.0  # how far the last tool axis was moved, at flank height [m]
         self._begun = False
+        self._waiting: Blocks | None = None  # a block that may be the last one
 
     def push(self, blocks: Blocks) -> Blocks:
         """
@@ -50,26 +52,48 @@ class Upright:
         ----------
         blocks : Blocks
             The next rows of the program; the very first row is the start pose. It and exact
-            stops, rows that name rotary positions, rows whose rotary axes run linearly, and
-            control points keep their tool axes.
+            stops, rows that name rotary positions, rows whose rotary axes run linearly, control
+            points, and rows before a spline keep their tool axes.
+
+        Returns
+        -------
+        Blocks
+            Rows in the same order; the last one may come with the next call, or with ``finish``.
 
         """
         if self._pole is None or not len(blocks):
             return blocks
+        if self._waiting is not None:
+            blocks, self._waiting = Blocks.concatenate([self._waiting, blocks]), None
         away = self._height * norm(cross(blocks.axis, self._pole[None]))
-        free = np.isnan(blocks.rotary).all(axis=1) & (blocks.interpolation == POSES)
-        most = np.minimum(SHARE * blocks.orientation_tolerance, MOST)
-        moves = free & ~blocks.on_spline & ~blocks.exact_stop & (away <= most)
-        moves[0] &= self._begun
+        near = away <= np.minimum(SHARE * blocks.orientation_tolerance, MOST)
+        near &= np.isnan(blocks.rotary).all(axis=1) & (blocks.interpolation == POSES)
+        near &= ~blocks.exact_stop & ~blocks.on_spline
+        near[:-1] &= ~blocks.on_spline[1:]
+        near[0] &= self._begun
         self._begun = True
-        moved = np.where(moves, away, 0.0)
-        used = np.maximum(moved, np.r_[self._moved, moved[:-1]])
-        self._moved = float(moved[-1])
-        if not used.any():
+        if near[-1]:
+            self._waiting = blocks[-1:]
+            blocks, near, away = blocks[:-1], near[:-1], away[:-1]
+        return self._moved_to_pole(blocks, near, np.where(near, away, 0.0))
+
+    def finish(self) -> Blocks | None:
+        """Return the row that still waits; the program ends there, and its tool axis stays."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is None:
+            return None
+        return self._moved_to_pole(waiting, np.zeros(1, dtype=np.bool_), np.zeros(1))
+
+    def _moved_to_pole(self, blocks: Blocks, near: BoolArray, moved: FloatArray) -> Blocks:
+        """Put tool axes on the pole and take from the tolerances on both sides what that takes."""
+        used = np.maximum(moved, np.r_[self._moved, moved[:-1]][: len(moved)])
+        if len(moved):
+            self._moved = float(moved[-1])
+        if self._pole is None or not used.any():
             return blocks
         sense = np.where(blocks.axis @ self._pole < 0.0, -1.0, 1.0)
         return replace(
             blocks,
-            axis=np.where(moves[:, None], sense[:, None] * self._pole, blocks.axis),
+            axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
             orientation_tolerance=blocks.orientation_tolerance - used,
         )

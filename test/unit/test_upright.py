@@ -25,6 +25,14 @@ def nearly_upright(amplitude, count=12):
     return blocks_of(tip, axis / np.linalg.norm(axis, axis=1)[:, None])
 
 
+def moved_to_pole(blocks, batch=None, machine=XYZAC):
+    """The blocks, pushed in batches."""
+    upright, step = Upright(machine, HEIGHT), batch or len(blocks)
+    parts = [upright.push(blocks[i : i + step]) for i in range(0, len(blocks), step)]
+    last = upright.finish()
+    return Blocks.concatenate(parts if last is None else [*parts, last])
+
+
 def away(blocks):
     """Distance of the tool axes from the pole at flank height [m]."""
     return HEIGHT * np.hypot(*blocks.axis[:, :2].T)
@@ -35,11 +43,11 @@ def away(blocks):
 def test_what_is_moved_is_taken_from_the_tolerance(amplitude, tolerance):
     blocks = nearly_upright(amplitude)
     blocks = replace(blocks, orientation_tolerance=np.full(len(blocks), tolerance))
-    made = Upright(XYZAC, HEIGHT).push(blocks)
+    made = moved_to_pole(blocks)
     moved = np.linalg.norm(HEIGHT * (made.axis - blocks.axis), axis=1)
     assert (moved <= 0.05 * tolerance).all() and (moved <= 0.5 * UM).all()
-    rests = blocks.exact_stop.copy()
-    rests[0] = True
+    rests = np.zeros(len(blocks), dtype=bool)
+    rests[[0, -1]] = True
     near = (away(blocks) <= 0.05 * tolerance) & (away(blocks) <= 0.5 * UM) & ~rests
     assert near.any()
     assert (away(made)[near] == 0.0).all() and (made.axis[~near] == blocks.axis[~near]).all()
@@ -48,18 +56,31 @@ def test_what_is_moved_is_taken_from_the_tolerance(amplitude, tolerance):
     assert (left >= moved - 1e-15).all() and (left[1:] >= moved[:-1] - 1e-15).all()
 
 
-def test_it_does_not_depend_on_how_the_blocks_arrive():
-    blocks, one_by_one = nearly_upright(1e-6), Upright(XYZAC, HEIGHT)
-    whole = Upright(XYZAC, HEIGHT).push(blocks)
-    parts = Blocks.concatenate([one_by_one.push(blocks[i : i + 1]) for i in range(len(blocks))])
+@pytest.mark.parametrize('batch', [1, 5])
+def test_it_does_not_depend_on_how_the_blocks_arrive(batch):
+    blocks = nearly_upright(1e-6)
+    whole, parts = moved_to_pole(blocks), moved_to_pole(blocks, batch)
     for column in fields(Blocks):
         np.testing.assert_array_equal(getattr(whole, column.name), getattr(parts, column.name))
+
+
+@pytest.mark.parametrize('batch', [1, None])
+def test_the_tool_stands_as_programmed_at_stops_and_before_splines(batch):
+    blocks = nearly_upright(1e-6)
+    knots = np.full(len(blocks), np.nan)
+    knots[8:] = 1.0
+    stop = np.arange(len(blocks)) == 4
+    top = np.where(np.isfinite(knots)[:, None], blocks.tip + HEIGHT * blocks.axis, np.nan)
+    made = moved_to_pole(replace(blocks, exact_stop=stop, knot_interval=knots, top=top), batch)
+    kept = [0, 4, 7, *range(8, len(blocks))]
+    assert (made.axis[kept] == blocks.axis[kept]).all()
+    assert (away(made)[[1, 2, 3, 5, 6]] == 0.0).all()
 
 
 def test_words_and_machines_without_a_pole_keep_their_tool_axes():
     blocks = nearly_upright(1e-6)
     named = replace(blocks, rotary=np.zeros((len(blocks), 2)))
     three = traits_of(Transform.of(Machine.load('vmc')))
-    for made in (Upright(XYZAC, HEIGHT).push(named), Upright(three, HEIGHT).push(blocks)):
+    for made in (moved_to_pole(named), moved_to_pole(blocks, machine=three)):
         np.testing.assert_array_equal(made.axis, blocks.axis)
         assert (made.orientation_tolerance == blocks.orientation_tolerance).all()

@@ -5,7 +5,8 @@ CL data give tool axes with six to twelve digits. Beside the pole the last digit
 where the outer rotary axis stands, and from block to block it would turn half round for nothing.
 So a tool axis that is nearer to the pole than a small part of the tolerance becomes the pole. What
 this takes of the orientation tolerance, the blocks before and after it no longer have. Where the
-tool rests, it stands as programmed.
+tool rests and where a native spline begins, it stands as programmed. So a block whose tool axis
+would be moved waits for the next one.
 """
 
 from __future__ import annotations
@@ -66,7 +67,9 @@ class Upright:
         if self._waiting is not None:
             blocks, self._waiting = Blocks.concatenate([self._waiting, blocks]), None
         away = self._height * norm(cross(blocks.axis, self._pole[None]))
-        near = away <= np.minimum(SHARE * blocks.orientation_tolerance, MOST)
+        most = np.minimum(SHARE * blocks.orientation_tolerance, MOST)
+        most[:-1] = np.minimum(most[:-1], most[1:])
+        near = (away > 0.0) & (away <= most)
         near &= np.isnan(blocks.rotary).all(axis=1) & (blocks.interpolation == POSES)
         near &= ~blocks.exact_stop & ~blocks.on_spline
         near[:-1] &= ~blocks.on_spline[1:]

@@ -42,14 +42,18 @@ def away(blocks):
 @pytest.mark.parametrize('tolerance', [1.0 * UM, 20.0 * UM])
 def test_what_is_moved_is_taken_from_the_tolerance(amplitude, tolerance):
     blocks = nearly_upright(amplitude)
-    blocks = replace(blocks, orientation_tolerance=np.full(len(blocks), tolerance))
+    allowed = np.full(len(blocks), tolerance)
+    allowed[7] = 1e-3 * UM
+    blocks = replace(blocks, orientation_tolerance=allowed)
     made = moved_to_pole(blocks)
     moved = np.linalg.norm(HEIGHT * (made.axis - blocks.axis), axis=1)
-    assert (moved <= 0.05 * tolerance).all() and (moved <= 0.5 * UM).all()
+    most = np.minimum(0.05 * allowed, 0.5 * UM)
+    most[:-1] = np.minimum(most[:-1], most[1:])
+    assert (moved <= most).all()
     rests = np.zeros(len(blocks), dtype=bool)
     rests[[0, -1]] = True
-    near = (away(blocks) <= 0.05 * tolerance) & (away(blocks) <= 0.5 * UM) & ~rests
-    assert near.any()
+    near = (away(blocks) <= most) & ~rests
+    assert near.any() and (made.orientation_tolerance > 0.9 * allowed).all()
     assert (away(made)[near] == 0.0).all() and (made.axis[~near] == blocks.axis[~near]).all()
     # A leg deviates by no more than its ends.
     left = blocks.orientation_tolerance - made.orientation_tolerance

@@ -130,13 +130,13 @@ def test_short_blocks_past_the_pole_are_proven(count, tmp_path, capsys):
     assert main(['check', str(tmp_path / 'plan')]) == 0, capsys.readouterr().out
 
 
-@pytest.mark.parametrize('seed', [0, 6, 58])
+@pytest.mark.parametrize('seed', [0, 1, 4])
 def test_the_axes_do_not_jump_where_segments_join(seed):
-    """C turns by thousands of rad/m. Lengths exact to 1e-14 m only would show as jerk."""
+    """C turns by 9,000 rad/m and more. Lengths exact to 1e-14 m only would show as jerk."""
     path, _, _ = path_of(wandering(seed), MACHINES[0])
-    assert np.abs(path.cell_left[1, :, 4]).max() > 1000.0
+    assert np.abs(path.cell_left[1, :, 4]).max() > 8000.0
     jump = np.abs(path.cell_right[0, :-1] - path.cell_left[0, 1:])
-    assert jump[:, :3].max() < 1e-12 and jump[:, 3:].max() < 1e-11
+    assert jump[:, :3].max() < 3e-14 and jump[:, 3:].max() < 3e-13
 
 
 def test_line_out_of_reach_of_the_pole_passes_beside_it():
@@ -154,7 +154,7 @@ def wandering(seed, count=9):
     axes = np.c_[np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]
     steps = rng.uniform(-0.5, 0.5, (count, 3)) * [0.2, 1.0, 0.3] + [1.0, 0.0, 0.0]
     tips = np.cumsum(steps * rng.choice([0.8, 6.0, 25.0], (count, 1)), axis=0) * MM
-    return blocks_of(tips - tips.mean(axis=0), axes, exact_stop=np.arange(count) == count - 1)
+    return blocks_of(tips - tips.mean(axis=0), axes)
 
 
 @pytest.mark.parametrize('seed', range(6))

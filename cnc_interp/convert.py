@@ -48,20 +48,10 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class Converted:
-    """
-    The result of a conversion: a program as text.
+    """The result of a conversion: a program as text."""
 
-    Parameters
-    ----------
-    text : str
-        The program.
-    notes : list of str
-        Sentences for the user, one line each.
-
-    """
-
-    text: str
-    notes: list[str]
+    text: str  #: The program.
+    notes: list[str]  #: Sentences for the user, one line each.
 
 
 def convert(

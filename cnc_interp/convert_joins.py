@@ -28,23 +28,11 @@ PROBES = 501
 
 @dataclass
 class Joins:
-    """
-    Joins the native curves of a program, and says what it did.
+    """Joins the native curves of a program, and says what it did."""
 
-    Parameters
-    ----------
-    height : float
-        Flank height [m].
-    tolerance : float
-        Largest distance of the written top curves from the joined ones [m].
-    septic : bool
-        Whether the third derivative of the tool axis is considered, too.
-
-    """
-
-    height: float
-    tolerance: float
-    septic: bool
+    height: float  #: Flank height [m].
+    tolerance: float  #: Largest distance of the written top curves from the joined ones [m].
+    septic: bool  #: Whether the third derivative of the tool axis is considered, too.
     count: int = 0
     before: float = 0.0  # largest jumps of the orientation rate at the joins [rad/m]
     after: float = 0.0

@@ -43,24 +43,7 @@ R = TypeVar('R')
 
 
 class DaskWorkers:
-    """
-    The workers of a cluster; fills ``run.Workers``.
-
-    Parameters
-    ----------
-    address : str
-        Address of the scheduler, as ``tcp://host:8786``.
-    memory : float, optional
-        Most memory of a task [bytes]; None for a share of the worker's computer.
-    longest : float
-        Longest time of a task [s].
-
-    Raises
-    ------
-    InterpError
-        If no scheduler answers.
-
-    """
+    """The workers of a cluster; fills ``run.Workers``."""
 
     def __init__(self, address: str, memory: float | None, longest: float):
         self._memory, self._longest = memory, longest
@@ -132,12 +115,6 @@ def call_there(
     Call a function in a new process on the computer of a worker.
 
     A function that takes a number of processes is told how many this worker may have.
-
-    Raises
-    ------
-    InterpError
-        If this package is another version than that of who asks.
-
     """
     if engine() != version:
         raise InterpError(
@@ -153,26 +130,7 @@ def call_there(
 
 
 def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str], None]) -> None:
-    """
-    Be a scheduler, and a worker where ``workers`` is not 0, until the process is interrupted.
-
-    Parameters
-    ----------
-    host : str
-        Address at which other computers find this one.
-    port, dashboard : int
-        Ports of the scheduler and of its page.
-    workers : int
-        Tasks that this computer carries out at the same time.
-    say : callable
-        Told the addresses.
-
-    Raises
-    ------
-    InterpError
-        If a port is taken.
-
-    """
+    """Be a scheduler, and a worker if ``workers`` is not 0, until the process is interrupted."""
     dask.config.set({'distributed.scheduler.allowed-failures': MOST_LOST_WORKERS})
 
     async def live() -> None:
@@ -193,15 +151,7 @@ def serve(host: str, port: int, dashboard: int, workers: int, say: Callable[[str
 
 
 def join(address: str, workers: int, say: Callable[[str], None]) -> None:
-    """
-    Be a worker of a scheduler elsewhere, until that ends or the process is interrupted.
-
-    Raises
-    ------
-    InterpError
-        If no scheduler answers.
-
-    """
+    """Be a worker of a scheduler elsewhere, until that ends or the process is interrupted."""
 
     async def live() -> None:
         worker = _worker(address, workers)

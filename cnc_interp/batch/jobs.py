@@ -16,26 +16,12 @@ from cnc_interp.settings.choices import Settings
 
 @dataclass(frozen=True)
 class Job:
-    """
-    One program on one machine.
+    """One program on one machine."""
 
-    Parameters
-    ----------
-    path : Path
-        File of the program.
-    program : str
-        Its name in the table.
-    model : Model
-        The machine.
-    size : int
-        Length of the program [bytes].
-
-    """
-
-    path: Path
-    program: str
-    model: Model
-    size: int
+    path: Path  #: File of the program.
+    program: str  #: Its name in the table.
+    model: Model  #: The machine.
+    size: int  #: Length of the program [bytes].
 
 
 class Jobs:
@@ -111,12 +97,6 @@ def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:
     Return files of programs, and their names in the table.
 
     A name is the path below the folder that all have in common.
-
-    Raises
-    ------
-    InterpError
-        If a path does not exist.
-
     """
     files: dict[Path, None] = {}
     for path in paths:

@@ -51,26 +51,12 @@ class Loss(Enum):
 
 @dataclass(frozen=True)
 class Ended(Generic[R]):
-    """
-    A call that has ended.
+    """A call that has ended."""
 
-    Parameters
-    ----------
-    number : int
-        Number of the call, from 0.
-    result : object
-        What it returned, or why it did not.
-    kills : int
-        How often it was killed and begun again.
-    why : str
-        How its process ended, if there is no result.
-
-    """
-
-    number: int
-    result: R | Loss
-    kills: int = 0
-    why: str = ''
+    number: int  #: Number of the call, from 0.
+    result: R | Loss  #: What it returned, or why it did not.
+    kills: int = 0  #: How often it was killed and begun again.
+    why: str = ''  #: How its process ended, if there is no result.
 
 
 @dataclass(frozen=True)

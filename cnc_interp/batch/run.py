@@ -33,22 +33,13 @@ class Workers(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    """
-    How far a batch is.
+    """How far a batch is."""
 
-    Parameters
-    ----------
-    done, known, total : int
-        Tasks with a result, those of an earlier start among them, and all.
-    share : float
-        Part of the text that had to be planned and is done [-].
-
-    """
-
+    #: Tasks with a result, those of an earlier start among them, and all.
     done: int
     known: int
     total: int
-    share: float
+    share: float  #: Part of the text that had to be planned and is done [-].
 
 
 def run_batch(

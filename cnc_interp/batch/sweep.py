@@ -44,38 +44,18 @@ SWEPT = (('plan',), ('cam', 'iso-scallop'))
 
 @dataclass(frozen=True)
 class Range:
-    """
-    An option that is swept.
+    """An option that is swept."""
 
-    Parameters
-    ----------
-    option : str
-        Its name, without the dashes.
-    values : tuple of str
-        All values (grid), or the lowest and the highest (search).
-
-    """
-
-    option: str
-    values: tuple[str, ...]
+    option: str  #: Its name, without the dashes.
+    values: tuple[str, ...]  #: All values (grid), or the lowest and the highest (search).
 
 
 @dataclass(frozen=True)
 class Point:
-    """
-    A point of a sweep.
+    """A point of a sweep."""
 
-    Parameters
-    ----------
-    words : tuple of str
-        The command without its folder.
-    values : tuple of (str, str)
-        The options that are swept, and their values.
-
-    """
-
-    words: tuple[str, ...]
-    values: tuple[tuple[str, str], ...]
+    words: tuple[str, ...]  #: The command without its folder.
+    values: tuple[tuple[str, str], ...]  #: The options that are swept, and their values.
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -96,28 +76,15 @@ class Point:
 
 @dataclass(frozen=True)
 class Found:
-    """
-    What became of a point.
+    """What became of a point."""
 
-    Parameters
-    ----------
-    cycle_time : float, optional
-        Time of the motion [s].
-    error : float, optional
-        Largest error: the deepest cut into a surface, or the contour error of a plan [m].
-    at_limit : dict of str to float
-        Share of the time in which an axis is at a limit, by axis and kind [-].
-    fault : str
-        Why there is no motion, else ''.
-    scallop : float, optional
-        The highest ridge between passes, if the command makes a surface [m].
-
-    """
-
-    cycle_time: float | None = None
+    cycle_time: float | None = None  #: Time of the motion [s].
+    #: Largest error: the deepest cut into a surface, or the contour error of a plan [m].
     error: float | None = None
+    #: Share of the time in which an axis is at a limit, by axis and kind [-].
     at_limit: dict[str, float] | None = None
-    fault: str = ''
+    fault: str = ''  #: Why there is no motion, else ''.
+    #: The highest ridge between passes, if the command makes a surface [m].
     scallop: float | None = None
 
 
@@ -126,26 +93,12 @@ Main = Callable[[Sequence[str]], int]
 
 @dataclass(frozen=True)
 class Call:
-    """
-    What a process is told: the command line, its function, and folders.
+    """What a process is told: the command line, its function, and folders."""
 
-    Parameters
-    ----------
-    main : callable
-        The function of the command line.
-    command : tuple of str
-        Its words.
-    here : str
-        Folder in which it is run.
-    out : str
-        Folder for its files.
-
-    """
-
-    main: Main
-    command: tuple[str, ...]
-    here: str
-    out: str
+    main: Main  #: The function of the command line.
+    command: tuple[str, ...]  #: Its words.
+    here: str  #: Folder in which it is run.
+    out: str  #: Folder for its files.
 
 
 def run_point(call: Call) -> Found:

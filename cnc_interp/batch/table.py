@@ -31,22 +31,7 @@ COSTS = ('program', 'machine', 'seconds', 'processor_s', 'memory_MB')
 
 
 def rows_of(results: Results, rate: float | None) -> list[dict[str, Any]]:
-    """
-    Return the table.
-
-    Parameters
-    ----------
-    results : sequence of (Job, Outcome)
-        What became of each job.
-    rate : float, optional
-        What an hour of the machine costs.
-
-    Returns
-    -------
-    list of dict
-        A value for each of ``COLUMNS``, or None.
-
-    """
+    """Return the table."""
     return [_row(job, outcome, rate) for job, outcome in results]
 
 

@@ -29,53 +29,25 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Model:
-    """
-    A machine as text.
+    """A machine as text."""
 
-    Parameters
-    ----------
-    name : str
-        As the user named it.
-    text : str
-        Content of its file.
-    file : str
-        Path of the file; empty for a bundled machine.
-
-    """
-
-    name: str
-    text: str
-    file: str
+    name: str  #: As the user named it.
+    text: str  #: Content of its file.
+    file: str  #: Path of the file; empty for a bundled machine.
 
 
 @dataclass(frozen=True)
 class Task:
-    """
-    All that a worker needs; it opens no file of the user.
+    """All that a worker needs; it opens no file of the user."""
 
-    Parameters
-    ----------
-    program : str
-        Name of the program in the table: its path from the folder of the batch.
-    files : tuple of (str, bytes)
-        Names and contents: the program, then the subprograms beside it that it may call.
-    model : Model
-        The machine.
-    settings : tuple of (str, str)
-        Every choice as text, as ``settings.texts`` has them; ``setup`` left out.
-    setup : str
-        Content of the setup file, or ''.
-    plans : str
-        Folder in which the plan files are kept, or ''.
-
-    """
-
-    program: str
+    program: str  #: Name of the program in the table: its path from the folder of the batch.
+    #: Names and contents: the program, then the subprograms beside it that it may call.
     files: tuple[tuple[str, bytes], ...]
-    model: Model
+    model: Model  #: The machine.
+    #: Every choice as text, as ``settings.texts`` has them; ``setup`` left out.
     settings: tuple[tuple[str, str], ...]
-    setup: str = ''
-    plans: str = ''
+    setup: str = ''  #: Content of the setup file, or ''.
+    plans: str = ''  #: Folder in which the plan files are kept, or ''.
 
     @property
     def key(self) -> str:
@@ -98,66 +70,36 @@ class Row:
     A row of the table. It depends on the task alone, not on who computes it and when.
 
     Figures are None where there is no plan.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        What became of the program.
-    message : str
-        Why it is not proven, else ''.
-    blocks, setpoints : int, optional
-        Their numbers.
-    path_length : float, optional
-        Way of the tool tip [m].
-    cycle_time, time_bound : float, optional
-        Time of the motion, and the least time that velocities and accelerations allow [s].
-    velocity_use, acceleration_use, jerk_use, torque_use : float, optional
-        Largest use of a limit by any axis, as proven [-].
-    contour_used, orientation_used : float, optional
-        Largest use of the tolerances, as proven [-].
-    notices : tuple of str
-        What the reader and the planner noticed.
-    plan_hash : str
-        Hash of the plan files, their summary left out.
-
     """
 
-    verdict: Verdict
-    message: str = ''
+    verdict: Verdict  #: What became of the program.
+    message: str = ''  #: Why it is not proven, else ''.
+    #: Their numbers.
     blocks: int | None = None
     setpoints: int | None = None
-    path_length: float | None = None
+    path_length: float | None = None  #: Way of the tool tip [m].
+    #: Time of the motion, and the least time that velocities and accelerations allow [s].
     cycle_time: float | None = None
     time_bound: float | None = None
+    #: Largest use of a limit by any axis, as proven [-].
     velocity_use: float | None = None
     acceleration_use: float | None = None
     jerk_use: float | None = None
     torque_use: float | None = None
+    #: Largest use of the tolerances, as proven [-].
     contour_used: float | None = None
     orientation_used: float | None = None
-    notices: tuple[str, ...] = ()
-    plan_hash: str = ''
+    notices: tuple[str, ...] = ()  #: What the reader and the planner noticed.
+    plan_hash: str = ''  #: Hash of the plan files, their summary left out.
 
 
 @dataclass(frozen=True)
 class Cost:
-    """
-    What a row has cost; another run of the same task costs something else.
+    """What a row has cost; another run of the same task costs something else."""
 
-    Parameters
-    ----------
-    seconds : float
-        Time from start to end of the worker's task [s].
-    processor : float
-        Processor time of all its processes [s].
-    memory : float
-        Largest memory of any of its processes [bytes].
-
-    """
-
-    seconds: float = 0.0
-    processor: float = 0.0
-    memory: float = 0.0
+    seconds: float = 0.0  #: Time from start to end of the worker's task [s].
+    processor: float = 0.0  #: Processor time of all its processes [s].
+    memory: float = 0.0  #: Largest memory of any of its processes [bytes].
 
 
 @dataclass(frozen=True)
@@ -189,15 +131,7 @@ class Outcome:
 
 
 def settings_of(settings: Settings) -> tuple[tuple[tuple[str, str], ...], str]:
-    """
-    Return settings as texts without the setup file, and the content of that file.
-
-    Raises
-    ------
-    InterpError
-        If the setup file cannot be read.
-
-    """
+    """Return settings as texts without the setup file, and the content of that file."""
     texts = texts_of(settings)
     del texts['setup']
     if settings.setup is None:

@@ -41,19 +41,6 @@ def carry_out(task: Task, processes: int = 1) -> Outcome:
     Plan and prove a program.
 
     Whatever goes wrong becomes the verdict of the row. So no program ends a batch.
-
-    Parameters
-    ----------
-    task : Task
-        The program on its machine.
-    processes : int
-        How many processes plan a long program. Its row is the same, its cost is not.
-
-    Returns
-    -------
-    Outcome
-        The row of the table, and what it has cost.
-
     """
     began, used = time.perf_counter(), _processor_time()
     try:

@@ -41,26 +41,12 @@ SWEEPS = 2
 
 @dataclass(frozen=True)
 class ClassicalPass:
-    """
-    One pass with constant angles.
+    """One pass with constant angles."""
 
-    Parameters
-    ----------
-    curve : SurfaceCurve
-        Path of the guided point K.
-    s : ndarray, shape (n,)
-        Places of the postures [m].
-    postures : Postures
-        The postures there.
-    right : Scallops
-        Scallop points on the side of the next pass.
-
-    """
-
-    curve: SurfaceCurve
-    s: FloatArray
-    postures: Postures
-    right: Scallops
+    curve: SurfaceCurve  #: Path of the guided point K.
+    s: FloatArray  #: (n,): Places of the postures [m].
+    postures: Postures  #: The postures there.
+    right: Scallops  #: Scallop points on the side of the next pass.
 
     @property
     def reach(self) -> FloatArray:
@@ -98,20 +84,10 @@ class ClassicalPass:
 
 @dataclass(frozen=True)
 class ClassicalPaths:
-    """
-    Passes over a surface, as far as they could be followed.
+    """Passes over a surface, as far as they could be followed."""
 
-    Parameters
-    ----------
-    passes : list of ClassicalPass
-        The passes in order.
-    loop : str
-        Where and how the next pass would loop; empty if the surface is covered.
-
-    """
-
-    passes: list[ClassicalPass]
-    loop: str
+    passes: list[ClassicalPass]  #: The passes in order.
+    loop: str  #: Where and how the next pass would loop; empty if the surface is covered.
 
 
 def classical_paths(
@@ -123,36 +99,7 @@ def classical_paths(
     start: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ClassicalPaths:
-    """
-    Compute the classical iso-scallop path over a surface.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    cutter : Cutter
-        The mill; for a ball mill the tilt has no effect.
-    plane_normal : ndarray, shape (3,)
-        Normal of the plane of the first pass; the other passes follow in its direction [any unit].
-    scallop_height : float
-        S_h [m].
-    tilt : float
-        Constant tilt [rad].
-    start : float, optional
-        Place of the first plane along the normal; the default is the border [m].
-    progress : callable, optional
-        Is called with the share done, 0 to 1.
-
-    Returns
-    -------
-    ClassicalPaths
-
-    Raises
-    ------
-    SurfaceError
-        If the mill does not fit the surface.
-
-    """
+    """Compute the classical iso-scallop path over a surface."""
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     run = _Run(surface, cutter, normal, scallop_height, 0.5 * np.pi if cutter.is_ball else tilt)

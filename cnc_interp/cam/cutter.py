@@ -24,13 +24,6 @@ class Cutter:
     """
     A filleted end mill.
 
-    Parameters
-    ----------
-    tool_radius : float
-        R, radius of the circle of corner centres [TL2008]; the diameter is 2 (R + r_c) [m].
-    corner_radius : float
-        r_c [m].
-
     Raises
     ------
     InterpError
@@ -38,8 +31,9 @@ class Cutter:
 
     """
 
+    #: R, radius of the circle of corner centres [TL2008]; the diameter is 2 (R + r_c) [m].
     tool_radius: float
-    corner_radius: float
+    corner_radius: float  #: r_c [m].
 
     def __post_init__(self) -> None:
         for name in ('tool_radius', 'corner_radius'):
@@ -51,26 +45,7 @@ class Cutter:
 
     @staticmethod
     def of_diameter(diameter: float, corner_radius: float) -> Cutter:
-        """
-        Return the cutter with an outer diameter.
-
-        Parameters
-        ----------
-        diameter : float
-            Outer diameter 2 (R + r_c) [m].
-        corner_radius : float
-            r_c [m].
-
-        Returns
-        -------
-        Cutter
-
-        Raises
-        ------
-        InterpError
-            If the corner radius exceeds half the diameter.
-
-        """
+        """Return the cutter with an outer diameter."""
         if not 0.0 <= corner_radius <= 0.5 * diameter:
             raise InterpError(
                 f'a corner radius of {corner_radius / MM:g} mm does not fit a diameter of '
@@ -126,19 +101,6 @@ class Cutter:
         return np.hypot(np.minimum(along, 0.0), beyond) - self.corner_radius
 
     def effective_radius(self, tilt: float) -> float:
-        """
-        Return the radius of the swept profile at the contact point on a plane [TL2008, Eq. 3.17].
-
-        Parameters
-        ----------
-        tilt : float
-            Tilt angle of the posture, which has no yaw [rad].
-
-        Returns
-        -------
-        float
-            Radius [m].
-
-        """
+        """Radius of the swept profile at the contact point on a plane [TL2008, Eq. 3.17]."""
         sine = np.sin(tilt)
         return float((self.tool_radius + self.corner_radius * sine) / sine)

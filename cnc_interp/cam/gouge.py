@@ -21,19 +21,6 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
 
     The equations of the paper regard the fillet at the contact point only. Here points on circles
     of the bottom, out to the corner circle, must stay r_c above the surface.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    postures : Postures
-        n postures.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Depths, 0 if the bottom stays outside [m].
-
     """
     cutter, frames = postures.cutter, postures.frames
     depth = np.zeros(len(postures))

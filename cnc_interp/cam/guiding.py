@@ -29,33 +29,21 @@ STEEP = 0.05
 
 @dataclass(frozen=True)
 class Frames:
-    """
-    The guided point K at n places of a curve, its frame, and their derivatives by arc length of K.
+    """The guided point K at n places of a curve and its frame, with derivatives by arc length."""
 
-    Parameters
-    ----------
-    position : ndarray, shape (n, 3)
-        K on the guiding surface [m].
-    normal, feed, across : ndarray, shape (n, 3)
-        Orthonormal frame n, f, t = f x n [-].
-    normal_rate, feed_rate, across_rate : ndarray, shape (n, 3)
-        Derivatives of the frame by arc length of K [1/m].
-    u, v : ndarray, shape (n,)
-        Surface parameters [units of u and v].
-    curvature : ndarray, shape (n,)
-        Normal curvature of the surface across the feed, positive where convex [1/m].
-
-    """
-
-    position: FloatArray
+    position: FloatArray  #: (n, 3): K on the guiding surface [m].
+    #: (n, 3): Orthonormal frame n, f, t = f x n [-].
     normal: FloatArray
     feed: FloatArray
     across: FloatArray
+    #: (n, 3): Derivatives of the frame by arc length of K [1/m].
     normal_rate: FloatArray
     feed_rate: FloatArray
     across_rate: FloatArray
+    #: (n,): Surface parameters [units of u and v].
     u: FloatArray
     v: FloatArray
+    #: (n,): Normal curvature of the surface across the feed, positive where convex [1/m].
     curvature: FloatArray
 
     def __len__(self) -> int:
@@ -79,32 +67,14 @@ class Frames:
 
 @dataclass(frozen=True)
 class GuidingCurve:
-    """
-    One guiding curve.
+    """One guiding curve."""
 
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    offset : float
-        Corner radius r_c: distance of the guiding surface [m].
-    plane_normal : ndarray, shape (3,)
-        N [-].
-    plane : float
-        Distance of the plane from the origin along N [m].
-    parameters : BSpline
-        u and v by arc length of K.
-    length : float
-        Arc length of the curve, which begins at 0 [m].
-
-    """
-
-    surface: Surface
-    offset: float
-    plane_normal: FloatArray
-    plane: float
-    parameters: BSpline
-    length: float
+    surface: Surface  #: The surface to machine.
+    offset: float  #: Corner radius r_c: distance of the guiding surface [m].
+    plane_normal: FloatArray  #: (3,): N [-].
+    plane: float  #: Distance of the plane from the origin along N [m].
+    parameters: BSpline  #: u and v by arc length of K.
+    length: float  #: Arc length of the curve, which begins at 0 [m].
 
     def frames(self, s: FloatArray) -> Frames:
         """
@@ -143,23 +113,6 @@ class GuidingPlanes:
 
     Beyond the border of the surface the curves end where planes no longer cut, or where the
     offset folds.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    offset : float
-        Corner radius r_c [m].
-    plane_normal : ndarray, shape (3,)
-        N, the direction in which the passes follow each other [-].
-    extension : float
-        Distance by which the curves exceed the border of the surface [m].
-
-    Raises
-    ------
-    SurfaceError
-        If a plane is tangent to the surface; the message names the place.
-
     """
 
     def __init__(

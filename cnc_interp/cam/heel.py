@@ -30,22 +30,7 @@ HALVINGS = 14
 
 
 def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:
-    """
-    Return close places of the parts of a pass that are milled, with both ends of each.
-
-    Parameters
-    ----------
-    s : ndarray, shape (n,)
-        Places of the whole pass [m].
-    parts : list of (float, float)
-        First and last place of each milled part [m].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Places [m].
-
-    """
+    """Return close places of the parts of a pass that are milled, with both ends of each."""
     step = float(np.median(np.diff(s))) / FINER
     return np.concatenate(
         [
@@ -59,35 +44,7 @@ def raised(
     curve: GuidingCurve, cutter: Cutter, angles: Angles, parts: list[tuple[float, float]],
     highest: float, gouge: float,
 ) -> Angles:  # fmt: skip
-    """
-    Raise tilts where the heel would enter the surface, and smoothly beside these places.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        Path of the guided point K.
-    cutter : Cutter
-        The mill.
-    angles : Angles
-        Angles at n places.
-    parts : list of (float, float)
-        First and last place of each milled part; other places are not tested [m].
-    highest : float
-        Largest tilt [rad].
-    gouge : float
-        Largest depth at which the bottom may enter the surface [m].
-
-    Returns
-    -------
-    Angles
-        Angles at the same places; no tilt is smaller than before.
-
-    Raises
-    ------
-    SurfaceError
-        If the largest tilt does not lift the heel; the message names the place.
-
-    """
+    """Raise tilts where the heel would enter the surface, and smoothly beside these places."""
     if not parts:
         return angles
     s = finely(angles.s, parts)
@@ -122,23 +79,6 @@ def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatAr
     Return a smooth function that is nowhere smaller than given values.
 
     A weighted mean of maxima over windows of the same width: each maximum contains the place.
-
-    Parameters
-    ----------
-    s : ndarray, shape (n,)
-        Places in increasing order [m].
-    values : ndarray, shape (n,)
-        Values, at least zero.
-    distance : float
-        Half width of both windows [m].
-    at : ndarray, shape (m,)
-        Places of the result [m].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        The cover; zero further than twice the distance from values above zero.
-
     """
     step = float(np.median(np.diff(s)))
     middle = np.arange(s[0] - 2.0 * distance, s[-1] + 2.0 * distance + step, step)

@@ -32,48 +32,29 @@ HALF = 24
 
 @dataclass(frozen=True, order=True)
 class Extreme:
-    """
-    A lowest or highest height and where it is; of equal heights that of the first needle counts.
+    """A lowest or highest height and its place; of equal heights the first needle counts."""
 
-    Parameters
-    ----------
-    height : float
-        The height [m]; the negative of it for a highest one.
-    row, column : int
-        Place of the needle.
-
-    """
-
-    height: float
+    height: float  #: The height [m]; the negative of it for a highest one.
+    #: Place of the needle.
     row: int
     column: int
 
 
 @dataclass(frozen=True)
 class Figures:
-    """
-    Sums over the needles that were cut.
+    """Sums over the needles that were cut."""
 
-    Parameters
-    ----------
-    needles, cut, gouged : int
-        Number of needles, of those that the mill has reached, and of those deeper than ``GOUGE``.
-    total, squares : int
-        Sum of the heights and of their squares, in the units of ``exact_sum``.
-    lowest, highest : Extreme, optional
-        The extremes; None if no needle was cut.
-    classes : dict of int to int
-        Number of needles in each class of the histogram: from n CLASS to (n + 1) CLASS.
-
-    """
-
+    #: Number of needles, of those that the mill has reached, and of those deeper than ``GOUGE``.
     needles: int = 0
     cut: int = 0
     gouged: int = 0
+    #: Sum of the heights and of their squares, in the units of ``exact_sum``.
     total: int = 0
     squares: int = 0
+    #: The extremes; None if no needle was cut.
     lowest: Extreme | None = None
     highest: Extreme | None = None
+    #: Number of needles in each class of the histogram: from n CLASS to (n + 1) CLASS.
     classes: dict[int, int] = field(default_factory=dict)
 
     @staticmethod
@@ -138,22 +119,7 @@ class Figures:
         return float(Fraction(self.total, self.cut << HEIGHT_BITS))
 
     def statistics(self, deviations: int) -> dict[str, float]:
-        """
-        Return the roughness figures of the needles that were cut.
-
-        Parameters
-        ----------
-        deviations : int
-            Sum of ``deviations`` over all parts.
-
-        Returns
-        -------
-        dict of str to float
-            ``highest``, ``lowest`` and ``mean`` height; ``Sa`` and ``Sq``, mean and root mean
-            square of the height about its mean; ``Sz``, its range [m]. ``gouged`` is the share of
-            needles deeper than 0.5 um, ``uncut`` the share that no motion reached [-].
-
-        """
+        """Return the roughness figures of the needles that were cut."""
         mean = self.mean
         assert self.lowest and self.highest
         low, high = self.lowest.height, -self.highest.height
@@ -200,21 +166,6 @@ def deviations(height: FloatArray, mean: float) -> int:
 
 
 def exact_sum(values: FloatArray, bits: int) -> int:
-    """
-    Sum numbers so that the order does not matter.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        Numbers, at most 2 ** (62 - bits).
-    bits : int
-        Each number is rounded to a whole number of 2 ** -bits.
-
-    Returns
-    -------
-    int
-        The sum in units of 2 ** -bits.
-
-    """
+    """Sum numbers so that the order does not matter."""
     whole = np.rint(np.ldexp(values, bits)).astype(np.int64)
     return (int((whole >> HALF).sum()) << HALF) + int((whole & ((1 << HALF) - 1)).sum())

@@ -38,24 +38,7 @@ UNREADABLE = (OSError, UnreadableError, ValueError, TypeError, KeyError)
 
 
 class HeightStore:
-    """
-    The heights of one simulation.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if missing.
-    grid : NeedleGrid
-        The needles. If the folder holds those of another grid, they are removed.
-    about : dict
-        What was cut, for the attributes of the store.
-
-    Raises
-    ------
-    InterpError
-        If Zarr is not installed, or the folder holds something else.
-
-    """
+    """The heights of one simulation."""
 
     def __init__(self, folder: Path, grid: NeedleGrid, about: dict[str, Any]):
         self.folder, self.shape = folder, grid.shape
@@ -151,19 +134,6 @@ class HeightStore:
         Make the levels of the image pyramid: cells of 2 x 2 cells of the level below.
 
         A cell keeps lowest, highest and mean height, so a gouge of one needle is never lost.
-
-        Parameters
-        ----------
-        mean : float
-            Mean height [m].
-        seen : callable
-            Told level, row, column and the values of each tile: the heights, or the ``KINDS``.
-
-        Returns
-        -------
-        int
-            Sum of ``height_figures.deviations`` over all tiles.
-
         """
         away = 0
         for place in patches(*self.shape, TILE, TILE):
@@ -214,22 +184,7 @@ class HeightStore:
 
 
 def reduced(cells: FloatArray, kind: str) -> FloatArray:
-    """
-    Reduce cells 2 x 2 to one.
-
-    Parameters
-    ----------
-    cells : ndarray, shape (rows, columns)
-        Values; NaN where nothing was cut.
-    kind : str
-        One of ``KINDS``.
-
-    Returns
-    -------
-    ndarray, shape (ceil(rows / 2), ceil(columns / 2))
-        NaN only where all four are.
-
-    """
+    """Reduce cells 2 x 2 to one."""
     rows, columns = (n + n % 2 for n in cells.shape)
     filled = np.full((rows, columns), np.nan)
     filled[: cells.shape[0], : cells.shape[1]] = cells
@@ -244,15 +199,7 @@ def reduced(cells: FloatArray, kind: str) -> FloatArray:
 
 
 def _zarr() -> Any:
-    """
-    Return the module that writes Zarr.
-
-    Raises
-    ------
-    InterpError
-        If it is not installed.
-
-    """
+    """Return the module that writes Zarr."""
     try:
         import zarr
     except ModuleNotFoundError as problem:

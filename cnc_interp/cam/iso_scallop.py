@@ -17,32 +17,14 @@ from cnc_interp.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class IsoScallopPaths:
-    """
-    All passes over a surface, with the inputs they were made from.
+    """All passes over a surface, with the inputs they were made from."""
 
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    cutter : Cutter
-        The mill.
-    options : IsoScallopOptions
-        The user's choices.
-    plane_normal : ndarray, shape (3,)
-        Unit normal N of the guiding planes [-].
-    passes : list of Pass
-        The passes in order.
-    notes : list of str
-        Which passes started afresh, and why.
-
-    """
-
-    surface: Surface
-    cutter: Cutter
-    options: IsoScallopOptions
-    plane_normal: FloatArray
-    passes: list[Pass]
-    notes: list[str] = field(default_factory=list)
+    surface: Surface  #: The surface to machine.
+    cutter: Cutter  #: The mill.
+    options: IsoScallopOptions  #: The user's choices.
+    plane_normal: FloatArray  #: (3,): Unit normal N of the guiding planes [-].
+    passes: list[Pass]  #: The passes in order.
+    notes: list[str] = field(default_factory=list)  #: Which passes started afresh, and why.
 
     @property
     def iterations(self) -> tuple[float, float, float]:
@@ -61,32 +43,7 @@ def iso_scallop_paths(
     options: IsoScallopOptions,
     progress: Callable[[float], None] | None = None,
 ) -> IsoScallopPaths:
-    """
-    Compute all passes over a surface.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    cutter : Cutter
-        The mill.
-    plane_normal : ndarray, shape (3,)
-        N, the direction in which the passes follow each other [any unit].
-    options : IsoScallopOptions
-        The user's choices.
-    progress : callable, optional
-        Is called with the share done, 0 to 1.
-
-    Returns
-    -------
-    IsoScallopPaths
-
-    Raises
-    ------
-    SurfaceError
-        If surface, mill and choices do not fit; the message names the place.
-
-    """
+    """Compute all passes over a surface."""
     if cutter.is_ball:
         raise SurfaceError(
             'the strip of a ball mill does not depend on its tilt; take a corner radius smaller '

@@ -17,34 +17,6 @@ class IsoScallopOptions:
     """
     The user's choices.
 
-    Parameters
-    ----------
-    scallop_height : float
-        S_h [m].
-    stepover : float, optional
-        Distance d of the guiding planes [m]. By default every pass has the largest distance that
-        its tilts allow.
-    tilt : float
-        Tilt of a first pass with constant tilt. Without a stepover, the tilt that determines the
-        distance of the planes [rad].
-    tilt_limits : (float, float)
-        Smallest and largest tilt [rad].
-    yaw : float
-        Yaw of all passes; the first guess if the yaw is the free angle [rad].
-    freedom : {'tilt', 'yaw'}
-        The angle that determines the width.
-    start : {'width', 'tilt'}
-        The first pass has the constant half width d/2, or the constant tilt, as in the paper.
-    points : int, optional
-        Number of scallop points along a pass.
-    stray : float, optional
-        A pass starts afresh if the half width differs from d/2 by more than this share [-]. None
-        is the recursion of the paper: a pass that cannot be found is then an error.
-    gouge : float
-        Largest depth at which the bottom of the mill may enter the surface [m].
-    overrun : float
-        Length that is milled beyond the border at both ends of a pass [m].
-
     Raises
     ------
     InterpError
@@ -52,16 +24,25 @@ class IsoScallopOptions:
 
     """
 
-    scallop_height: float = 10.0 * UM
+    scallop_height: float = 10.0 * UM  #: S_h [m].
+    #: Distance d of the guiding planes [m]. By default every pass has the largest distance that
+    #: its tilts allow.
     stepover: float | None = None
+    #: Tilt of a first pass with constant tilt. Without a stepover, the tilt that determines the
+    #: distance of the planes [rad].
     tilt: float = 5.0 * DEG
-    tilt_limits: tuple[float, float] = (0.5 * DEG, 60.0 * DEG)
-    yaw: float = 0.0
-    freedom: Freedom = 'tilt'
+    tilt_limits: tuple[float, float] = (0.5 * DEG, 60.0 * DEG)  #: Smallest and largest tilt [rad].
+    yaw: float = 0.0  #: Yaw of all passes; the first guess if the yaw is the free angle [rad].
+    freedom: Freedom = 'tilt'  #: The angle that determines the width.
+    #: The first pass has the constant half width d/2, or the constant tilt, as in the paper.
     start: Literal['width', 'tilt'] = 'width'
-    points: int | None = None
+    points: int | None = None  #: Number of scallop points along a pass.
+    #: A pass starts afresh if the half width differs from d/2 by more than this share [-]. None is
+    #: the recursion of the paper: a pass that cannot be found is then an error.
     stray: float | None = 0.25
+    #: Largest depth at which the bottom of the mill may enter the surface [m].
     gouge: float = 1.0 * UM
+    #: Length that is milled beyond the border at both ends of a pass [m].
     overrun: float = 0.5 * MM
 
     def __post_init__(self) -> None:

@@ -20,70 +20,22 @@ NOTICED = 0.5 * MM
 
 @dataclass(frozen=True)
 class MachinedFace:
-    """
-    One face and its passes.
+    """One face and its passes."""
 
-    Parameters
-    ----------
-    number : int
-        Number of the face.
-    surface : Surface
-        Its surface.
-    across : ndarray, shape (3,)
-        Unit normal N of the guiding planes [-].
-    paths : IsoScallopPaths or ClassicalPaths
-        The passes.
-    parts : list of list of SplinePass
-        The milled parts of each pass that has any.
-    seconds : float
-        Computing time [s].
-    notes : list of str
-        What the user should know.
-
-    """
-
-    number: int
-    surface: Surface
-    across: FloatArray
-    paths: IsoScallopPaths | ClassicalPaths
-    parts: list[list[SplinePass]]
-    seconds: float
-    notes: list[str] = field(default_factory=list)
+    number: int  #: Number of the face.
+    surface: Surface  #: Its surface.
+    across: FloatArray  #: (3,): Unit normal N of the guiding planes [-].
+    paths: IsoScallopPaths | ClassicalPaths  #: The passes.
+    parts: list[list[SplinePass]]  #: The milled parts of each pass that has any.
+    seconds: float  #: Computing time [s].
+    notes: list[str] = field(default_factory=list)  #: What the user should know.
 
 
 def cut_back(
     paths: IsoScallopPaths | ClassicalPaths, cutter: Cutter, overrun: float,
     fixed_axis: FloatArray | None, others: Neighbours | None,
 ) -> tuple[list[list[SplinePass]], list[str]]:  # fmt: skip
-    """
-    Fit splines to the milled parts of all passes.
-
-    Parameters
-    ----------
-    paths : IsoScallopPaths or ClassicalPaths
-        The passes.
-    cutter : Cutter
-        The mill.
-    overrun : float
-        Length added at both ends of each part [m].
-    fixed_axis : ndarray, shape (3,), optional
-        Unit tool axis of a ball mill that keeps its axis [-].
-    others : Neighbours, optional
-        Points of the other faces of the part.
-
-    Returns
-    -------
-    parts : list of list of SplinePass
-        The milled parts of each pass that has any.
-    notes : list of str
-        How much was left out.
-
-    Raises
-    ------
-    SurfaceError
-        If the mill would enter other faces everywhere.
-
-    """
+    """Fit splines to the milled parts of all passes."""
     found = [SplinePass.of(made, overrun, fixed_axis, others) for made in paths.passes]
     parts = [one for one in found if one]
     if others is None:

@@ -19,27 +19,7 @@ LINES = 9
 def kept_ranges(
     curve: GuidingCurve | SurfaceCurve, s: FloatArray, reach: FloatArray, overrun: float
 ) -> list[tuple[float, float]]:
-    """
-    Return the parts of a pass that are milled: where its strip lies on the surface, and overruns.
-
-    Parameters
-    ----------
-    curve : GuidingCurve or SurfaceCurve
-        Path of the guided point K.
-    s : ndarray, shape (n,)
-        Places at which the width is known [m].
-    reach : ndarray, shape (n,)
-        Half widths of the strip there; NaN where they are unknown [m].
-    overrun : float
-        Length added at both ends of each part [m].
-
-    Returns
-    -------
-    list of (float, float)
-        First and last place of each part, in order [m]. Parts that meet are one. The list is empty
-        if no part of the strip lies on the surface.
-
-    """
+    """Return the milled parts of a pass: where its strip lies on the surface, and overruns."""
     dense = np.linspace(0.0, curve.length, max(60, int(curve.length / SPACING)))
     known = np.isfinite(reach)
     width = np.interp(dense, s[known], reach[known]) if known.any() else np.zeros(len(dense))
@@ -61,25 +41,7 @@ def kept_ranges(
 def kept_places(
     curve: GuidingCurve, s: FloatArray, reach: FloatArray, overrun: float
 ) -> BoolArray:
-    """
-    Tell which places of a pass are milled.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        Path of the guided point K.
-    s : ndarray, shape (n,)
-        Places [m].
-    reach : ndarray, shape (n,)
-        Half widths of the strip there; NaN where they are unknown [m].
-    overrun : float
-        Length added at both ends of each milled part [m].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
-    """
+    """Tell which places of a pass are milled."""
     kept = np.zeros(len(s), bool)
     for first, last in kept_ranges(curve, s, reach, overrun):
         kept |= (s >= first) & (s <= last)
@@ -87,19 +49,7 @@ def kept_places(
 
 
 def runs(true: BoolArray) -> list[slice]:
-    """
-    Return the unbroken runs of true values.
-
-    Parameters
-    ----------
-    true : ndarray of bool, shape (n,)
-        Values.
-
-    Returns
-    -------
-    list of slice
-
-    """
+    """Return the unbroken runs of true values."""
     bounds = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]])))
     return [slice(int(a), int(b)) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
 
@@ -109,19 +59,6 @@ def places_around(good: BoolArray, kept: BoolArray) -> IntArray:
     Return the good places from the run with the first milled place to that with the last.
 
     Over a hole places may be bad. The angles then run smoothly from one side to the other.
-
-    Parameters
-    ----------
-    good : ndarray of bool, shape (n,)
-        Places with a solution.
-    kept : ndarray of bool, shape (n,)
-        Places that are milled; all of them are good. If there are none, the longest run counts.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Indices of the places.
-
     """
     found = runs(good)
     ours = [run for run in found if kept[run].any()]

@@ -30,23 +30,12 @@ GROUPS = 16
 
 @dataclass(frozen=True)
 class Heights:
-    """
-    The material that the mill leaves on the needles.
+    """The material that the mill leaves on the needles."""
 
-    Parameters
-    ----------
-    needles : Needles
-        The needles.
-    height : ndarray, shape (rows, columns)
-        Signed height above the surface; ``TOP`` where nothing was cut [m].
-    pairs : int
-        Needles times pieces of motion, for benchmarks.
-
-    """
-
-    needles: Needles
+    needles: Needles  #: The needles.
+    #: (rows, columns): Signed height above the surface; ``TOP`` where nothing was cut [m].
     height: FloatArray
-    pairs: int
+    pairs: int  #: Needles times pieces of motion, for benchmarks.
 
     @property
     def cut(self) -> BoolArray:
@@ -73,34 +62,7 @@ def cut_needles(
     progress: Callable[[float], None] | None = None,
     device: Device = 'cpu',
 ) -> Heights:
-    """
-    Cut needles by the volume that the mill sweeps along poses.
-
-    Parameters
-    ----------
-    needles : Needles
-        The needles.
-    cutter : Cutter
-        The mill.
-    tip : ndarray, shape (n, 3)
-        Tool tips in order; tip and axis move on straight lines between them [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axes [-].
-    progress : callable, optional
-        Is called with the share done, 0 to 1.
-    device : Device
-        What cuts.
-
-    Returns
-    -------
-    Heights
-
-    Raises
-    ------
-    InterpError
-        If there are fewer than two poses or one is not finite, or the device is missing.
-
-    """
+    """Cut needles by the volume that the mill sweeps along poses."""
     sweep = Sweep.of(cutter, tip, axis)
     rows, columns = needles.shape
     height = np.empty(needles.shape)
@@ -116,24 +78,7 @@ def cut_needles(
 
 
 def cut_part(needles: Needles, sweep: Sweep, device: Device = 'cpu') -> FloatArray:
-    """
-    Cut needles by pieces of motion.
-
-    Parameters
-    ----------
-    needles : Needles
-        The needles.
-    sweep : Sweep
-        Pieces of motion: at least those that can reach the needles.
-    device : Device
-        What cuts.
-
-    Returns
-    -------
-    ndarray, shape (rows, columns)
-        Heights; ``TOP`` where nothing was cut [m].
-
-    """
+    """Cut needles by pieces of motion."""
     needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
     R, skin, (stages, widest) = sweep.cutter.tool_radius, sweep.skin, sweep.search
     if device != 'cpu':

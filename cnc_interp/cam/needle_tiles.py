@@ -28,27 +28,14 @@ ENGINE = ('needle_cuts.py', 'nbuffer.py', 'height_figures.py', 'sweep.py', 'warp
 
 @dataclass(frozen=True)
 class TileTask:
-    """
-    All that a worker needs for a tile.
+    """All that a worker needs for a tile."""
 
-    Parameters
-    ----------
-    row, column : int
-        Place of the first needle.
-    needles : Needles
-        The needles.
-    sweep : Sweep
-        Pieces of motion that can reach them.
-    device : Device
-        What cuts.
-
-    """
-
+    #: Place of the first needle.
     row: int
     column: int
-    needles: Needles
-    sweep: Sweep
-    device: Device
+    needles: Needles  #: The needles.
+    sweep: Sweep  #: Pieces of motion that can reach them.
+    device: Device  #: What cuts.
 
     @property
     def key(self) -> str:
@@ -66,20 +53,10 @@ class TileTask:
 
 @dataclass(frozen=True)
 class CutTile:
-    """
-    A tile that was cut.
+    """A tile that was cut."""
 
-    Parameters
-    ----------
-    height : ndarray, shape (rows, columns)
-        Heights; ``TOP`` where nothing was cut [m].
-    figures : Figures
-        Their figures.
-
-    """
-
-    height: FloatArray
-    figures: Figures
+    height: FloatArray  #: (rows, columns): Heights; ``TOP`` where nothing was cut [m].
+    figures: Figures  #: Their figures.
 
 
 class TileWorkers(Protocol):
@@ -96,16 +73,9 @@ class TileWorkers(Protocol):
 
 @dataclass(frozen=True)
 class TileProgress:
-    """
-    How far the tiles are.
+    """How far the tiles are."""
 
-    Parameters
-    ----------
-    done, known, total : int
-        Tiles with heights, those of an earlier start among them, and all.
-
-    """
-
+    #: Tiles with heights, those of an earlier start among them, and all.
     done: int
     known: int
     total: int
@@ -126,19 +96,7 @@ def cut_tile(task: TileTask) -> CutTile | str:
 
 
 class TileCutter:
-    """
-    The tiles of a grid of needles, and who cuts them.
-
-    Parameters
-    ----------
-    grid : NeedleGrid
-        The needles.
-    sweep : Sweep
-        The whole motion.
-    device : Device
-        What cuts.
-
-    """
+    """The tiles of a grid of needles, and who cuts them."""
 
     def __init__(self, grid: NeedleGrid, sweep: Sweep, device: Device = 'cpu'):
         self._grid, self._sweep, self._device = grid, sweep, device

@@ -28,22 +28,11 @@ MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 
 @dataclass(frozen=True)
 class Needles:
-    """
-    Needles that stand on a surface.
+    """Needles that stand on a surface."""
 
-    Parameters
-    ----------
-    base : ndarray, shape (rows, columns, 3)
-        Points of the surface [m].
-    normal : ndarray, shape (rows, columns, 3)
-        Unit normals there [-].
-    counted : ndarray of bool, shape (rows, columns), optional
-        Needles on the face, where it does not fill the rectangle of parameters.
-
-    """
-
-    base: FloatArray
-    normal: FloatArray
+    base: FloatArray  #: (rows, columns, 3): Points of the surface [m].
+    normal: FloatArray  #: (rows, columns, 3): Unit normals there [-].
+    #: (rows, columns): Needles on the face, where it does not fill the rectangle of parameters.
     counted: BoolArray | None = None
 
     @staticmethod
@@ -136,23 +125,11 @@ class Needles:
 
 @dataclass(frozen=True)
 class NeedleGrid:
-    """
-    A grid of needles over a surface, of which any part can be made.
+    """A grid of needles over a surface, of which any part can be made."""
 
-    Parameters
-    ----------
-    surface : Surface
-        The surface.
-    u : ndarray, shape (rows,)
-        First parameter of the rows.
-    v : ndarray, shape (columns,)
-        Second parameter of the columns.
-
-    """
-
-    surface: Surface
-    u: FloatArray
-    v: FloatArray
+    surface: Surface  #: The surface.
+    u: FloatArray  #: (rows,): First parameter of the rows.
+    v: FloatArray  #: (columns,): Second parameter of the columns.
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> NeedleGrid:
@@ -196,15 +173,7 @@ class NeedleGrid:
         return len(self.u), len(self.v)
 
     def needles(self, rows: slice, columns: slice) -> Needles:
-        """
-        Return the needles of some rows and columns.
-
-        Parameters
-        ----------
-        rows, columns : slice
-            Ranges; they begin at multiples of ``PATCH``.
-
-        """
+        """Return the needles of some rows and columns."""
         assert rows.start % PATCH == columns.start % PATCH == 0
         high, wide = rows.stop - rows.start, columns.stop - columns.start
         base, normal = np.empty((high, wide, 3)), np.empty((high, wide, 3))

@@ -31,20 +31,10 @@ Rows = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Neighbours:
-    """
-    Points of faces that are not milled.
+    """Points of faces that are not milled."""
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Points on the faces and their edges [m].
-    face : ndarray of int, shape (n,)
-        Number of the face of each point.
-
-    """
-
-    points: FloatArray
-    face: IntArray
+    points: FloatArray  #: (n, 3): Points on the faces and their edges [m].
+    face: IntArray  #: (n,): Number of the face of each point.
 
     def without(self, face: int) -> Neighbours | None:
         """Return the points of all other faces; None if there are none."""
@@ -81,25 +71,7 @@ class Neighbours:
     def free_parts(
         self, rows: Rows, cutter: Cutter, parts: list[tuple[float, float]]
     ) -> list[tuple[float, float]]:
-        """
-        Cut parts of a pass back to where the mill stays out of the neighbours.
-
-        Parameters
-        ----------
-        rows : callable
-            Returns tip and a point above it on the axis, shape (n, 6) [m], for places of shape
-            (n,) [m].
-        cutter : Cutter
-            The mill.
-        parts : list of (float, float)
-            First and last place of each part [m].
-
-        Returns
-        -------
-        list of (float, float)
-            Parts without a gouge, in order [m].
-
-        """
+        """Cut parts of a pass back to where the mill stays out of the neighbours."""
         free = []
         for first, last in parts:
             s = np.linspace(first, last, max(2, int(np.ceil((last - first) / STEP)) + 1))

@@ -39,48 +39,18 @@ LARGEST_STEP = 1.0 * MM, 0.3
 
 @dataclass(frozen=True)
 class Fit:
-    """
-    Postures on the next guiding curve, one for each scallop point.
+    """Postures on the next guiding curve, one for each scallop point."""
 
-    Parameters
-    ----------
-    s : ndarray, shape (n,)
-        Places on the guiding curve [m].
-    tilt, yaw : ndarray, shape (n,)
-        Angles [rad].
-    found : ndarray of bool, shape (n,)
-        False where no valid root was reached.
-    iterations : ndarray of int, shape (n,)
-        Number of Newton steps.
-
-    """
-
-    s: FloatArray
+    s: FloatArray  #: (n,): Places on the guiding curve [m].
+    #: (n,): Angles [rad].
     tilt: FloatArray
     yaw: FloatArray
-    found: BoolArray
-    iterations: IntArray
+    found: BoolArray  #: (n,): False where no valid root was reached.
+    iterations: IntArray  #: (n,): Number of Newton steps.
 
 
 def resting(cutter: Cutter, frames: Frames, tilt: FloatArray, yaw: FloatArray) -> Postures:
-    """
-    Return postures whose angles do not change along the pass.
-
-    Parameters
-    ----------
-    cutter : Cutter
-        The mill.
-    frames : Frames
-        n guided points and their frames.
-    tilt, yaw : ndarray, shape (n,)
-        Angles [rad].
-
-    Returns
-    -------
-    Postures
-        n postures with rates of zero.
-
-    """
+    """Return postures whose angles do not change along the pass."""
     zero = np.zeros(len(frames))
     return Postures(cutter, frames, zero + tilt, zero + yaw, zero, zero)
 
@@ -90,21 +60,6 @@ def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, Floa
     Return the residuals of Eq. 3.13 and 3.14, and which roots would be valid.
 
     Eq. 3.14 is multiplied by 1 mm, so that both residuals are lengths.
-
-    Parameters
-    ----------
-    postures : Postures
-        n postures on the next guiding curve.
-    scallops : Scallops
-        n scallop points of the previous pass.
-
-    Returns
-    -------
-    first, second : ndarray, shape (n,)
-        Residuals [m].
-    valid : ndarray of bool, shape (n,)
-        True on the branch of the valid root.
-
     """
     cutter, u = postures.cutter, postures.axis
     v = scallops.position - postures.centre
@@ -133,30 +88,7 @@ def fit_postures(
     freedom: Freedom,
     fixed_angle: float,
 ) -> Fit:
-    """
-    Find the postures of the next pass.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        The next guiding curve.
-    cutter : Cutter
-        The mill.
-    scallops : Scallops
-        n scallop points of the previous pass.
-    height : float
-        Scallop height S_h, for the first guess [m].
-    freedom : {'tilt', 'yaw'}
-        The angle that is found.
-    fixed_angle : float
-        The other angle [rad].
-
-    Returns
-    -------
-    Fit
-        n postures; ``found`` is false where there is no valid root.
-
-    """
+    """Find the postures of the next pass."""
     s = nearest_places(curve, scallops)
     guess = first_guess(curve, cutter, scallops, height, freedom, fixed_angle, s)
     fit = _newton(curve, cutter, scallops, freedom, fixed_angle, s, guess)
@@ -177,22 +109,7 @@ def fit_postures(
 
 
 def nearest_places(curve: GuidingCurve, scallops: Scallops) -> FloatArray:
-    """
-    Find where the guided point K comes nearest to each scallop point.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        The guiding curve.
-    scallops : Scallops
-        n scallop points.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Places on the curve [m].
-
-    """
+    """Find where the guided point K comes nearest to each scallop point."""
     s = np.linspace(0.0, curve.length, max(64, int(curve.length / (0.5 * MM))))
     uv = curve.parameters(s)
     guide = curve.surface.at(uv[:, 0], uv[:, 1]).offset(curve.offset).position
@@ -209,32 +126,7 @@ def first_guess(
     curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float,
     freedom: Freedom, fixed_angle: float, s: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """
-    Guess the free angle from the cylinder with the local curvature [TL2008, 3.2].
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        The next guiding curve.
-    cutter : Cutter
-        The mill.
-    scallops : Scallops
-        n scallop points of the previous pass.
-    height : float
-        Scallop height S_h [m].
-    freedom : {'tilt', 'yaw'}
-        The free angle.
-    fixed_angle : float
-        The other angle [rad].
-    s : ndarray, shape (n,)
-        Places on the curve [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Free angles [rad].
-
-    """
+    """Guess the free angle from the cylinder with the local curvature [TL2008, 3.2]."""
     frames = curve.frames(s)
     width = np.abs(dot(np.nan_to_num(scallops.position) - frames.position, frames.across))
     # The width of a convex surface's strip grows with the distance from it.

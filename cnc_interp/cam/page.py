@@ -26,21 +26,7 @@ CURVES = 12
 
 
 def map_figure(heights: Heights, scallop: float) -> Any:
-    """
-    Draw the signed heights as a coloured map over the surface.
-
-    Parameters
-    ----------
-    heights : Heights
-        Heights on the needles.
-    scallop : float
-        Scallop height of the colour scale [m].
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw the signed heights as a coloured map over the surface."""
     rows, columns = heights.height.shape
     skip = max(1, -(-max(rows, columns) // CELLS))
     base = heights.needles.base
@@ -66,22 +52,7 @@ def map_figure(heights: Heights, scallop: float) -> Any:
 
 
 def thinned(values: FloatArray, skip: int) -> FloatArray:
-    """
-    Reduce a map by square cells; each cell keeps the value farthest from zero.
-
-    Parameters
-    ----------
-    values : ndarray, shape (rows, columns)
-        The map [any unit].
-    skip : int
-        Rows and columns of a cell.
-
-    Returns
-    -------
-    ndarray, shape (ceil(rows / skip), ceil(columns / skip))
-        The reduced map [same unit].
-
-    """
+    """Reduce a map by square cells; each cell keeps the value farthest from zero."""
     if skip == 1:
         return values
     rows, columns = (-(-n // skip) * skip for n in values.shape)
@@ -95,21 +66,7 @@ def thinned(values: FloatArray, skip: int) -> FloatArray:
 
 
 def section_figure(section: Section, scallop: float) -> Any:
-    """
-    Draw the heights of the middle section against the scallop height.
-
-    Parameters
-    ----------
-    section : Section
-        The sections.
-    scallop : float
-        Scallop height [m].
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw the heights of the middle section against the scallop height."""
     row = section.height[len(section.height) // 2] / UM
     figure = go.Figure(go.Scatter(
         x=rounded(section.way / MM), y=rounded(row), line={'color': BLUE, 'width': 1.2},
@@ -123,19 +80,7 @@ def section_figure(section: Section, scallop: float) -> Any:
 
 
 def tilt_figure(paths: IsoScallopPaths) -> Any:
-    """
-    Draw the tilt along some passes [TL2008, Fig. 5b].
-
-    Parameters
-    ----------
-    paths : IsoScallopPaths
-        The passes.
-
-    Returns
-    -------
-    Figure
-
-    """
+    """Draw the tilt along some passes [TL2008, Fig. 5b]."""
     figure = go.Figure()
     chosen = np.unique(np.linspace(0, len(paths.passes) - 1, CURVES).astype(int))
     for k in chosen:
@@ -174,24 +119,7 @@ def path_figure(paths: IsoScallopPaths | ClassicalPaths) -> Any:
 
 
 def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
-    """
-    Write figures with headings and texts as one page that needs no network.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    facts : str
-        Summary as text.
-    figures : list of (str, str, Figure)
-        Heading, text and figure of each section.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write figures with headings and texts as one page that needs no network."""
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<title>{escape(title)}</title><style>{STYLE} pre {{ color: {INK}; }}</style>'

@@ -36,29 +36,13 @@ Residuals = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class MarchedScallops:
-    """
-    Scallop points on the right of a pass, and what they cost.
+    """Scallop points on the right of a pass, and what they cost."""
 
-    Parameters
-    ----------
-    position : ndarray, shape (n, 3)
-        P [m].
-    found : ndarray of bool, shape (n,)
-        False where the march or Newton's method did not end.
-    steps : ndarray of int, shape (n,)
-        Steps along the intersection curve, n_1 of the paper.
-    corrections : ndarray of int, shape (n,)
-        Newton steps of all these corrections.
-    solved : ndarray of int, shape (n,)
-        Newton steps of the solution, n_2 of the paper.
-
-    """
-
-    position: FloatArray
-    found: BoolArray
-    steps: IntArray
-    corrections: IntArray
-    solved: IntArray
+    position: FloatArray  #: (n, 3): P [m].
+    found: BoolArray  #: (n,): False where the march or Newton's method did not end.
+    steps: IntArray  #: (n,): Steps along the intersection curve, n_1 of the paper.
+    corrections: IntArray  #: (n,): Newton steps of all these corrections.
+    solved: IntArray  #: (n,): Newton steps of the solution, n_2 of the paper.
 
 
 class _Conditions:
@@ -104,25 +88,7 @@ class _Conditions:
 def march_to_scallops(
     surface: Surface, postures: Postures, height: float, start: FloatArray
 ) -> MarchedScallops:
-    """
-    Find the scallop points on the right of a pass from those on its left.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    postures : Postures
-        n postures of the pass; the corner radius is not zero.
-    height : float
-        Scallop height S_h [m].
-    start : ndarray, shape (n, 3)
-        Scallop points of the previous pass, X_0 of the paper [m].
-
-    Returns
-    -------
-    MarchedScallops
-
-    """
+    """Find the scallop points on the right of a pass from those on its left."""
     conditions = _Conditions(surface, postures, height)
     n = len(postures)
     here, step = start.copy(), np.full(n, FIRST)
@@ -172,30 +138,7 @@ def march_to_scallops(
 def newton(
     residuals: Residuals, point: FloatArray, wanted: BoolArray, close: float
 ) -> tuple[FloatArray, BoolArray, IntArray]:
-    """
-    Solve three equations for the three coordinates of each point.
-
-    Parameters
-    ----------
-    residuals : callable
-        Returns three residuals [m], shape (n, 3), of points of shape (n, 3) [m].
-    point : ndarray, shape (n, 3)
-        First guesses [m].
-    wanted : ndarray of bool, shape (n,)
-        Points that matter; the others do not prolong the iteration.
-    close : float
-        Largest residual [m].
-
-    Returns
-    -------
-    point : ndarray, shape (n, 3)
-        Solutions [m].
-    solved : ndarray of bool, shape (n,)
-        True where all residuals are below ``close``.
-    count : ndarray of int, shape (n,)
-        Newton steps.
-
-    """
+    """Solve three equations for the three coordinates of each point."""
     count, done = np.zeros(len(point), np.int64), np.zeros(len(point), bool)
     for _ in range(MOST_CORRECTIONS + 1):
         value = residuals(point)

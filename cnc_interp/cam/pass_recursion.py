@@ -63,21 +63,7 @@ class HeelError(UnfitError):
 
 
 class PassRecursion:
-    """
-    The recursion over the passes of one surface.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    cutter : Cutter
-        The mill.
-    normal : ndarray, shape (3,)
-        Unit normal N of the guiding planes [-].
-    options : IsoScallopOptions
-        The user's choices.
-
-    """
+    """The recursion over the passes of one surface."""
 
     def __init__(
         self, surface: Surface, cutter: Cutter, normal: FloatArray, options: IsoScallopOptions
@@ -99,19 +85,7 @@ class PassRecursion:
         return 2.0 * float(half.max()) + self.options.overrun
 
     def all_passes(self, progress: Callable[[float], None] | None) -> list[Pass]:
-        """
-        Add passes from one border to the other.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Is called with the share done, 0 to 1.
-
-        Returns
-        -------
-        list of Pass
-
-        """
+        """Add passes from one border to the other."""
         first, last = self.planes.span
         passes = [self.first_pass()]
         while passes[-1].plane + float(passes[-1].kept_reach.min()) < last:

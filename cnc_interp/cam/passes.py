@@ -19,17 +19,7 @@ from cnc_interp.core.units import DEG, MM, UM
 
 
 class UnfitError(SurfaceError):
-    """
-    A pass that does not fit the surface.
-
-    Parameters
-    ----------
-    what : str
-        Place and reason.
-    remedy : str
-        What the user can do.
-
-    """
+    """A pass that does not fit the surface."""
 
     def __init__(self, what: str, remedy: str):
         super().__init__(f'{what}; {remedy}')
@@ -46,41 +36,15 @@ class WideStripError(UnfitError):
 
 @dataclass(frozen=True)
 class Angles:
-    """
-    Tilt and yaw along a pass: cubic splines through values, constant beyond them.
+    """Tilt and yaw along a pass: cubic splines through values, constant beyond them."""
 
-    Parameters
-    ----------
-    s : ndarray, shape (n,)
-        Places in increasing order [m].
-    tilt, yaw : ndarray, shape (n,)
-        Angles there [rad].
-
-    """
-
-    s: FloatArray
+    s: FloatArray  #: (n,): Places in increasing order [m].
+    #: (n,): Angles there [rad].
     tilt: FloatArray
     yaw: FloatArray
 
     def postures(self, curve: GuidingCurve, cutter: Cutter, s: FloatArray) -> Postures:
-        """
-        Return the postures at places of a curve.
-
-        Parameters
-        ----------
-        curve : GuidingCurve
-            The guiding curve.
-        cutter : Cutter
-            The mill.
-        s : ndarray, shape (m,)
-            Places [m].
-
-        Returns
-        -------
-        Postures
-            m postures.
-
-        """
+        """Return the postures at places of a curve."""
         inside = np.clip(s, self.s[0], self.s[-1])
         moving = (s >= self.s[0]) & (s <= self.s[-1])
         values = np.stack([self.tilt, self.yaw], axis=1)
@@ -93,37 +57,19 @@ class Angles:
 
 @dataclass(frozen=True)
 class Pass:
-    """
-    One pass of the mill.
+    """One pass of the mill."""
 
-    Parameters
-    ----------
-    curve : GuidingCurve
-        Path of the guided point K.
-    angles : Angles
-        Tilt and yaw along it.
-    s : ndarray, shape (n,)
-        Places of the scallop points [m].
-    postures : Postures
-        The postures there.
-    right : Scallops
-        Scallop points on the side of the next pass.
-    iterations : ndarray of int, shape (n,)
-        Newton steps of stage 2; zero in passes that were not fitted to the previous pass.
-    fresh : bool
-        True for the first pass and for passes that do not continue the previous pass exactly.
-    kept : ndarray of bool, shape (n,)
-        True at the places that are milled: the strip lies over the surface, or in the overrun.
-
-    """
-
-    curve: GuidingCurve
-    angles: Angles
-    s: FloatArray
-    postures: Postures
-    right: Scallops
+    curve: GuidingCurve  #: Path of the guided point K.
+    angles: Angles  #: Tilt and yaw along it.
+    s: FloatArray  #: (n,): Places of the scallop points [m].
+    postures: Postures  #: The postures there.
+    right: Scallops  #: Scallop points on the side of the next pass.
+    #: (n,): Newton steps of stage 2; zero in passes that were not fitted to the previous pass.
     iterations: IntArray
+    #: True for the first pass and for passes that do not continue the previous pass exactly.
     fresh: bool
+    #: (n,): True at the places that are milled: the strip lies over the surface, or in the
+    #: overrun.
     kept: BoolArray
 
     def tool(self, s: FloatArray) -> Postures:
@@ -163,15 +109,7 @@ class Pass:
 
     @property
     def kept_reach(self) -> FloatArray:
-        """
-        Half widths where the pass is milled, all if it is milled nowhere.
-
-        Returns
-        -------
-        ndarray, shape (m,)
-            Half widths [m].
-
-        """
+        """Half widths where the pass is milled, all if it is milled nowhere."""
         return self.reach[self.kept] if self.kept.any() else self.reach
 
 
@@ -181,64 +119,18 @@ def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -
 
     The points are first lifted to the guiding surface. On a slope the contact point does not lie
     in the guiding plane, and only on the guiding surface the left and right half widths agree.
-
-    Parameters
-    ----------
-    postures : Postures
-        n postures of the pass.
-    scallops : Scallops
-        Their n scallop points.
-    normal : ndarray, shape (3,)
-        Unit normal N of the guiding planes [-].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Distances [m].
-
     """
     lifted = scallops.position + postures.cutter.corner_radius * scallops.normal
     return np.abs(dot(lifted - postures.frames.position, normal))
 
 
 def evenly(curve: GuidingCurve, count: int) -> FloatArray:
-    """
-    Return places at equal distances along a whole curve.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        The curve.
-    count : int
-        Number of places.
-
-    Returns
-    -------
-    ndarray, shape (count,)
-        Places [m].
-
-    """
+    """Return places at equal distances along a whole curve."""
     return np.linspace(0.0, curve.length, count)
 
 
 def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> Angles:
-    """
-    Return constant angles.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        The guiding curve.
-    tilt, yaw : float
-        Angles [rad].
-    count : int
-        Number of places.
-
-    Returns
-    -------
-    Angles
-
-    """
+    """Return constant angles."""
     s = evenly(curve, count)
     return Angles(s, np.full(count, tilt), np.full(count, yaw))
 
@@ -247,41 +139,7 @@ def constant_width(
     curve: GuidingCurve, cutter: Cutter, height: float, half_width: float,
     limits: tuple[float, float], yaw: float, count: int, overrun: float, strict: bool = True,
 ) -> Angles:  # fmt: skip
-    """
-    Find the tilts for which the scallop lies in a plane parallel to the guiding plane.
-
-    Parameters
-    ----------
-    curve : GuidingCurve
-        Path of the guided point K.
-    cutter : Cutter
-        The mill.
-    height : float
-        Scallop height [m].
-    half_width : float
-        Distance of the scallop from the guiding plane [m].
-    limits : (float, float)
-        Smallest and largest tilt [rad].
-    yaw : float
-        Yaw [rad].
-    count : int
-        Number of places along the curve.
-    overrun : float
-        Length that is milled beyond the border [m].
-    strict : bool
-        If false, tilts stay at their limits where the strip becomes wider or narrower.
-
-    Returns
-    -------
-    Angles
-
-    Raises
-    ------
-    UnfitError
-        If a tilt would leave its limits where the pass is milled; the message names the place and
-        the possible width.
-
-    """
+    """Find the tilts for which the scallop lies in a plane parallel to the guiding plane."""
     s = evenly(curve, count)
     kept = kept_places(curve, s, np.full(count, half_width), overrun)
     bend = curve.frames(s).curvature
@@ -337,42 +195,13 @@ def constant_width(
 def tilt_of_curvature(
     cutter: Cutter, curvature: FloatArray, limits: tuple[float, float]
 ) -> FloatArray:
-    """
-    Return the tilts for which the swept profile has a curvature.
-
-    Parameters
-    ----------
-    cutter : Cutter
-        The mill.
-    curvature : ndarray, shape (n,)
-        Curvatures of the swept profile [1/m].
-    limits : (float, float)
-        Smallest and largest tilt [rad].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Tilts within the limits [rad].
-
-    """
+    """Return the tilts for which the swept profile has a curvature."""
     R, r = cutter.tool_radius, cutter.corner_radius
     sine = curvature * R / np.maximum(1.0 - curvature * r, 1e-6)
     return np.asarray(np.arcsin(np.clip(sine, np.sin(limits[0]), np.sin(limits[1]))))
 
 
 def place(point: FloatArray) -> str:
-    """
-    Write a point in mm.
-
-    Parameters
-    ----------
-    point : ndarray, shape (3,)
-        The point [m].
-
-    Returns
-    -------
-    str
-
-    """
+    """Write a point in mm."""
     x, y, z = point / MM
     return f'({x:.2f}, {y:.2f}, {z:.2f}) mm'

@@ -34,31 +34,14 @@ THROUGH = 0.5
 
 @dataclass(frozen=True)
 class PoleTurn:
-    """
-    How passes come near the pole, and what avoids it.
+    """How passes come near the pole, and what avoids it."""
 
-    Parameters
-    ----------
-    axis : str
-        Name of the outer rotary axis.
-    passes : int
-        Number of passes that are near the pole.
-    distance : float
-        Smallest angle between tool axis and pole in these passes [rad].
-    rate : float
-        Largest rate of the axis at the programmed feed over its largest velocity [-].
-    about : str
-        X or Y, the workpiece axis to turn about; empty if no turn helps.
-    angle : float
-        Smallest turn of the workpiece with which this axis can follow, in whole degrees [rad].
-
-    """
-
-    axis: str
-    passes: int
-    distance: float
-    rate: float
-    about: str
+    axis: str  #: Name of the outer rotary axis.
+    passes: int  #: Number of passes that are near the pole.
+    distance: float  #: Smallest angle between tool axis and pole in these passes [rad].
+    rate: float  #: Largest rate of the axis at the programmed feed over its largest velocity [-].
+    about: str  #: X or Y, the workpiece axis to turn about; empty if no turn helps.
+    #: Smallest turn of the workpiece with which this axis can follow, in whole degrees [rad].
     angle: float
 
     @property
@@ -76,26 +59,7 @@ class PoleTurn:
 def pole_turn(
     passes: Sequence[SplinePass], feedrate: float, tolerance: float, machine: Machine
 ) -> PoleTurn | None:
-    """
-    Find out whether passes come near the pole, and how to turn the workpiece.
-
-    Parameters
-    ----------
-    passes : sequence of SplinePass
-        Passes in the workpiece frame.
-    feedrate : float
-        Feedrate of the passes [m/s].
-    tolerance : float
-        Orientation tolerance as an angle [rad].
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    PoleTurn or None
-        None if no pass is near the pole.
-
-    """
+    """Find out whether passes come near the pole, and how to turn the workpiece."""
     if not machine.has_rotary or not passes:
         return None
     transform = Transform.of(machine)

@@ -25,26 +25,14 @@ from cnc_interp.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Postures:
-    """
-    Postures at n places of a pass.
+    """Postures at n places of a pass."""
 
-    Parameters
-    ----------
-    cutter : Cutter
-        The mill.
-    frames : Frames
-        Guided points and their frames.
-    tilt, yaw : ndarray, shape (n,)
-        Angles [rad].
-    tilt_rate, yaw_rate : ndarray, shape (n,)
-        Derivatives of the angles by arc length of K [rad/m].
-
-    """
-
-    cutter: Cutter
-    frames: Frames
+    cutter: Cutter  #: The mill.
+    frames: Frames  #: Guided points and their frames.
+    #: (n,): Angles [rad].
     tilt: FloatArray
     yaw: FloatArray
+    #: (n,): Derivatives of the angles by arc length of K [rad/m].
     tilt_rate: FloatArray
     yaw_rate: FloatArray
 
@@ -83,15 +71,7 @@ class Postures:
 
     @property
     def front(self) -> FloatArray:
-        """
-        Direction from C_L to K.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Unit vectors e_f [-].
-
-        """
+        """Direction from C_L to K."""
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), f_y) - scaled(np.sin(self.tilt), self.frames.normal)
 
@@ -173,20 +153,7 @@ class Postures:
         return np.asarray(self.frames.feed.reshape(shape) + cross(turn, away))
 
     def rim(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return directions from C_L in the plane of the corner circle.
-
-        Parameters
-        ----------
-        angle : ndarray, shape (n,)
-            Angles phi from e_f towards t_y [rad].
-
-        Returns
-        -------
-        e, e_derivative : ndarray, shape (n, 3)
-            Unit vectors and their derivatives by phi [-].
-
-        """
+        """Return directions from C_L in the plane of the corner circle."""
         e_f, e_t = self.front, self.turned[1]
         c, s = np.cos(angle), np.sin(angle)
         return scaled(c, e_f) + scaled(s, e_t), scaled(c, e_t) - scaled(s, e_f)

@@ -26,32 +26,7 @@ def write_tool_path(
     steps: Sequence[Link | SplinePass], feedrate: float, chord_tolerance: float, file: Path,
     form: Format, machine: Machine, reading: Settings,
 ) -> Path:  # fmt: skip
-    """
-    Write a tool path as a part program.
-
-    Parameters
-    ----------
-    steps : sequence of Link or SplinePass
-        Passes and the links between them.
-    feedrate : float
-        Feedrate of all moves except rapids [m/s].
-    chord_tolerance : float
-        Largest distance between a pass and its blocks; native splines have none [m].
-    file : Path
-        File name without suffix.
-    form : {'spline', 'cl', 'gcode'}
-        Dialect.
-    machine : Machine
-        The machine that gives rotary words their letters and values.
-    reading : Settings
-        Tolerances written into G-code.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    """
+    """Write a tool path as a part program."""
     path = file.with_suffix(SUFFIXES[form])
     if form == 'spline':
         text = siemens(_control_points(steps, feedrate), [])

@@ -29,29 +29,17 @@ WIDEST = 1.55
 
 @dataclass(frozen=True)
 class Scallops:
-    """
-    Scallop points on one side of a pass.
+    """Scallop points on one side of a pass."""
 
-    Parameters
-    ----------
-    position : ndarray, shape (n, 3)
-        P [m]; NaN where ``found`` is false, like ``tangent`` and ``normal``.
-    tangent, normal : ndarray, shape (n, 3)
-        Unit tangent of the scallop curve and unit normal of the surface [-].
-    angle : ndarray, shape (n,)
-        phi on the corner circle [rad].
-    found : ndarray of bool, shape (n,)
-        False where the mill does not reach the scallop height within its width.
-    marched, refined : ndarray of int, shape (n,)
-        Iterations that bracketed and that solved phi.
-
-    """
-
+    #: (n, 3): P [m]; NaN where ``found`` is false, like ``tangent`` and ``normal``.
     position: FloatArray
+    #: (n, 3): Unit tangent of the scallop curve and unit normal of the surface [-].
     tangent: FloatArray
     normal: FloatArray
-    angle: FloatArray
+    angle: FloatArray  #: (n,): phi on the corner circle [rad].
+    #: (n,): False where the mill does not reach the scallop height within its width.
     found: BoolArray
+    #: (n,): Iterations that bracketed and that solved phi.
     marched: IntArray
     refined: IntArray
 
@@ -75,24 +63,7 @@ class Scallops:
 
 
 def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """
-    Return the points at which the envelope touches the corner torus.
-
-    Parameters
-    ----------
-    postures : Postures
-        n postures.
-    angle : ndarray, shape (n,)
-        Angles phi of the corner circle [rad].
-
-    Returns
-    -------
-    point : ndarray, shape (n, 3)
-        P [m].
-    normal : ndarray, shape (n, 3)
-        Tool normal m there [-].
-
-    """
+    """Return the points at which the envelope touches the corner torus."""
     e, e_d = postures.rim(angle)
     centre = postures.centre + postures.cutter.tool_radius * e
     m = unit(cross(postures.velocity(centre), e_d))
@@ -102,26 +73,7 @@ def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, F
 def estimated_half_width(
     cutter: Cutter, tilt: Angle, yaw: Angle, curvature: FloatArray, height: float
 ) -> FloatArray:
-    """
-    Estimate half widths from the curvatures of tool and surface, 2 w = sqrt(8 h / kappa).
-
-    Parameters
-    ----------
-    cutter : Cutter
-        The mill.
-    tilt, yaw : float or ndarray, shape (n,)
-        Angles [rad].
-    curvature : ndarray, shape (n,)
-        Curvatures of the surface across the feed, positive where convex [1/m].
-    height : float
-        Scallop height S_h [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Half widths w [m].
-
-    """
+    """Estimate half widths from the curvatures of tool and surface, 2 w = sqrt(8 h / kappa)."""
     sine = np.sin(tilt)
     swept = (cutter.tool_radius + cutter.corner_radius * sine) / np.maximum(sine, 1e-9)
     swept = swept * np.cos(yaw) ** 2 + cutter.corner_radius * np.sin(yaw) ** 2
@@ -131,26 +83,7 @@ def estimated_half_width(
 def scallop_points(
     surface: Surface, postures: Postures, height: float, side: float = 1.0
 ) -> Scallops:
-    """
-    Find the scallop points of a pass.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    postures : Postures
-        n postures of the pass.
-    height : float
-        Scallop height S_h [m].
-    side : float
-        1 for the side of the next pass (along t), -1 for the side of the previous pass.
-
-    Returns
-    -------
-    Scallops
-        n points; ``found`` is false where there is none.
-
-    """
+    """Find the scallop points of a pass."""
     frames, n = postures.frames, len(postures)
     u, v = frames.u.copy(), frames.v.copy()
 

@@ -12,15 +12,7 @@ from cnc_interp.core.arrays import FloatArray
 
 
 class Graph(Surface):
-    """
-    A surface z = h(x, y) over a rectangle with u = x and v = y; the normal points up.
-
-    Parameters
-    ----------
-    size : (float, float)
-        Lengths in x and y [m]; the origin is the middle.
-
-    """
+    """A surface z = h(x, y) over a rectangle with u = x and v = y; the normal points up."""
 
     def __init__(self, size: tuple[float, float]):
         if not min(size) > 0.0:
@@ -46,20 +38,7 @@ class Graph(Surface):
         """
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its first and second derivatives.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Coordinates x and y [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S [m], S_u, S_v [-], S_uu, S_uv and S_vv [1/m].
-
-        """
+        """Return the position and its first and second derivatives."""
         x, y = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         zero, one = np.zeros_like(x), np.ones_like(x)
         h = [np.broadcast_to(value, x.shape) for value in self.height(x, y)]
@@ -89,18 +68,7 @@ class Plane(Graph):
 
 
 class Bumps(Graph):
-    """
-    A plane with bell-shaped bumps, like the surface of the paper's application.
-
-    Parameters
-    ----------
-    size : (float, float)
-        Lengths in x and y [m].
-    bumps : sequence of (x, y, height, width)
-        Each adds ``height exp(-((X - x)^2 + (Y - y)^2) / (2 width^2))`` [m]. Negative heights make
-        hollows.
-
-    """
+    """A plane with bell-shaped bumps, like the surface of the paper's application."""
 
     def __init__(self, size: tuple[float, float], bumps: Any):
         super().__init__(size)
@@ -134,21 +102,7 @@ class Bumps(Graph):
 
 
 class Cap(Graph):
-    """
-    A part of a sphere that a part of a torus joins to a plane [TL2008, Fig. 1].
-
-    Parameters
-    ----------
-    size : (float, float)
-        Lengths in x and y [m].
-    radius : float
-        Radius of the sphere [m].
-    blend : float
-        Radius of the concave meridian of the torus [m].
-    angle : float
-        Slope at which sphere and torus meet [rad].
-
-    """
+    """A part of a sphere that a part of a torus joins to a plane [TL2008, Fig. 1]."""
 
     def __init__(self, size: tuple[float, float], radius: float, blend: float, angle: float):
         super().__init__(size)
@@ -203,21 +157,7 @@ class Cap(Graph):
 
 
 class Cylinder(Surface):
-    """
-    A part of a cylinder about y; u is the angle from the vertical and v = y.
-
-    Parameters
-    ----------
-    radius : float
-        Radius [m].
-    angle : float
-        Opening angle, symmetric about the vertical [rad].
-    length : float
-        Length in y [m].
-    hollow : bool
-        If true, the material lies outside: a trough below the axis.
-
-    """
+    """A part of a cylinder about y; u is the angle from the vertical and v = y."""
 
     def __init__(self, radius: float, angle: float, length: float, hollow: bool = False):
         if not (radius > 0.0 and length > 0.0 and 0.0 < angle < 2.0 * np.pi):
@@ -226,22 +166,7 @@ class Cylinder(Surface):
         super().__init__(((-0.5 * angle, 0.5 * angle), (-0.5 * length, 0.5 * length)))
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its first and second derivatives.
-
-        Parameters
-        ----------
-        u : ndarray, shape (...)
-            Angle from the vertical [rad].
-        v : ndarray, shape (...)
-            Coordinate y [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S, S_u, S_v, S_uu, S_uv and S_vv [m per units of u and v].
-
-        """
+        """Return the position and its first and second derivatives."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         s, c, zero = self.radius * np.sin(u), self.radius * np.cos(u), np.zeros_like(u)
         k = self.up
@@ -256,19 +181,7 @@ class Cylinder(Surface):
 
 
 class Torus(Surface):
-    """
-    A part of a torus: u runs along its circle about y, v about that circle.
-
-    Parameters
-    ----------
-    ring : float
-        Radius of the circle of centres; 0 makes a sphere [m].
-    radius : float
-        Radius of the meridian [m].
-    u_angle, v_angle : float
-        Opening angles, symmetric about the highest point [rad].
-
-    """
+    """A part of a torus: u runs along its circle about y, v about that circle."""
 
     def __init__(self, ring: float, radius: float, u_angle: float, v_angle: float):
         if not (ring >= 0.0 and radius > 0.0 and u_angle > 0.0 and 0.0 < v_angle < np.pi):
@@ -277,20 +190,7 @@ class Torus(Surface):
         super().__init__(((-0.5 * u_angle, 0.5 * u_angle), (-0.5 * v_angle, 0.5 * v_angle)))
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its first and second derivatives.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Angles [rad].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S, S_u, S_v, S_uu, S_uv and S_vv [m].
-
-        """
+        """Return the position and its first and second derivatives."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         s, c, a = np.sin(u), np.cos(u), self.radius
         far, d_far, dd_far = self.ring + a * np.cos(v), -a * np.sin(v), -a * np.cos(v)

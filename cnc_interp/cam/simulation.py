@@ -38,23 +38,11 @@ PROMINENCE = 0.15
 
 @dataclass(frozen=True)
 class Motion:
-    """
-    Successive poses of the mill.
+    """Successive poses of the mill."""
 
-    Parameters
-    ----------
-    name : str
-        'programmed', 'planned' or 'executed'.
-    tip : ndarray, shape (n, 3)
-        Tool tips [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axes [-].
-
-    """
-
-    name: str
-    tip: FloatArray
-    axis: FloatArray
+    name: str  #: 'programmed', 'planned' or 'executed'.
+    tip: FloatArray  #: (n, 3): Tool tips [m].
+    axis: FloatArray  #: (n, 3): Unit tool axes [-].
 
 
 def thinned(motion: Motion) -> Motion:
@@ -63,17 +51,6 @@ def thinned(motion: Motion) -> Motion:
 
     Setpoints have a constant period and are dense where the tool is slow. The error allowed here
     is far below a scallop height.
-
-    Parameters
-    ----------
-    motion : Motion
-        The motion.
-
-    Returns
-    -------
-    Motion
-        Fewer poses, within ``THIN`` of the motion.
-
     """
     tip, axis = motion.tip, motion.axis
     for _ in range(THINNINGS):
@@ -113,50 +90,17 @@ def executed(plan: PlanFiles, machine: Machine, model: Machine | None = None) ->
 
 @dataclass(frozen=True)
 class Section:
-    """
-    Heights along lines across the passes.
+    """Heights along lines across the passes."""
 
-    Parameters
-    ----------
-    way : ndarray, shape (m,)
-        Distance along the first line [m].
-    height : ndarray, shape (n, m)
-        Heights on n lines; NaN where a line is not on the face [m].
-    ridges : ndarray, shape (k,)
-        Heights of all scallop ridges on all lines [m].
-
-    """
-
-    way: FloatArray
-    height: FloatArray
-    ridges: FloatArray
+    way: FloatArray  #: (m,): Distance along the first line [m].
+    height: FloatArray  #: (n, m): Heights on n lines; NaN where a line is not on the face [m].
+    ridges: FloatArray  #: (k,): Heights of all scallop ridges on all lines [m].
 
 
 def cross_sections(
     surface: Surface, cutter: Cutter, motion: Motion, across: FloatArray, margin: float
 ) -> Section:
-    """
-    Cut fine sections across the passes and find the scallop ridges.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface.
-    cutter : Cutter
-        The mill.
-    motion : Motion
-        Motion of the mill.
-    across : ndarray, shape (3,)
-        Direction in which the passes follow each other; the sections follow the parameter lines
-        that are closest to it [-].
-    margin : float
-        Distance of the sections from the border [m].
-
-    Returns
-    -------
-    Section
-
-    """
+    """Cut fine sections across the passes and find the scallop ridges."""
     (u0, u1), (v0, v1) = surface.domain
     middle = surface.at(np.array([0.5 * (u0 + u1)]), np.array([0.5 * (v0 + v1)]))
     along_u = abs(float(middle.d_u[0] @ across)) * float(norm(middle.d_v)[0]) > abs(

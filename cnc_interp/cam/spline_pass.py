@@ -80,16 +80,9 @@ class Strip(Protocol):
 
 @dataclass(frozen=True)
 class SplinePass:
-    """
-    A pass as a pair of cubic B-splines: the tool tip, and the point ``ARM`` above it on the axis.
+    """A pass as two cubic B-splines: the tool tip, and the point ``ARM`` above it on the axis."""
 
-    Parameters
-    ----------
-    spline : BSpline
-        Six columns, tip and upper point [m], by arc length of the guided point [m].
-
-    """
-
+    #: Six columns, tip and upper point [m], by arc length of the guided point [m].
     spline: BSpline
 
     @staticmethod
@@ -197,24 +190,7 @@ class SplinePass:
 
 
 def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """
-    Sample a pass so that its chords keep a tolerance.
-
-    Parameters
-    ----------
-    curve : SplinePass
-        The pass.
-    tolerance : float
-        Largest deviation of the chords, for tip and upper point [m].
-
-    Returns
-    -------
-    tip : ndarray, shape (n, 3)
-        Tool tips [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axes [-].
-
-    """
+    """Sample a pass so that its chords keep a tolerance."""
     s = np.linspace(*curve.ends, 9)
     for _ in range(FINEST):
         tip, axis = curve.poses(s)
@@ -238,19 +214,6 @@ def chord_error(
     Return the distance of poses from the linear blocks that replace them.
 
     A block moves tip and axis together. The upper point is compared where the tip is on its chord.
-
-    Parameters
-    ----------
-    tip, top : ndarray, shape (n, 2, 3)
-        Tips and upper points at both ends of the blocks [m].
-    middle_tip, middle_top : ndarray, shape (n, 3)
-        Tips and upper points of the poses [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Larger of both distances [m].
-
     """
     chord, chord_top = tip[:, 1] - tip[:, 0], top[:, 1] - top[:, 0]
     away = middle_tip - tip[:, 0]
@@ -260,24 +223,7 @@ def chord_error(
 
 
 def merged(curve: SplinePass, s: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """
-    Replace a pass by its two end poses if that keeps the tolerance.
-
-    Parameters
-    ----------
-    curve : SplinePass
-        The pass.
-    s : ndarray, shape (n,)
-        Places of its poses [m].
-    tolerance : float
-        Largest deviation [m].
-
-    Returns
-    -------
-    tip, axis : ndarray, shape (n, 3) or (2, 3)
-        Tool tips [m] and unit tool axes [-].
-
-    """
+    """Replace a pass by its two end poses if that keeps the tolerance."""
     tip, axis = curve.poses(s)
     top = tip + ARM * axis
     ends = np.array([0, len(s) - 1])

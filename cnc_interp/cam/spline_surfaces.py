@@ -14,22 +14,6 @@ class BSplineSurface(Surface):
     """
     Tensor-product B-spline surface; the last spans continue beyond its border.
 
-    Parameters
-    ----------
-    knots : (ndarray, ndarray)
-        Knot vectors of u and v, shapes (n_u + p_u + 1,) and (n_v + p_v + 1,) [-].
-    control_points : ndarray, shape (n_u, n_v, 3)
-        Control points [m].
-    degree : (int, int)
-        Degrees p_u and p_v, at least 2.
-    flip : bool
-        Reverse the normal.
-
-    Raises
-    ------
-    SurfaceError
-        If degree, knots and control points do not belong together.
-
     Examples
     --------
     A surface through a grid of points:
@@ -63,26 +47,7 @@ class BSplineSurface(Surface):
 
     @staticmethod
     def through(points: FloatArray, flip: bool = False) -> BSplineSurface:
-        """
-        Interpolate a grid of points by a bicubic surface.
-
-        Parameters
-        ----------
-        points : ndarray, shape (n_u, n_v, 3)
-            At least four by four points [m].
-        flip : bool
-            Reverse the normal.
-
-        Returns
-        -------
-        BSplineSurface
-
-        Raises
-        ------
-        SurfaceError
-            If the grid is too small or neighbouring rows coincide.
-
-        """
+        """Interpolate a grid of points by a bicubic surface."""
         points = np.asarray(points, float)
         if points.ndim != 3 or min(points.shape[:2]) < 4 or points.shape[2] != 3:
             raise SurfaceError('a surface through points needs a grid of at least 4 x 4 points')
@@ -99,43 +64,14 @@ class BSplineSurface(Surface):
         return BSplineSurface((knots[0], knots[1]), np.ascontiguousarray(control), (3, 3), flip)
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its first and second derivatives.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters [-].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S, S_u, S_v, S_uu, S_uv and S_vv [m].
-
-        """
+        """Return the position and its first and second derivatives."""
         at = np.stack([np.asarray(u, float), np.asarray(v, float)], axis=-1)
         orders = (0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)
         return tuple(np.asarray(self.spline(at, nu=order)) for order in orders)
 
 
 class RationalSurface(Surface):
-    """
-    Rational B-spline surface S = A / w; A and w are B-splines.
-
-    Parameters
-    ----------
-    knots : (ndarray, ndarray)
-        Knot vectors of u and v, shapes (n_u + p_u + 1,) and (n_v + p_v + 1,) [-].
-    control_points : ndarray, shape (n_u, n_v, 3)
-        Control points [m].
-    weights : ndarray, shape (n_u, n_v)
-        Positive weights [-].
-    degree : (int, int)
-        Degrees p_u and p_v, at least 2.
-    flip : bool
-        Reverse the normal.
-
-    """
+    """Rational B-spline surface S = A / w; A and w are B-splines."""
 
     def __init__(
         self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
@@ -147,20 +83,7 @@ class RationalSurface(Surface):
         super().__init__(self.above.domain, flip)
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its derivatives: w S = A, differentiated twice.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters [-].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S, S_u, S_v, S_uu, S_uv and S_vv [m].
-
-        """
+        """Return the position and its derivatives: w S = A, differentiated twice."""
         a, a_u, a_v, a_uu, a_uv, a_vv = self.above.derivatives(u, v)
         w, w_u, w_v, w_uu, w_uv, w_vv = self.weight.derivatives(u, v)
         s = a / w

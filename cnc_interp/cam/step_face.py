@@ -48,15 +48,7 @@ ANY = 1.0
 
 
 class StepFace:
-    """
-    One face of a file.
-
-    Parameters
-    ----------
-    shape : TopoDSStepFace
-        The face; lengths are in mm.
-
-    """
+    """One face of a file."""
 
     def __init__(self, shape: Any):
         from OCP.BRep import BRep_Tool
@@ -84,20 +76,7 @@ class StepFace:
             return f'{name}, cannot be used: {error}'
 
     def surface(self) -> Surface:
-        """
-        Make the surface.
-
-        Returns
-        -------
-        Surface
-            Trimmed by the boundary, unless that is the border of the surface.
-
-        Raises
-        ------
-        SurfaceError
-            If the kind of surface is not supported, or the boundary does not limit it.
-
-        """
+        """Make the surface."""
         surface: Surface
         if self.kind == SPLINE:
             surface = _patch(self.geometry, self.flip)
@@ -116,15 +95,7 @@ class StepFace:
         return Trimmed(surface, [self._own_parameters(surface, edge) for edge in self.edges()])
 
     def edges(self) -> list[FloatArray]:
-        """
-        Return the edges of outer loop and holes as polylines.
-
-        Returns
-        -------
-        list of ndarray, shape (n, 2)
-            u and v of OpenCASCADE, within ``CHORD`` of each edge [mm, rad].
-
-        """
+        """Return the edges of outer loop and holes as polylines."""
         from OCP.BRepAdaptor import BRepAdaptor_Curve2d
         from OCP.TopAbs import TopAbs_ShapeEnum
         from OCP.TopoDS import TopoDS

@@ -30,30 +30,7 @@ SPACING, MOST_POINTS = 0.25 * MM, 150_000
 def read_step_part(
     path: Path, numbers: Sequence[int], note: Callable[[str], None] | None = None
 ) -> Part:
-    """
-    Read the surfaces of faces, and points of all faces.
-
-    Parameters
-    ----------
-    path : Path
-        The STEP file. Its unit of length is converted to metres.
-    numbers : sequence of int
-        Numbers of the faces in the order of the shells, from 1. None is needed for a single face.
-    note : callable, optional
-        Gets a sentence if parts of the file could not be read.
-
-    Returns
-    -------
-    Part
-        Surfaces in part coordinates [m]. Their normals are the normals of the faces.
-
-    Raises
-    ------
-    SurfaceError
-        If OpenCASCADE is missing, the file or the face cannot be read, or no face is chosen among
-        several. In the last case the message lists them.
-
-    """
+    """Read the surfaces of faces, and points of all faces."""
     faces = _faces(path, note)
     if not numbers and len(faces) > 1:
         lines = [f'{k:6}  {one.description()}' for k, one in enumerate(faces, 1)]

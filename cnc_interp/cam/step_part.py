@@ -10,17 +10,9 @@ from cnc_interp.cam.surface import Surface
 
 @dataclass(frozen=True)
 class Part:
-    """
-    Faces to machine, and the other faces of the part.
+    """Faces to machine, and the other faces of the part."""
 
-    Parameters
-    ----------
-    surfaces : dict of int to Surface
-        Surfaces by the number of their face, in the order in which they are machined.
-    neighbours : Neighbours, optional
-        Points of all faces, also of those that are machined; none for a single face.
-
-    """
-
+    #: Surfaces by the number of their face, in the order in which they are machined.
     surfaces: dict[int, Surface]
+    #: Points of all faces, also of those that are machined; none for a single face.
     neighbours: Neighbours | None = None

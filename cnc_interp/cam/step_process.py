@@ -30,15 +30,7 @@ SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
 def read_step_safely(
     path: Path, faces: Sequence[int], note: Callable[[str], None] | None = None
 ) -> Part:
-    """
-    Read faces in a process of its own; as ``step_file.read_step_part``.
-
-    Raises
-    ------
-    SurfaceError
-        If there is no surface, also if the process ended without one.
-
-    """
+    """Read faces in a process of its own; as ``step_file.read_step_part``."""
     words = [str(path), *map(str, faces)]
     # -P: it imports this package and installed ones, and nothing from the folder of the user.
     command = [sys.executable, '-P', '-m', 'cnc_interp.cam.step_process', *words]

@@ -16,20 +16,7 @@ from cnc_interp.core.units import DEG, MM, UM
 
 
 def facts_of(faces: Sequence[MachinedFace]) -> dict[str, Any]:
-    """
-    Return the figures of the passes for summary.json.
-
-    Parameters
-    ----------
-    faces : sequence of MachinedFace
-        The faces.
-
-    Returns
-    -------
-    dict
-        Figures in SI units: those of a single face, or ``faces``, a list with those of each.
-
-    """
+    """Return the figures of the passes for summary.json."""
     found = [_facts_of(face) for face in faces]
     if len(faces) == 1:
         return found[0]
@@ -67,22 +54,7 @@ def _facts_of(face: MachinedFace) -> dict[str, Any]:
 
 
 def results(heights: Heights, section: Section) -> dict[str, Any]:
-    """
-    Return the figures of a simulated surface for summary.json.
-
-    Parameters
-    ----------
-    heights : Heights
-        Heights on the needles.
-    section : Section
-        Sections with scallop ridges.
-
-    Returns
-    -------
-    dict
-        Statistics of heights and ridges in SI units.
-
-    """
+    """Return the figures of a simulated surface for summary.json."""
     return heights.statistics() | ridges_of(section)
 
 

@@ -35,17 +35,7 @@ class SurfaceError(InterpError):
 
 
 class Surface(ABC):
-    """
-    A regular parametric surface over a rectangle; it continues a little beyond its border.
-
-    Parameters
-    ----------
-    domain : ((float, float), (float, float))
-        Ranges of u and v.
-    flip : bool
-        If true, the normal is -(S_u x S_v) instead of S_u x S_v.
-
-    """
+    """A regular parametric surface over a rectangle; it continues a little beyond its border."""
 
     def __init__(self, domain: Domain, flip: bool = False):
         self.domain = domain
@@ -53,20 +43,7 @@ class Surface(ABC):
 
     @abstractmethod
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its first and second derivatives.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters [units of u and v].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S, S_u, S_v, S_uu, S_uv and S_vv [m per units of u and v].
-
-        """
+        """Return the position and its first and second derivatives."""
 
     def at(self, u: FloatArray, v: FloatArray) -> SurfacePoint:
         """
@@ -97,24 +74,7 @@ class Surface(ABC):
     def project(
         self, points: FloatArray, u: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """
-        Find the foot points of points near the surface by Newton's method.
-
-        Parameters
-        ----------
-        points : ndarray, shape (..., 3)
-            Points [m].
-        u, v : ndarray, shape (...)
-            First guesses [units of u and v].
-
-        Returns
-        -------
-        u, v : ndarray, shape (...)
-            Parameters of the foot points, also beyond the border.
-        height : ndarray, shape (...)
-            Signed distance along the normal [m]; NaN if the iteration did not converge.
-
-        """
+        """Find the foot points of points near the surface by Newton's method."""
         u, v = np.array(u, float), np.array(v, float)
         longest = 0.25 * np.array([high - low for low, high in self.domain])
         moved = np.full(u.shape, np.inf)
@@ -165,40 +125,13 @@ class Surface(ABC):
         return u, v
 
     def growth(self, extension: float) -> tuple[float, float]:
-        """
-        Return the change of u and v that corresponds to a distance on the surface.
-
-        Parameters
-        ----------
-        extension : float
-            Distance [m].
-
-        Returns
-        -------
-        (float, float)
-            Change of u and of v, by the median speed of the parameter lines.
-
-        """
+        """Return the change of u and v that corresponds to a distance on the surface."""
         u, v = self.grid(9, 9)
         _, s_u, s_v, *_ = self.derivatives(u, v)
         return extension / float(np.median(norm(s_u))), extension / float(np.median(norm(s_v)))
 
     def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
-        """
-        Tell which points lie on the part that is machined, or no further than a margin outside.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters [units of u and v].
-        margin : float
-            Distance on the surface; a negative margin excludes what lies near the border [m].
-
-        Returns
-        -------
-        ndarray of bool, shape (...)
-
-        """
+        """Tell which points lie on the machined part, or no further than a margin outside."""
         (u0, u1), (v0, v1) = self.domain
         grow = self.growth(margin) if margin else (0.0, 0.0)
         grow_u, grow_v = grow[0] + 1e-9 * (u1 - u0), grow[1] + 1e-9 * (v1 - v0)

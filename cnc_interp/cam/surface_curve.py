@@ -20,46 +20,16 @@ NEAR = 1.0 * UM
 
 @dataclass(frozen=True)
 class SurfaceCurve:
-    """
-    A curve of the guided point K on the guiding surface.
+    """A curve of the guided point K on the guiding surface."""
 
-    Parameters
-    ----------
-    surface : Surface
-        The surface to machine.
-    offset : float
-        Corner radius r_c [m].
-    parameters : BSpline
-        u and v by the approximate arc length of K.
-    length : float
-        Value of that arc length at the end; it begins at 0 [m].
-
-    """
-
-    surface: Surface
-    offset: float
-    parameters: BSpline
-    length: float
+    surface: Surface  #: The surface to machine.
+    offset: float  #: Corner radius r_c [m].
+    parameters: BSpline  #: u and v by the approximate arc length of K.
+    length: float  #: Value of that arc length at the end; it begins at 0 [m].
 
     @staticmethod
     def through(surface: Surface, offset: float, u: FloatArray, v: FloatArray) -> SurfaceCurve:
-        """
-        Interpolate points by a quintic spline.
-
-        Parameters
-        ----------
-        surface : Surface
-            The surface to machine.
-        offset : float
-            Corner radius r_c [m].
-        u, v : ndarray, shape (n,)
-            Parameters of at least six points [units of u and v].
-
-        Returns
-        -------
-        SurfaceCurve
-
-        """
+        """Interpolate points by a quintic spline."""
         position = surface.at(u, v).offset(offset).position
         s = np.concatenate([[0.0], np.cumsum(norm(np.diff(position, axis=0)))])
         spline = make_interp_spline(s, np.stack([u, v], axis=1), k=5)
@@ -102,21 +72,7 @@ class SurfaceCurve:
 
 
 def crossing(u: FloatArray, v: FloatArray) -> int:
-    """
-    Find where a line of parameters crosses itself.
-
-    Parameters
-    ----------
-    u, v : ndarray, shape (n,)
-        Points of the line [units of u and v].
-
-    Returns
-    -------
-    int
-        Index of the first segment that another segment, not its neighbour, crosses; -1 if none
-        does.
-
-    """
+    """Find where a line of parameters crosses itself."""
     n = len(u) - 1
     if n < 3:
         return -1

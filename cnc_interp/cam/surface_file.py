@@ -82,29 +82,7 @@ def read_surface(
 def read_part(
     path: Path, faces: Sequence[int] = (), note: Callable[[str], None] | None = None
 ) -> Part:
-    """
-    Read a surface file, or faces of a STEP file (.step, .stp, .p21).
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    faces : sequence of int
-        Numbers of the faces in a STEP file; none is needed for a file of a single face.
-    note : callable, optional
-        Is called with a sentence if the user should know something about the surface.
-
-    Returns
-    -------
-    Part
-        The surfaces; that of a JSON file has the number 1.
-
-    Raises
-    ------
-    SurfaceError
-        If the file cannot be read; the message names the key and its permitted values.
-
-    """
+    """Read a surface file, or faces of a STEP file (.step, .stp, .p21)."""
     if path.suffix.lower() in STEP_SUFFIXES:
         return read_step_safely(path, faces, note)
     if faces:

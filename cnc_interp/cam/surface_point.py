@@ -12,26 +12,14 @@ from cnc_interp.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class SurfacePoint:
-    """
-    Points of a surface, with tangents and normals, for parameters of any common shape (...).
+    """Points of a surface, with tangents and normals, for parameters of any common shape (...)."""
 
-    Parameters
-    ----------
-    position : ndarray, shape (..., 3)
-        S [m].
-    d_u, d_v : ndarray, shape (..., 3)
-        First derivatives of S [m per unit of u or v].
-    normal : ndarray, shape (..., 3)
-        Unit normal, out of the material [-].
-    n_u, n_v : ndarray, shape (..., 3)
-        First derivatives of the normal [1 per unit of u or v].
-
-    """
-
-    position: FloatArray
+    position: FloatArray  #: (..., 3): S [m].
+    #: (..., 3): First derivatives of S [m per unit of u or v].
     d_u: FloatArray
     d_v: FloatArray
-    normal: FloatArray
+    normal: FloatArray  #: (..., 3): Unit normal, out of the material [-].
+    #: (..., 3): First derivatives of the normal [1 per unit of u or v].
     n_u: FloatArray
     n_v: FloatArray
 
@@ -60,70 +48,23 @@ class SurfacePoint:
         )
 
     def components(self, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return a and b with ``tangent = a S_u + b S_v``.
-
-        Parameters
-        ----------
-        tangent : ndarray, shape (..., 3)
-            Tangent vectors [m or -].
-
-        Returns
-        -------
-        a, b : ndarray, shape (...)
-            Components [units of u and v, per metre for a unit tangent].
-
-        """
+        """Return a and b with ``tangent = a S_u + b S_v``."""
         e, f, g = dot(self.d_u, self.d_u), dot(self.d_u, self.d_v), dot(self.d_v, self.d_v)
         p, q = dot(self.d_u, tangent), dot(self.d_v, tangent)
         determinant = e * g - f * f
         return (g * p - f * q) / determinant, (e * q - f * p) / determinant
 
     def normal_rate(self, tangent: FloatArray) -> FloatArray:
-        """
-        Return the derivative of the normal along tangent vectors.
-
-        Parameters
-        ----------
-        tangent : ndarray, shape (..., 3)
-            Tangent vectors [-].
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            n_d [1/m].
-
-        """
+        """Return the derivative of the normal along tangent vectors."""
         a, b = self.components(tangent)
         return scaled(a, self.n_u) + scaled(b, self.n_v)
 
     def curvature(self, tangent: FloatArray) -> FloatArray:
-        """
-        Return the normal curvature along tangents.
-
-        Parameters
-        ----------
-        tangent : ndarray, shape (..., 3)
-            Unit tangents [-].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Curvature, positive where convex [1/m].
-
-        """
+        """Return the normal curvature along tangents."""
         return dot(self.normal_rate(tangent), tangent)
 
     def principal_curvatures(self) -> tuple[FloatArray, FloatArray]:
-        """
-        Return the principal curvatures.
-
-        Returns
-        -------
-        smallest, largest : ndarray, shape (...)
-            Extreme normal curvatures, positive where convex [1/m].
-
-        """
+        """Return the principal curvatures."""
         e, f, g = dot(self.d_u, self.d_u), dot(self.d_u, self.d_v), dot(self.d_v, self.d_v)
         l, m, n = dot(self.n_u, self.d_u), dot(self.n_u, self.d_v), dot(self.n_v, self.d_v)
         area = e * g - f * f

@@ -31,31 +31,18 @@ BATCH = 2000
 
 @dataclass(frozen=True)
 class Sweep:
-    """
-    Pieces of the motion of a mill.
+    """Pieces of the motion of a mill."""
 
-    Parameters
-    ----------
-    cutter : Cutter
-        The mill.
-    first, middle, last : ndarray, shape (n, 6)
-        C_L [m] and unit tool axis [-] at the beginning, in the middle and at the end of a piece.
-    slack : ndarray, shape (n,)
-        Largest motion of the mill between the middle and an end of a piece [m].
-    rough : ndarray of bool, shape (n,)
-        Pieces of the first cut of a batch.
-    batch : ndarray of int, shape (n,)
-        Batch of each piece, in increasing order.
-
-    """
-
-    cutter: Cutter
+    cutter: Cutter  #: The mill.
+    #: (n, 6): C_L [m] and unit tool axis [-] at the beginning, in the middle and at the end of a
+    #: piece.
     first: FloatArray
     middle: FloatArray
     last: FloatArray
+    #: (n,): Largest motion of the mill between the middle and an end of a piece [m].
     slack: FloatArray
-    rough: BoolArray
-    batch: IntArray
+    rough: BoolArray  #: (n,): Pieces of the first cut of a batch.
+    batch: IntArray  #: (n,): Batch of each piece, in increasing order.
 
     @staticmethod
     def of(cutter: Cutter, tip: FloatArray, axis: FloatArray) -> Sweep:
@@ -149,28 +136,7 @@ class Sweep:
 def pieces(
     tip: FloatArray, axis: FloatArray, longest: float, arm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Divide long motions so that neither tip nor rim moves further than a length.
-
-    Parameters
-    ----------
-    tip : ndarray, shape (n, 3)
-        Tool tips [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axes [-].
-    longest : float
-        Largest motion of a piece [m].
-    arm : float
-        Distance of the rim from the tip [m].
-
-    Returns
-    -------
-    tip : ndarray, shape (m, 3)
-        Tool tips, m >= n [m].
-    axis : ndarray, shape (m, 3)
-        Unit tool axes [-].
-
-    """
+    """Divide long motions so that neither tip nor rim moves further than a length."""
     turn = norm(np.diff(axis, axis=0))
     way = norm(np.diff(tip, axis=0)) + arm * turn
     count = np.ceil(np.maximum(way / longest, turn / TURN)).astype(int).clip(1)

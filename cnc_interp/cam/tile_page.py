@@ -39,19 +39,7 @@ RANGE = 1.3
 
 
 class TilePage:
-    """
-    The page of a store.
-
-    Parameters
-    ----------
-    store : HeightStore
-        The heights.
-    grid : NeedleGrid
-        The needles.
-    scallop : float
-        Scallop height of the colour scale [m].
-
-    """
+    """The page of a store."""
 
     def __init__(self, store: HeightStore, grid: NeedleGrid, scallop: float):
         self._store, self._grid, self._scallop = store, grid, scallop
@@ -118,20 +106,7 @@ class TilePage:
 
 
 def encoded(values: list[FloatArray]) -> str:
-    """
-    Encode heights for the page.
-
-    Parameters
-    ----------
-    values : list of ndarray, shape (rows, columns)
-        Heights; NaN where nothing was cut [m].
-
-    Returns
-    -------
-    str
-        Base 64 of the deflated low, middle and high bytes of each array; 0 stands for NaN.
-
-    """
+    """Encode heights for the page."""
     planes = []
     for heights in values:
         steps = np.rint(np.nan_to_num(heights) / STEP).astype(np.int64) + ZERO

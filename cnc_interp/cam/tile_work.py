@@ -28,15 +28,7 @@ Pool = Callable[[str | None, int], TileWorkers]
 
 
 def refuse_options(options: argparse.Namespace) -> None:
-    """
-    Refuse options that do not belong together.
-
-    Raises
-    ------
-    InterpError
-        If there are any; or Warp or the device is missing where the tiles are cut here.
-
-    """
+    """Refuse options that do not belong together."""
     if options.tiles is None:
         for name in ('workers', 'scheduler'):
             if getattr(options, name) is not None:
@@ -55,28 +47,7 @@ def simulate_in_tiles(
     surface: Surface, cutter: Cutter, motion: Motion, section: Section,
     options: argparse.Namespace,
 ) -> dict[str, Any]:  # fmt: skip
-    """
-    Cut needles tile by tile; write heights, levels and page.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface.
-    cutter : Cutter
-        The mill.
-    motion : Motion
-        Motion of the mill.
-    section : Section
-        Sections with scallop ridges.
-    options : Namespace
-        Options of the command.
-
-    Returns
-    -------
-    dict
-        Figures for the summary, in SI units.
-
-    """
+    """Cut needles tile by tile; write heights, levels and page."""
     out: Path = options.tiles
     u, v = surface.grid(SAMPLES, SAMPLES)
     if not surface.contains(u, v).all():

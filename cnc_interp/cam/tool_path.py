@@ -34,14 +34,6 @@ class LinkOptions:
     """
     How passes are linked.
 
-    Parameters
-    ----------
-    linking : {'zigzag', 'one-way'}
-        Every second pass in the opposite direction after a short lift, or all passes in one
-        direction with a return over a safe level.
-    clearance : float
-        Lift between passes, and height of the safe level above the surface [m].
-
     Raises
     ------
     InterpError
@@ -49,7 +41,10 @@ class LinkOptions:
 
     """
 
+    #: Every second pass in the opposite direction after a short lift, or all passes in one
+    #: direction with a return over a safe level.
     linking: Linking = 'zigzag'
+    #: Lift between passes, and height of the safe level above the surface [m].
     clearance: float = 2.0 * MM
 
     def __post_init__(self) -> None:
@@ -59,57 +54,18 @@ class LinkOptions:
 
 @dataclass(frozen=True)
 class Link:
-    """
-    A straight move between passes.
+    """A straight move between passes."""
 
-    Parameters
-    ----------
-    tip : ndarray, shape (3,)
-        Tool tip at the end [m].
-    axis : ndarray, shape (3,)
-        Unit tool axis at the end [-].
-    rapid : bool
-        True for a rapid move.
-
-    """
-
-    tip: FloatArray
-    axis: FloatArray
-    rapid: bool
+    tip: FloatArray  #: (3,): Tool tip at the end [m].
+    axis: FloatArray  #: (3,): Unit tool axis at the end [-].
+    rapid: bool  #: True for a rapid move.
 
 
 def link(
     passes: Sequence[Sequence[SplinePass]], surface: Surface, cutter: Cutter,
     options: LinkOptions, around: Neighbours | None = None, up: FloatArray | None = None,
 ) -> list[Link | SplinePass]:  # fmt: skip
-    """
-    Put passes into the order and direction of cutting, with safe moves between them.
-
-    Parameters
-    ----------
-    passes : sequence of sequence of SplinePass
-        The parts of each pass, passes in their order on the surface.
-    surface : Surface
-        The surface that the links must not touch.
-    cutter : Cutter
-        The mill.
-    options : LinkOptions
-        The user's choices.
-    around : Neighbours, optional
-        Points of the whole part, which the links must not touch either.
-    up : ndarray, shape (3,), optional
-        Unit direction of the safe level, by default the mean normal of the surface [-].
-
-    Returns
-    -------
-    list of Link or SplinePass
-
-    Raises
-    ------
-    SurfaceError
-        If a tool axis leans too far from ``up`` to reach the safe level.
-
-    """
+    """Put passes into the order and direction of cutting, with safe moves between them."""
     u, v = surface.grid(SAMPLES, SAMPLES)
     ours = surface.contains(u, v)
     points = surface.at(u[ours], v[ours])
@@ -180,26 +136,12 @@ def _clear(
 
 @dataclass(frozen=True)
 class ToolPath:
-    """
-    Poses of a whole program, joined by straight lines.
+    """Poses of a whole program, joined by straight lines."""
 
-    Parameters
-    ----------
-    tip : ndarray, shape (n, 3)
-        Tool tips [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axes [-].
-    rapid : ndarray of bool, shape (n,)
-        True where the move to this pose is a rapid.
-    number : ndarray of int, shape (n,)
-        Number of the pass, from 1; 0 for links.
-
-    """
-
-    tip: FloatArray
-    axis: FloatArray
-    rapid: BoolArray
-    number: IntArray
+    tip: FloatArray  #: (n, 3): Tool tips [m].
+    axis: FloatArray  #: (n, 3): Unit tool axes [-].
+    rapid: BoolArray  #: (n,): True where the move to this pose is a rapid.
+    number: IntArray  #: (n,): Number of the pass, from 1; 0 for links.
 
     @staticmethod
     def of(steps: Sequence[Link | SplinePass], chord_tolerance: float) -> ToolPath:

@@ -25,19 +25,6 @@ class Trimmed(Surface):
 
     The surface itself continues beyond the boundary. Its domain is the smallest rectangle around
     the boundary.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface.
-    edges : sequence of ndarray, shape (n, 2)
-        Polylines of u and v along all edges, of outer loops and holes, in any order and direction.
-
-    Raises
-    ------
-    SurfaceError
-        If the boundary encloses nothing or is not closed.
-
     """
 
     def __init__(self, surface: Surface, edges: Sequence[FloatArray]):
@@ -54,38 +41,11 @@ class Trimmed(Surface):
         self._tree = cKDTree(self.boundary)
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """
-        Return the position and its first and second derivatives.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters of the surface [units of u and v].
-
-        Returns
-        -------
-        tuple of ndarray, shape (..., 3)
-            S, S_u, S_v, S_uu, S_uv and S_vv [m per units of u and v].
-
-        """
+        """Return the position and its first and second derivatives."""
         return self.surface.derivatives(u, v)
 
     def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
-        """
-        Tell which points lie within the boundary, or no further than a margin outside.
-
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters [units of u and v].
-        margin : float
-            Distance in space; a negative margin excludes what lies near the boundary [m].
-
-        Returns
-        -------
-        ndarray of bool, shape (...)
-
-        """
+        """Tell which points lie within the boundary, or no further than a margin outside."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         inside: BoolArray = within(self.pieces, u.ravel(), v.ravel()).reshape(u.shape)
         if not margin:
@@ -110,24 +70,7 @@ class Trimmed(Surface):
 
 
 def joined(edges: Sequence[FloatArray]) -> list[FloatArray]:
-    """
-    Close the small gaps between edges: all ends at one vertex become the same.
-
-    Parameters
-    ----------
-    edges : sequence of ndarray, shape (n, 2)
-        Polylines of u and v.
-
-    Returns
-    -------
-    list of ndarray, shape (n, 2)
-
-    Raises
-    ------
-    SurfaceError
-        If an end meets no other end.
-
-    """
+    """Close the small gaps between edges: all ends at one vertex become the same."""
     corners = np.concatenate(edges)
     size = np.maximum(np.ptp(corners, axis=0), 1e-12)
     ends = np.array([row for edge in edges for row in (edge[0], edge[-1])])
@@ -144,21 +87,7 @@ def joined(edges: Sequence[FloatArray]) -> list[FloatArray]:
 
 @njit(cache=True, nogil=True)
 def within(pieces: FloatArray, u: FloatArray, v: FloatArray) -> BoolArray:
-    """
-    Tell which points lie within closed polygons, by the parity of the pieces beside them.
-
-    Parameters
-    ----------
-    pieces : ndarray, shape (k, 4)
-        u and v of both ends of each straight piece, in any order.
-    u, v : ndarray, shape (n,)
-        The points.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
-    """
+    """Tell which points lie within closed polygons, by the parity of the pieces beside them."""
     inside = np.zeros(len(u), np.bool_)
     for i in range(len(u)):
         for j in range(len(pieces)):

@@ -55,15 +55,7 @@ def cut_needle(
 
 
 def warp(device: str) -> ModuleType:
-    """
-    Return Warp, ready for a device.
-
-    Raises
-    ------
-    InterpError
-        If Warp is not installed, or there is no such device.
-
-    """
+    """Return Warp, ready for a device."""
     try:
         import warp as wp
     except ModuleNotFoundError:
@@ -78,29 +70,7 @@ def warp(device: str) -> ModuleType:
 
 
 def cut_by_warp(needle: FloatArray, sweep: Sweep, device: str) -> FloatArray:
-    """
-    Cut needles with Warp; see ``needle_cuts.cut``.
-
-    Parameters
-    ----------
-    needle : ndarray, shape (k, 6)
-        Base [m] and unit normal [-] of each needle.
-    sweep : Sweep
-        Pieces of motion.
-    device : str
-        'warp-cpu' or 'cuda'.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Heights of the needles [m].
-
-    Raises
-    ------
-    InterpError
-        If Warp or the device is missing.
-
-    """
+    """Cut needles with Warp; see ``needle_cuts.cut``."""
     wp = warp(device)
     place = 'cpu' if device == 'warp-cpu' else 'cuda'
 

@@ -247,22 +247,7 @@ def simulate_motion(options: argparse.Namespace) -> int:
 
 
 def across(surface: Surface, direction: float) -> FloatArray:
-    """
-    Return N for a feed direction in the mean tangent plane of a surface.
-
-    Parameters
-    ----------
-    surface : Surface
-        The surface.
-    direction : float
-        Angle of the feed from the mean direction of the u lines [rad].
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Unit normal of the guiding planes, with n x N along the feed [-].
-
-    """
+    """Return N for a feed direction in the mean tangent plane of a surface."""
     u, v = surface.grid(21, 21)
     point = surface.at(u, v)
     up = unit(_mean_normal(surface))

@@ -24,29 +24,13 @@ LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 
 @dataclass(frozen=True)
 class Alarm:
-    """
-    One alarm or notice.
+    """One alarm or notice."""
 
-    Parameters
-    ----------
-    time : str
-        Time of day.
-    level : {'notice', 'warning', 'error'}
-        How serious it is.
-    source : str
-        Which part of which node reports it.
-    message : str
-        What happened, and what to do.
-    count : int
-        How often it came.
-
-    """
-
-    time: str
-    level: str
-    source: str
-    message: str
-    count: int = 1
+    time: str  #: Time of day.
+    level: str  #: How serious it is.
+    source: str  #: Which part of which node reports it.
+    message: str  #: What happened, and what to do.
+    count: int = 1  #: How often it came.
 
     def repeats(self, other: Alarm) -> bool:
         """Tell whether both alarms are the same, apart from numbers in the text."""

@@ -100,20 +100,7 @@ def refuse_existing(path: Path) -> None:
 
 
 class BagWriter:
-    """
-    A bag being written; ``close`` makes it complete.
-
-    Parameters
-    ----------
-    path : Path
-        Folder to create.
-
-    Raises
-    ------
-    InterpError
-        If the folder exists already.
-
-    """
+    """A bag being written; ``close`` makes it complete."""
 
     def __init__(self, path: Path):
         refuse_existing(path)
@@ -146,15 +133,7 @@ class BagWriter:
 
 
 def files_of(path: Path) -> list[Path]:
-    """
-    Return the files of a bag; all are files, and its metadata are YAML without references.
-
-    Raises
-    ------
-    OSError, UnreadableError
-        If they are not.
-
-    """
+    """Return the files of a bag; all are files, and its metadata are YAML without references."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     files = [file for file in files if file.suffix in ('.mcap', '.db3', '.yaml', '.zstd')]
     for file in files:
@@ -174,21 +153,7 @@ def why(fault: Exception) -> str:
 
 
 class SpooledMessages(Sequence[Any]):
-    """
-    Messages in a file, each read when it is asked for.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        The serialised messages, one after the other.
-    ends : sequence of int
-        Where the first one begins, and where each one ends.
-    read : callable
-        Makes a message of its bytes.
-    places : sequence of int, optional
-        Which of the messages these are; all if not given.
-
-    """
+    """Messages in a file, each read when it is asked for."""
 
     def __init__(
         self, file: BinaryIO, ends: Sequence[int], read: Callable[[bytes], Any],

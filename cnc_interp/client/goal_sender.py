@@ -20,19 +20,7 @@ AGAIN = 1.0
 
 
 class SentProgram:
-    """
-    A goal of ``run_program`` and what has been heard about it.
-
-    Parameters
-    ----------
-    client : ActionClient
-        Client of ``run_program``.
-    goal : RunProgram.Goal
-        Program and choices.
-    ahead : int
-        Programs that come first, until program_node says so.
-
-    """
+    """A goal of ``run_program`` and what has been heard about it."""
 
     def __init__(self, client: Any, goal: RunProgram.Goal, ahead: int = 0):
         self.goal, self._ahead = goal, ahead

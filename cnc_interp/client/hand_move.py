@@ -31,29 +31,13 @@ THERE = 1e-6
 
 @dataclass(frozen=True)
 class HandMove:
-    """
-    What is wanted of a move.
+    """What is wanted of a move."""
 
-    Parameters
-    ----------
-    values : mapping
-        Values of axes [mm, deg]; of a pose X Y Z [mm] and I J K [-].
-    relative : bool
-        Whether they are distances.
-    tool : float
-        A distance along the tool [mm].
-    speed : float
-        Share of the largest velocities [-].
-    pose : bool
-        Whether the values are a tool pose in the workpiece frame.
-
-    """
-
-    values: Mapping[str, float]
-    relative: bool
-    tool: float
-    speed: float
-    pose: bool = False
+    values: Mapping[str, float]  #: Values of axes [mm, deg]; of a pose X Y Z [mm] and I J K [-].
+    relative: bool  #: Whether they are distances.
+    tool: float  #: A distance along the tool [mm].
+    speed: float  #: Share of the largest velocities [-].
+    pose: bool = False  #: Whether the values are a tool pose in the workpiece frame.
 
 
 @dataclass(frozen=True)
@@ -85,15 +69,7 @@ def await_machine(
     domain: int,
     ready: Callable[[], bool] = lambda: True,
 ) -> Machine:
-    """
-    Wait for the machine, and for what else must be there; return which machine it is.
-
-    Raises
-    ------
-    InterpError
-        If no machine answers.
-
-    """
+    """Wait for the machine, and for what else must be there; return which machine it is."""
     until = time.monotonic() + PATIENCE
     while not (client.machine and client.state is not None and client.can_move and ready()):
         if time.monotonic() > until:
@@ -177,15 +153,7 @@ def _homed(client: OperatorClient) -> Any:
 
 
 def _states(client: OperatorClient) -> Iterator[Any]:
-    """
-    Yield every new state of the machine.
-
-    Raises
-    ------
-    InterpError
-        If it does not answer any more.
-
-    """
+    """Yield every new state of the machine."""
     state, heard = client.state, time.monotonic()
     while True:
         client.serve()

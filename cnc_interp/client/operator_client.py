@@ -357,15 +357,7 @@ class OperatorClient:
         return answer.result()
 
     def granted(self, answer: Future[Answer]) -> Answer:
-        """
-        Serve until something that was asked for is granted; return the answer.
-
-        Raises
-        ------
-        InterpError
-            If it is refused; the message says why.
-
-        """
+        """Serve until something that was asked for is granted; return the answer."""
         found = self.wait_for(answer)
         if not found.ok:
             raise InterpError(found.message)

@@ -17,20 +17,7 @@ AGAIN = 0.5
 
 
 class Question:
-    """
-    One request, sent as often as needed.
-
-    Parameters
-    ----------
-    client : Client
-        Client of the service.
-    request : message
-        What is sent.
-    again : float
-        Time without an answer after which it is sent again [s]; infinite for what must not arrive
-        twice.
-
-    """
+    """One request, sent as often as needed."""
 
     def __init__(self, client: Any, request: Any, again: float = AGAIN):
         self._client, self._request, self._again = client, request, again

@@ -14,34 +14,17 @@ from cnc_interp.wire.run_id_messages import run_id_of
 
 @dataclass(frozen=True)
 class RecordedFeedback:
-    """
-    What the drives were told and what they did.
+    """What the drives were told and what they did."""
 
-    Parameters
-    ----------
-    period : float
-        Interpolation period [s].
-    setpoint, rate, feedback : ndarray, shape (K, n_axes)
-        Commanded position and velocity, measured position [m, rad, per s].
-    block : ndarray of int, shape (K,)
-        Block of each setpoint; 0 beside the program.
-    plan : ndarray of int, shape (K,)
-        Number of the plan of each setpoint.
-    complete : bool
-        Whether the last setpoint is that of the end of the program.
-    program_id : str
-        The run.
-
-    """
-
-    period: float
+    period: float  #: Interpolation period [s].
+    #: (K, n_axes): Commanded position and velocity, measured position [m, rad, per s].
     setpoint: FloatArray
     rate: FloatArray
     feedback: FloatArray
-    block: IntArray
-    plan: IntArray
-    complete: bool
-    program_id: str
+    block: IntArray  #: (K,): Block of each setpoint; 0 beside the program.
+    plan: IntArray  #: (K,): Number of the plan of each setpoint.
+    complete: bool  #: Whether the last setpoint is that of the end of the program.
+    program_id: str  #: The run.
 
 
 def recorded_feedback(bag: Bag) -> RecordedFeedback:

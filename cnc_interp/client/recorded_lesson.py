@@ -24,19 +24,10 @@ NAMES = ('machine', 'compensation', 'learnt')
 
 @dataclass(frozen=True)
 class Lesson:
-    """
-    What was learnt, and how far the tool was off in the run.
+    """What was learnt, and how far the tool was off in the run."""
 
-    Parameters
-    ----------
-    motion : LearntMotion
-        For the next run.
-    largest, mean : float
-        Error of the tip [m].
-
-    """
-
-    motion: LearntMotion
+    motion: LearntMotion  #: For the next run.
+    #: Error of the tip [m].
     largest: float
     mean: float
 

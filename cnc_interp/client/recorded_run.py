@@ -40,37 +40,17 @@ GRID_EVERY, SHORTEST = 10, 1e-6
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """
-    The last run in a bag in which the machine moved.
+    """The last run in a bag in which the machine moved."""
 
-    Parameters
-    ----------
-    program_id : str
-        The run.
-    name : str
-        Name of the program.
-    machine : str
-        Machine that the nodes were started with; empty where the bag does not say.
-    blocks : list of G1Block
-        The program, gap-free from the start pose.
-    segments : list of PathSegment
-        The smoothed path, gap-free from its first segment.
-    chunks : sequence of SetpointChunk
-        What the machine executed; a run may be longer than the memory.
-    largest_override : float
-        Largest feed override of the run, at least 1 [-].
-    setup : str
-        Offsets and tools that it started with, as the text of a setup file; empty for none.
-
-    """
-
-    program_id: str
-    name: str
-    machine: str
-    blocks: list[G1Block]
-    segments: list[PathSegment]
+    program_id: str  #: The run.
+    name: str  #: Name of the program.
+    machine: str  #: Machine that the nodes were started with; empty where the bag does not say.
+    blocks: list[G1Block]  #: The program, gap-free from the start pose.
+    segments: list[PathSegment]  #: The smoothed path, gap-free from its first segment.
+    #: What the machine executed; a run may be longer than the memory.
     chunks: Sequence[SetpointChunk]
-    largest_override: float
+    largest_override: float  #: Largest feed override of the run, at least 1 [-].
+    #: Offsets and tools that it started with, as the text of a setup file; empty for none.
     setup: str = ''
 
     @property
@@ -214,24 +194,7 @@ def recorded_run(bag: Bag) -> RecordedRun:
 
 
 def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
-    """
-    Return the messages of an attempt at a run in order, each once.
-
-    Parameters
-    ----------
-    bag : Bag
-        The bag.
-    stream : {'blocks', 'segments'}
-        The stream.
-    run_id : RunId
-        The attempt.
-
-    Raises
-    ------
-    InterpError
-        If one is missing.
-
-    """
+    """Return the messages of an attempt at a run in order, each once."""
     messages: Iterable[Any]
     if stream == 'blocks':
         messages = chain(bag.read(stream), *map(blocks_of, bag.read('block_batches')))
@@ -299,17 +262,7 @@ def executed_paths(paths: Iterable[AxisPath], finder: StartFinder) -> Iterator[A
 
 
 class ExecutedWay:
-    """
-    The executed positions on the path, those beside one part of it at a time.
-
-    Parameters
-    ----------
-    setpoints : iterator of Setpoints
-        What was executed.
-    period : float
-        Interpolation period [s].
-
-    """
+    """The executed positions on the path, those beside one part of it at a time."""
 
     def __init__(self, setpoints: Iterator[Setpoints], period: float):
         self._setpoints, self._period = setpoints, period

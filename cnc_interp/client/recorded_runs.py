@@ -26,30 +26,7 @@ def run_recorded(
     started: float,
     attended: bool,
 ) -> list[RunResult]:
-    """
-    Run programs, record them where that is asked for, and write the plan files of ``out``.
-
-    Parameters
-    ----------
-    request : RunRequest
-        What shall be run, and what is wanted of it.
-    machine : Machine
-        The machine of the nodes.
-    client : OperatorClient
-        Speaks with the nodes.
-    children : Children
-        Processes of the nodes.
-    started : float
-        When the command began, in monotonic time [s].
-    attended : bool
-        See ``RunConsole``.
-
-    Raises
-    ------
-    InterpError
-        See ``RunConsole.run``.
-
-    """
+    """Run programs, record them where that is asked for, and write the plan files of ``out``."""
     with bag_folder(request) as folder:
         with ExitStack() as records:
             recorder = None

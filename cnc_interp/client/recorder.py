@@ -43,19 +43,7 @@ LAST_WAIT = 5.0
 
 
 class Recorder:
-    """
-    Records the topics of a namespace.
-
-    Parameters
-    ----------
-    node : Node
-        Node that subscribes, in the namespace of the run.
-    path : Path
-        Folder of the bag, to be created.
-    topics : iterable of str
-        Topics to record, names out of ``TOPICS``.
-
-    """
+    """Records the topics of a namespace."""
 
     def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
         self._bag, self._clock = BagWriter(path), node.get_clock()

@@ -45,28 +45,14 @@ COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's')
 
 @dataclass(frozen=True)
 class Comparison:
-    """
-    Setpoints of one plan as recorded and as computed again.
+    """Setpoints of one plan as recorded and as computed again."""
 
-    Parameters
-    ----------
-    run_id : RunId
-        Run, attempt and plan.
-    recorded : int
-        Setpoints that were recorded.
-    same : int
-        Number of setpoints, from the first on, that are the same bit for bit.
-    difference : float
-        Largest difference of a position [m, rad]; infinite where setpoints are missing.
-    overridden : bool
-        True if the feed override changed during the run; after which setpoint is unknown.
-
-    """
-
-    run_id: RunId
-    recorded: int
-    same: int
+    run_id: RunId  #: Run, attempt and plan.
+    recorded: int  #: Setpoints that were recorded.
+    same: int  #: Number of setpoints, from the first on, that are the same bit for bit.
+    #: Largest difference of a position [m, rad]; infinite where setpoints are missing.
     difference: float
+    #: True if the feed override changed during the run; after which setpoint is unknown.
     overridden: bool
 
     @property

@@ -45,24 +45,7 @@ SPIN = 0.05
 
 
 class RunConsole:
-    """
-    Runs programs on nodes that are child processes.
-
-    Parameters
-    ----------
-    client : OperatorClient
-        Speaks with the nodes.
-    children : Children
-        Processes of the nodes.
-    request : RunRequest
-        What shall be run.
-    recorder : Recorder or None
-        Records the run.
-    attended : bool
-        Whether an operator has buttons. Without one, program stops wait for Enter on a terminal,
-        and for nobody where there is none.
-
-    """
+    """Runs programs on nodes that are child processes."""
 
     def __init__(
         self,

@@ -29,38 +29,18 @@ ALL_DOMAINS = range(233)
 
 @dataclass(frozen=True)
 class RunRequest:
-    """
-    Programs to run, and how; SI units.
+    """Programs to run, and how; SI units."""
 
-    Parameters
-    ----------
-    program : Path
-        Program file.
-    then : tuple of Path
-        Further programs. Each starts when the one before it has reached its end.
-    machine : str
-        Bundled machine or YAML file.
-    settings : Settings
-        The user's choices.
-    out : Path, optional
-        Folder for plan files of what the machine executed.
-    record : Path, optional
-        Bag to record all messages into.
-    quiet : bool
-        Show no progress.
-    drives : dict
-        Drives of the machine and their parameters of the machine node, see
-        ``command_options.drives``; empty: as the parameters of the nodes say.
-
-    """
-
-    program: Path
+    program: Path  #: Program file.
+    #: Further programs. Each starts when the one before it has reached its end.
     then: tuple[Path, ...] = ()
-    machine: str = DEFAULT_MACHINE
-    settings: Settings = field(default_factory=Settings)
-    out: Path | None = None
-    record: Path | None = None
-    quiet: bool = False
+    machine: str = DEFAULT_MACHINE  #: Bundled machine or YAML file.
+    settings: Settings = field(default_factory=Settings)  #: The user's choices.
+    out: Path | None = None  #: Folder for plan files of what the machine executed.
+    record: Path | None = None  #: Bag to record all messages into.
+    quiet: bool = False  #: Show no progress.
+    #: Drives of the machine and their parameters of the machine node, see
+    #: ``command_options.drives``; empty: as the parameters of the nodes say.
     drives: dict[str, str] = field(default_factory=dict)
 
     @staticmethod
@@ -100,62 +80,38 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class RunResult:
-    """
-    The result of a run; SI units.
+    """The result of a run; SI units."""
 
-    Parameters
-    ----------
-    ok : bool
-        True when the program was executed to its end, every block of it.
-    message : str
-        What happened, in one line.
-    program, machine, program_id : str
-        What ran where, and the run's name in all messages.
-    cycle_time, approach_time : float
-        Motion time of the program, and of the move to its start pose [s].
-    start_to_motion : float
-        From the command to the first setpoint that the machine executed [s].
-    path_length : float
-        Path executed [m].
-    blocks_sent, blocks_executed, samples, starvations : int
-        Counts; starvations are times without setpoints.
-    least_buffered_time : float
-        Least motion time the machine held while it ran [s].
-    contour_error : float
-        Largest distance of the actual tip from the commanded path [m].
-    axis_units : dict
-        'm' for linear axes, 'rad' for rotary ones.
-    following_error, velocity_use, acceleration_use, jerk_use : dict
-        Largest per axis [m, rad; share of the limit].
-    position : dict
-        Where the axes stand at the end [m, rad].
-    notices : tuple of str
-        What of the program had no effect or was simplified.
-
-    """
-
-    ok: bool
-    message: str
+    ok: bool  #: True when the program was executed to its end, every block of it.
+    message: str  #: What happened, in one line.
+    #: What ran where, and the run's name in all messages.
     program: str
     machine: str
     program_id: str = ''
+    #: Motion time of the program, and of the move to its start pose [s].
     cycle_time: float = 0.0
     approach_time: float = 0.0
+    #: From the command to the first setpoint that the machine executed [s].
     start_to_motion: float = float('nan')
-    path_length: float = 0.0
+    path_length: float = 0.0  #: Path executed [m].
+    #: Counts; starvations are times without setpoints.
     blocks_sent: int = 0
     blocks_executed: int = 0
     samples: int = 0
     starvations: int = 0
+    #: Least motion time the machine held while it ran [s].
     least_buffered_time: float = float('nan')
-    contour_error: float = 0.0
+    contour_error: float = 0.0  #: Largest distance of the actual tip from the commanded path [m].
+    #: 'm' for linear axes, 'rad' for rotary ones.
     axis_units: dict[str, str] = field(default_factory=dict)
+    #: Largest per axis [m, rad; share of the limit].
     following_error: dict[str, float] = field(default_factory=dict)
     velocity_use: dict[str, float] = field(default_factory=dict)
     acceleration_use: dict[str, float] = field(default_factory=dict)
     jerk_use: dict[str, float] = field(default_factory=dict)
+    #: Where the axes stand at the end [m, rad].
     position: dict[str, float] = field(default_factory=dict)
-    notices: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()  #: What of the program had no effect or was simplified.
 
     def to_json(self) -> dict[str, Any]:
         """Return all fields for machines to read; NaN becomes None."""

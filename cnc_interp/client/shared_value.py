@@ -11,14 +11,6 @@ class SharedValue:
 
     While a sent value is on its way, a value that is heard may be older. So the last value sent
     counts until it is heard, or until ``patience`` is over.
-
-    Parameters
-    ----------
-    value : float
-        Counts until a value is heard.
-    patience : float
-        After this time a sent value counts as replaced by that of another client [s].
-
     """
 
     def __init__(self, value: float, patience: float):

@@ -151,12 +151,6 @@ def plan_files(
 
     None means the machine that they name. For a bag, the plan files of its last run are written to
     a temporary folder; its motion beside the program is that of ``RecordedRun.beside``.
-
-    Raises
-    ------
-    InterpError
-        If the bag cannot be read, or does not hold the whole run.
-
     """
     if not is_bag(path):
         yield path, machine, []

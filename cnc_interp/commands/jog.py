@@ -41,15 +41,7 @@ def add_jog_command(commands: Any) -> None:
 
 
 def pairs(words: list[str]) -> dict[str, float]:
-    """
-    Return the value of each axis named.
-
-    Raises
-    ------
-    InterpError
-        If the words are not letters and numbers in turn.
-
-    """
+    """Return the value of each axis named."""
     found: dict[str, float] = {}
     for name, value in zip(words[::2], words[1::2], strict=False):
         try:

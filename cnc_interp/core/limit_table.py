@@ -204,22 +204,7 @@ def _along(table: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def largest_between(table: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """
-    Return the largest value of each limit between two positions.
-
-    Parameters
-    ----------
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position.
-    low, high : ndarray, shape (K, n_axes)
-        Lowest and highest positions [m or rad].
-
-    Returns
-    -------
-    ndarray, shape (3, K, n_axes)
-        Largest limits there [m or rad, per s, s2, s3]; (3, 1, n_axes) where they are constant.
-
-    """
+    """Return the largest value of each limit between two positions."""
     largest = np.maximum(limits_along(table, low), limits_along(table, high))
     for i in range(1, table.shape[2]):
         place, there = table[PLACE, :, i], table[:PLACE, None, :, i]

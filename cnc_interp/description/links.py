@@ -42,57 +42,26 @@ UNLIMITED = 10.0
 
 @dataclass(frozen=True)
 class Joint:
-    """
-    The connection of two links.
+    """The connection of two links."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the axis or of the fixed connection.
-    kind : str
-        ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
-    parent, child : str
-        Names of the links.
-    origin : tuple of float
-        Origin of the child in the frame of the parent, with the axis at zero [m].
-    along : tuple of float
-        Unit direction of the axis [-].
-    travel : tuple of float
-        Lowest and highest position [m or rad].
-    max_velocity : float
-        Velocity limit [m/s or rad/s].
-
-    """
-
-    name: str
-    kind: str
+    name: str  #: Name of the axis or of the fixed connection.
+    kind: str  #: ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
+    #: Names of the links.
     parent: str
     child: str
-    origin: Vector
-    along: Vector = UP
-    travel: tuple[float, float] = (0.0, 0.0)
-    max_velocity: float = 0.0
+    origin: Vector  #: Origin of the child in the frame of the parent, with the axis at zero [m].
+    along: Vector = UP  #: Unit direction of the axis [-].
+    travel: tuple[float, float] = (0.0, 0.0)  #: Lowest and highest position [m or rad].
+    max_velocity: float = 0.0  #: Velocity limit [m/s or rad/s].
 
 
 @dataclass(frozen=True)
 class Description:
-    """
-    A machine as a tree of links.
+    """A machine as a tree of links."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the machine.
-    links : dict of str to tuple of Shape
-        Shapes of each link, the base first.
-    joints : tuple of Joint
-        Parents before children.
-
-    """
-
-    name: str
-    links: dict[str, tuple[Shape, ...]]
-    joints: tuple[Joint, ...]
+    name: str  #: Name of the machine.
+    links: dict[str, tuple[Shape, ...]]  #: Shapes of each link, the base first.
+    joints: tuple[Joint, ...]  #: Parents before children.
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """
@@ -190,27 +159,7 @@ def describe_machine(machine: Machine) -> Description:
 def axis_joint(
     machine: Machine, k: int, parent: str, child: str, origin: Vector, along: Vector
 ) -> Joint:
-    """
-    Return the joint of an axis; an endless rotary axis has no travel.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    k : int
-        Number of the axis, from 0.
-    parent, child : str
-        Names of the links.
-    origin : tuple of float
-        Origin of the child in the parent [m].
-    along : tuple of float
-        Unit direction of the axis [-].
-
-    Returns
-    -------
-    Joint
-
-    """
+    """Return the joint of an axis; an endless rotary axis has no travel."""
     axis = machine.axes[k]
     kind = 'prismatic' if axis.linear else 'continuous' if axis.endless else 'revolute'
     travel = (-UNLIMITED, UNLIMITED) if axis.endless else axis.travel

@@ -25,26 +25,12 @@ BRIDGE, HALF_WIDTH = 0.78, 0.68
 
 @dataclass(frozen=True)
 class Shape:
-    """
-    A box or a cylinder.
+    """A box or a cylinder."""
 
-    Parameters
-    ----------
-    size : tuple of float
-        Edges of a box (3), or radius and length of a cylinder (2) [m].
-    centre : tuple of float
-        Middle, in the frame of the link [m].
-    colour : tuple of float
-        Red, green, blue and opacity, 0 to 1.
-    along : tuple of float
-        Unit direction of a cylinder's axis [-].
-
-    """
-
-    size: tuple[float, ...]
-    centre: Vector
-    colour: Colour
-    along: Vector = UP
+    size: tuple[float, ...]  #: Edges of a box (3), or radius and length of a cylinder (2) [m].
+    centre: Vector  #: Middle, in the frame of the link [m].
+    colour: Colour  #: Red, green, blue and opacity, 0 to 1.
+    along: Vector = UP  #: Unit direction of a cylinder's axis [-].
 
     @property
     def is_box(self) -> bool:
@@ -59,39 +45,13 @@ class Shape:
 
 
 def vector(values: FloatArray) -> Vector:
-    """
-    Return three numbers as floats, without negative zeros.
-
-    Parameters
-    ----------
-    values : ndarray, shape (3,)
-        Numbers [any unit].
-
-    Returns
-    -------
-    tuple of float
-        The same numbers [same unit].
-
-    """
+    """Return three numbers as floats, without negative zeros."""
     x, y, z = (float(value) + 0.0 for value in values)
     return x, y, z
 
 
 def table_radius(machine: Machine) -> float:
-    """
-    Choose the radius of the table so that the workpiece zero lies well inside.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    float
-        Radius [m].
-
-    """
+    """Choose the radius of the table so that the workpiece zero lies well inside."""
     return 0.09 + float(np.linalg.norm(machine.offsets[0, :2]))
 
 
@@ -152,21 +112,7 @@ def disc_shapes(machine: Machine) -> tuple[Shape, ...]:
 
 
 def head_shapes(along: Vector, arm: Vector) -> tuple[Shape, ...]:
-    """
-    Draw a rotary axis of the head: its hub and the arm to the next part.
-
-    Parameters
-    ----------
-    along : tuple of float
-        Unit direction of the axis [-].
-    arm : tuple of float
-        Vector to the next part [m].
-
-    Returns
-    -------
-    tuple of Shape
-
-    """
+    """Draw a rotary axis of the head: its hub and the arm to the next part."""
     length = float(np.linalg.norm(arm))
     hub = Shape((0.05, 0.12), ZERO, TURNING, along)
     if length < 0.05:

@@ -26,17 +26,7 @@ def urdf_of(machine: Machine) -> str:
 
 
 def add_links(robot: ElementTree.Element, description: Description) -> None:
-    """
-    Add every link with its shapes.
-
-    Parameters
-    ----------
-    robot : Element
-        XML element of the robot, which is changed.
-    description : Description
-        The machine.
-
-    """
+    """Add every link with its shapes."""
     for name, shapes in description.links.items():
         link = ElementTree.SubElement(robot, 'link', name=name)
         for shape in shapes:
@@ -44,17 +34,7 @@ def add_links(robot: ElementTree.Element, description: Description) -> None:
 
 
 def add_shape(part: ElementTree.Element, shape: Shape) -> None:
-    """
-    Add one box or cylinder with its colour.
-
-    Parameters
-    ----------
-    part : Element
-        XML element of the visual, which is changed.
-    shape : Shape
-        The shape.
-
-    """
+    """Add one box or cylinder with its colour."""
     ElementTree.SubElement(part, 'origin', xyz=words(shape.centre), rpy=words(shape.rpy))
     geometry = ElementTree.SubElement(part, 'geometry')
     if shape.is_box:
@@ -68,17 +48,7 @@ def add_shape(part: ElementTree.Element, shape: Shape) -> None:
 
 
 def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
-    """
-    Add one joint; URDF uses SI units (REP-103).
-
-    Parameters
-    ----------
-    robot : Element
-        XML element of the robot, which is changed.
-    joint : Joint
-        The joint.
-
-    """
+    """Add one joint; URDF uses SI units (REP-103)."""
     element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=joint.kind)
     ElementTree.SubElement(element, 'parent', link=joint.parent)
     ElementTree.SubElement(element, 'child', link=joint.child)
@@ -93,34 +63,10 @@ def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
 
 
 def words(values: Iterable[float]) -> str:
-    """
-    Write numbers separated by spaces.
-
-    Parameters
-    ----------
-    values : iterable of float
-        Numbers [any unit].
-
-    Returns
-    -------
-    str
-
-    """
+    """Write numbers separated by spaces."""
     return ' '.join(word(value) for value in values)
 
 
 def word(value: float) -> str:
-    """
-    Write a number with 15 digits, which is exact to a femtometre without rounding noise.
-
-    Parameters
-    ----------
-    value : float
-        The number [any unit].
-
-    Returns
-    -------
-    str
-
-    """
+    """Write a number with 15 digits, which is exact to a femtometre without rounding noise."""
     return f'{float(value) + 0.0:.15g}'

@@ -67,24 +67,7 @@ IN_RATE, IN_MOTOR, STATE, COLUMNS, FIRST = 0, 3, 5, 8, 5
 
 @njit(cache=True, nogil=True)
 def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, float]:
-    """
-    Take the next setpoint of an axis; return what to send now.
-
-    Parameters
-    ----------
-    words : ndarray
-        Words of the axis; its state is changed.
-    known : int
-        Number of setpoints that are kept.
-    setpoint : float
-        Setpoint [m or rad].
-
-    Returns
-    -------
-    float, float
-        Position and velocity feed-forward [m or rad, per s].
-
-    """
+    """Take the next setpoint of an axis; return what to send now."""
     weights, motors = FIRST + IN_RATE * known, FIRST + IN_MOTOR * known
     r = FIRST + STATE * known
     sign, force = r + known, r + 2 * known
@@ -117,24 +100,7 @@ def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, f
 
 @njit(cache=True, nogil=True)
 def find_row(head: FloatArray, setpoints: FloatArray, wanted: FloatArray) -> float:
-    """
-    Find the learnt row of the next setpoint, which is ``head[ROW]`` then.
-
-    Parameters
-    ----------
-    head : ndarray
-        Words before those of the axes; the state is changed.
-    setpoints : ndarray, shape (K, n_axes)
-        Setpoints of the program that is learnt [m, rad].
-    wanted : ndarray, shape (n_axes,)
-        The next setpoint [m, rad].
-
-    Returns
-    -------
-    float
-        Weight of the row, 0 to 1.
-
-    """
+    """Find the learnt row of the next setpoint, which is ``head[ROW]`` then."""
     row, left, fading = int(head[ROW]), head[LEFT], head[FADING]
     if row > 0:
         row += 1
@@ -342,16 +308,6 @@ def _bump(edges: FloatArray, width: float, period: float) -> FloatArray:
 
     A value of the column holds between two ``edges``. It is smoothed by
     35 / 32 (1 - (t / width)^2)^3, whose integral over the value is exact.
-
-    Parameters
-    ----------
-    edges : ndarray, shape (known + 1,)
-        Time from an edge to the moment, increasing [periods].
-    width : float
-        Half of the smoothing time [periods].
-    period : float
-        Interpolation period [s].
-
     """
     u = np.clip(edges / width, -1.0, 1.0)
     inside = 1.0 - u**2

@@ -38,22 +38,7 @@ RING = 40
 
 @njit(cache=True, nogil=True)
 def follow(words: FloatArray, setpoint: float, rate: float) -> tuple[float, float]:
-    """
-    Advance one axis by one period.
-
-    Parameters
-    ----------
-    words : ndarray
-        Words of the axis; its state is changed.
-    setpoint, rate : float
-        Setpoint at the end of the period and its velocity [m or rad, per s].
-
-    Returns
-    -------
-    float, float
-        Position as it is measured, and velocity [m or rad, per s].
-
-    """
+    """Advance one axis by one period."""
     for k in range(len(words) - 1, RING + 1, -1):
         words[k] = words[k - 2]
     words[RING], words[RING + 1] = setpoint, rate

@@ -130,15 +130,7 @@ def axis_words(words: FloatArray, drive: AxisDrive, load: DriveLoad | None, peri
 def discretise(
     drive: AxisDrive, viscous: float, span: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """
-    Solve the loops over one step exactly for inputs (r, r') that run linearly.
-
-    Returns
-    -------
-    transition, held, rising : ndarray, shape (2, 2)
-        ``z+ = transition z + held u + rising (u+ - u)`` with ``z = (m, v)``.
-
-    """
+    """Solve the loops over one step exactly for inputs (r, r') that run linearly."""
     from scipy.linalg import expm  # takes a tenth of a second that other nodes need not wait
 
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant

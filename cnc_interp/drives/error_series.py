@@ -36,23 +36,13 @@ TERMS = 3
 
 @dataclass(frozen=True)
 class ErrorSeries:
-    """
-    The errors of all axes.
+    """The errors of all axes."""
 
-    Parameters
-    ----------
-    by_velocity, by_acceleration : ndarray, shape (n_axes,)
-        c1 and c2 [s, s2].
-    away : ndarray, shape (n_axes,)
-        Error that stays in steady motion, against it [m or rad].
-    lag : float
-        The common lag; for compensated drives what they are later than ``Compensation.lead`` [s].
-
-    """
-
+    #: (n_axes,): c1 and c2 [s, s2].
     by_velocity: FloatArray
     by_acceleration: FloatArray
-    away: FloatArray
+    away: FloatArray  #: (n_axes,): Error that stays in steady motion, against it [m or rad].
+    #: The common lag; for compensated drives what they are later than ``Compensation.lead`` [s].
     lag: float
 
 

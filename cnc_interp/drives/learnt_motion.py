@@ -21,31 +21,18 @@ SAME_PERIOD = 1e-12
 
 @dataclass(frozen=True)
 class LearntMotion:
-    """
-    The setpoints of a program, and what is added to the feed-forward of each.
+    """The setpoints of a program, and what is added to the feed-forward of each."""
 
-    Parameters
-    ----------
-    setpoint : ndarray, shape (K, n_axes)
-        Setpoints from the first motion on; the last one is held for a while [m, rad].
-    rate : ndarray, shape (K, n_axes)
-        What is added to the velocity feed-forward; 0 in the first and last row [m, rad, per s].
-    period : float
-        Interpolation period [s].
-    error : ndarray, shape (R, 2)
-        Largest and mean error of the tip in each run that was learnt [m].
-    axes : str
-        Names of the axes, with spaces between.
-    machine, model : str
-        Hashes of the files of the machine and of the model that compensates it.
-
-    """
-
+    #: (K, n_axes): Setpoints from the first motion on; the last one is held for a while [m, rad].
     setpoint: FloatArray
+    #: (K, n_axes): What is added to the velocity feed-forward; 0 in the first and last row [m,
+    #: rad, per s].
     rate: FloatArray
-    period: float
+    period: float  #: Interpolation period [s].
+    #: (R, 2): Largest and mean error of the tip in each run that was learnt [m].
     error: FloatArray
-    axes: str
+    axes: str  #: Names of the axes, with spaces between.
+    #: Hashes of the files of the machine and of the model that compensates it.
     machine: str
     model: str
 

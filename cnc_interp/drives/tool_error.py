@@ -26,20 +26,10 @@ AHEAD = 0.01
 
 @dataclass(frozen=True)
 class ToolError:
-    """
-    Errors of the executed motion, one row per period; they do not count lags along the path.
+    """Errors of the executed motion, one row per period; they do not count lags along the path."""
 
-    Parameters
-    ----------
-    tip : ndarray, shape (K,)
-        Distance of the tip from the path of the commanded tips [m].
-    axis : ndarray, shape (K,)
-        Angle between tool axis and the commanded one at that place [rad].
-
-    """
-
-    tip: FloatArray
-    axis: FloatArray
+    tip: FloatArray  #: (K,): Distance of the tip from the path of the commanded tips [m].
+    axis: FloatArray  #: (K,): Angle between tool axis and the commanded one at that place [rad].
 
 
 class ToolMotion:

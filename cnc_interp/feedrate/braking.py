@@ -28,27 +28,7 @@ LEAST = 0.15
 def without_braking(
     jet: FloatArray, v: FloatArray, a: FloatArray, duration: FloatArray, table: FloatArray
 ) -> BoolArray:
-    """
-    Find the cells of a law in which braking is not possible for long.
-
-    Parameters
-    ----------
-    jet : ndarray, shape (4, n, n_axes)
-        q, q_s, q_ss, q_sss at the left end of each cell.
-    v, a : ndarray, shape (n,)
-        s_dot and s_ddot there [m/s, m/s2].
-    duration : ndarray, shape (n,)
-        Time spent in each cell [s].
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-
-    Returns
-    -------
-    ndarray of bool, shape (2, n)
-        Whether the cell lies in ``LASTING`` seconds whose mean braking by acceleration (row 0) or
-        jerk (row 1) is below ``LEAST``.
-
-    """
+    """Find the cells of a law in which braking is not possible for long."""
     q, q_s, q_ss, q_sss = jet
     v, a = v[:, None], a[:, None]
     by_curve = np.array([q_ss * v * v, 3 * q_ss * v * a + q_sss * v**3])

@@ -35,26 +35,14 @@ ALWAYS_GROUPED = 1e-5
 
 @dataclass(frozen=True)
 class PlanGrid:
-    """
-    A path with the cells of the feed planner.
+    """A path with the cells of the feed planner."""
 
-    Parameters
-    ----------
-    path : AxisPath
-        The refined path.
-    nodes : ndarray of int, shape (n + 1,)
-        Indices of the grid points of ``path`` at which the n planner cells begin and end.
-    bounds : ndarray, shape (n, 6)
-        Bounds of each planner cell, as ``speed_bounds`` returns them [m/s, m/s2, m/s3].
-    guess : ndarray, shape (n + 1,)
-        Guessed s_dot at the nodes [m/s].
-
-    """
-
-    path: AxisPath
+    path: AxisPath  #: The refined path.
+    #: (n + 1,): Indices of the grid points of ``path`` at which the n planner cells begin and end.
     nodes: IntArray
+    #: (n, 6): Bounds of each planner cell, as ``speed_bounds`` returns them [m/s, m/s2, m/s3].
     bounds: FloatArray
-    guess: FloatArray
+    guess: FloatArray  #: (n + 1,): Guessed s_dot at the nodes [m/s].
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -181,32 +169,7 @@ def planning_grid(
     most_bend: float,
     kept: FloatArray,
 ) -> PlanGrid:
-    """
-    Choose the planner cells of a path that ends at rest.
-
-    Parameters
-    ----------
-    path : AxisPath
-        Path without stops inside.
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    start : tuple of float
-        s_dot and s_ddot at the start of the path [m/s, m/s2].
-    cell_time : tuple of float
-        Shortest and longest wanted cell time [s].
-    share : float
-        Wanted cell time as a part of the duration of the whole motion [-].
-    most_bend : float
-        Cells are subdivided until ``bend`` is below this value, about [-].
-    kept : ndarray, shape (k,)
-        Path positions at the ends of the first cells, which an older plan has fixed [m].
-
-    Returns
-    -------
-    PlanGrid
-        The same curve on the grid of the planner.
-
-    """
+    """Choose the planner cells of a path that ends at rest."""
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
     coarse = path.s
     for attempt in range(MOST_ROUNDS + 1):

@@ -56,24 +56,7 @@ def _window_end(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
-    """
-    Find the last grid point with a whole horizon between it and the end of the plan.
-
-    Parameters
-    ----------
-    s : ndarray, shape (n + 1,)
-        Path positions of the grid points [m].
-    v : ndarray, shape (n + 1,)
-        Planned s_dot at the grid points [m/s].
-    bounds : ndarray, shape (n, 6)
-        Output of ``speed_bounds``.
-
-    Returns
-    -------
-    int
-        Index of the grid point, 0 if there is none.
-
-    """
+    """Find the last grid point with a whole horizon between it and the end of the plan."""
     n = len(bounds)
     farthest = 0.0
     for i in range(n - 1, 0, -1):
@@ -85,21 +68,7 @@ def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
 
 
 class WindowScan:
-    """
-    Find the end of a planning window while its path arrives; each cell is examined once.
-
-    Parameters
-    ----------
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    v_start : float
-        s_dot at the start of the window [m/s].
-    ratio : float
-        Length of the window in horizons [-].
-    most_cells : int
-        Largest number of path cells in the window.
-
-    """
+    """Find the end of a planning window while its path arrives; each cell is examined once."""
 
     def __init__(self, table: FloatArray, v_start: float, ratio: float, most_cells: int):
         self.table, self.ratio, self.most_cells = table, ratio, most_cells

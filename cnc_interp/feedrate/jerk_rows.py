@@ -45,21 +45,7 @@ def node_states(
     a: FloatArray,
     v: FloatArray,
 ) -> None:
-    """
-    Compute b = s_dot^2, s_ddot and s_dot at the nodes from the coefficients.
-
-    Parameters
-    ----------
-    m : ndarray, shape (n,)
-        Coefficients [m2/s2]. The first and the last are set here from ``ends``.
-    width : ndarray, shape (n,)
-        Effective widths H [m].
-    ends : ndarray, shape (4,)
-        s_dot^2 and s_ddot at the start, then at the end [m2/s2, m/s2].
-    b, a, v : ndarray, shape (n + 1,)
-        Output: s_dot^2, s_ddot and s_dot at the nodes [m2/s2, m/s2, m/s].
-
-    """
+    """Compute b = s_dot^2, s_ddot and s_dot at the nodes from the coefficients."""
     n = len(m)
     m[0] = ends[0] + ends[1] * width[0]
     m[n - 1] = ends[2] - ends[3] * width[n - 1]
@@ -74,24 +60,7 @@ def node_states(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
-    """
-    Update the effective widths from the states at the nodes.
-
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    a, v : ndarray, shape (n + 1,)
-        s_ddot and s_dot at the nodes [m/s2, m/s].
-    width : ndarray, shape (n,)
-        Effective widths H, updated in place [m].
-
-    Returns
-    -------
-    float
-        Largest change of a width, relative to its cell [-].
-
-    """
+    """Update the effective widths from the states at the nodes."""
     change = 0.0
     for i in range(len(h)):
         t = 2 * width[i] / (v[i] + v[i + 1])
@@ -240,19 +209,7 @@ def _linearised_jerk(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatArray) -> None:
-    """
-    Compute the linearised terms after a step of the coefficients.
-
-    Parameters
-    ----------
-    terms, slopes : ndarray, shape (7, n + 1), (14, n + 1)
-        Output of ``terms_and_time``.
-    dm : ndarray, shape (n + 2,)
-        The step; entry i + 1 belongs to m_i, both ends are zero [m2/s2].
-    out : ndarray, shape (7, n + 1)
-        Output: the terms.
-
-    """
+    """Compute the linearised terms after a step of the coefficients."""
     _linearised_jerk(terms[0], slopes[0], slopes[1], slopes[2], dm, out[0])
     for t in range(1, 5):
         _linearised(terms[t], slopes[2 * t + 1], slopes[2 * t + 2], dm, out[t])

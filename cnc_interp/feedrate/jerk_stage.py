@@ -182,25 +182,7 @@ class StretchProblem:
     def _solve_cells(
         self, first: int, end: int, m: FloatArray, width: FloatArray, warm: bool
     ) -> int:
-        """
-        Solve some cells, between the states of the last law where they do not end the stretch.
-
-        Parameters
-        ----------
-        first, end : int
-            First cell, and the one after the last.
-        m, width : ndarray, shape (n,)
-            Coefficients [m2/s2] and effective widths [m] of all cells; those of the solved cells
-            are updated.
-        warm : bool
-            Whether to start from the slacks and duals of the last solution.
-
-        Returns
-        -------
-        int
-            SOLVED, STALLED or BROKEN.
-
-        """
+        """Solve some cells between the states of the last law, or the ends of the stretch."""
         cells = slice(first, end)
         ends = self.ends.copy()
         if first > 0:
@@ -249,20 +231,7 @@ class StretchProblem:
         return rows
 
     def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
-        """
-        Simulate the drives on a law, and lower the rows of the tool where its error is too large.
-
-        Parameters
-        ----------
-        stretch : Stretch
-            The law.
-
-        Returns
-        -------
-        stretch, lowered : Stretch, bool
-            The law with its error at the tool, and whether a limit was lowered.
-
-        """
+        """Simulate the drives on a law; lower the tool rows where the error is too large."""
         tool, nodes = self.options.tool, self.grid.nodes[:-1]
         if tool is None:
             return stretch, False
@@ -301,22 +270,7 @@ class StretchProblem:
         return self.with_limit_use(v, a, duration)
 
     def with_limit_use(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
-        """
-        Spread a law over the path cells and evaluate its use of the limits.
-
-        Parameters
-        ----------
-        v, a : ndarray, shape (n + 1,)
-            s_dot and s_ddot at the nodes of the planner [m/s, m/s2].
-        duration : ndarray, shape (n,)
-            Time spent in each planner cell [s].
-
-        Returns
-        -------
-        Stretch
-            The law, with its use of the limits in ``Stretch.use``.
-
-        """
+        """Spread a law over the path cells and evaluate its use of the limits."""
         path, nodes = self.grid.path, self.grid.nodes
         cells, n_axes = len(path.s) - 1, path.cell_left.shape[2]
         fine = np.empty(cells + 1), np.empty(cells + 1), np.empty(cells), np.empty(cells)
@@ -356,20 +310,7 @@ class StretchProblem:
         return near
 
     def keep_reserve(self, stretch: Stretch) -> bool:
-        """
-        Lower the limits where a law cannot brake, so that a short stop exists from it.
-
-        Parameters
-        ----------
-        stretch : Stretch
-            The law.
-
-        Returns
-        -------
-        bool
-            Whether a limit was lowered.
-
-        """
+        """Lower the limits where a law cannot brake, so that a short stop exists from it."""
         if not self.options.reserve > 0.0:
             return False
         nodes = self.grid.nodes
@@ -409,30 +350,7 @@ def plan(
     options: PlanOptions | None = None,
     kept: KeptCells | None = None,
 ) -> Stretch | None:
-    """
-    Plan from a state of motion to rest at the end of the path.
-
-    Parameters
-    ----------
-    path : AxisPath
-        Path without stops inside.
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    start : tuple of float
-        s_dot and s_ddot at the start of the path [m/s, m/s2].
-    options : PlanOptions, optional
-        Settings of the planner.
-    kept : KeptCells, optional
-        First cells of an older plan. Their limits are relaxed a little, so that the older
-        law stays feasible.
-
-    Returns
-    -------
-    Stretch or None
-        A law that keeps every limit, or None if none was found. From rest on a finite path there
-        is always one. Its ``converged`` tells whether it is the optimum.
-
-    """
+    """Plan from a state of motion to rest at the end of the path."""
     options = options or PlanOptions()
     kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])))
     inside = int(np.searchsorted(kept.ends, path.s[-1]))

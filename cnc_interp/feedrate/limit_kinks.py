@@ -52,19 +52,6 @@ def with_kinks(path: AxisPath, table: FloatArray) -> AxisPath:
 
     Without the points, a cell as long as a block would hide a low limit in its middle. The torque
     that Coulomb friction leaves jumps where the axis turns.
-
-    Parameters
-    ----------
-    path : AxisPath
-        The path.
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-
-    Returns
-    -------
-    AxisPath
-        The same curve; the path itself where no limit has a kink.
-
     """
     if (table.shape[2] == 1 and not has_loads(table)) or len(path.s) < 2:
         return path

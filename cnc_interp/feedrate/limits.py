@@ -71,22 +71,13 @@ def limit_table(limits: AxisLimits) -> FloatArray:
 
 @dataclass(frozen=True)
 class PlanningLimits:
-    """
-    Axis limits for planning, which may be lower than those of the machine.
+    """Axis limits for planning, which may be lower than those of the machine."""
 
-    Parameters
-    ----------
-    max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
-        Largest limits [m/s or rad/s, per s, per s2].
-    limit_table : ndarray, shape (7, n_axes, m)
-        The limits over position.
-
-    """
-
+    #: (n_axes,): Largest limits [m/s or rad/s, per s, per s2].
     max_velocity: FloatArray
     max_acceleration: FloatArray
     max_jerk: FloatArray
-    limit_table: FloatArray
+    limit_table: FloatArray  #: (7, n_axes, m): The limits over position.
 
 
 def limits_at(machine: Machine, period: float) -> AxisLimits:

@@ -17,29 +17,16 @@ class MotionLaw:
     On a piece that starts at ``time``,
     ``s(t) = s + s_dot dt + s_ddot dt^2 / 2 + jerk dt^3 / 6`` with ``0 <= dt <= duration``.
     s, s_dot and s_ddot are continuous between pieces. The jerk is not.
-
-    Parameters
-    ----------
-    time : ndarray, shape (K,)
-        Start time of each piece [s].
-    duration : ndarray, shape (K,)
-        Duration of each piece [s].
-    s, s_dot, s_ddot : ndarray, shape (K,)
-        State at the start of each piece [m, m/s, m/s2].
-    jerk : ndarray, shape (K,)
-        Constant ``s_dddot`` of each piece [m/s3].
-    cell : ndarray of int, shape (K,)
-        Index of the AxisPath cell that contains the piece.
-
     """
 
-    time: FloatArray
-    duration: FloatArray
+    time: FloatArray  #: (K,): Start time of each piece [s].
+    duration: FloatArray  #: (K,): Duration of each piece [s].
+    #: (K,): State at the start of each piece [m, m/s, m/s2].
     s: FloatArray
     s_dot: FloatArray
     s_ddot: FloatArray
-    jerk: FloatArray
-    cell: IntArray
+    jerk: FloatArray  #: (K,): Constant ``s_dddot`` of each piece [m/s3].
+    cell: IntArray  #: (K,): Index of the AxisPath cell that contains the piece.
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -13,55 +13,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """
-    Settings of the feed planner.
+    """Settings of the feed planner."""
 
-    Parameters
-    ----------
-    passes : int
-        Largest number of corrections of one stretch.
-    cell_time : tuple of float
-        Shortest and longest wanted cell time [s].
-    share : float
-        Wanted cell time as a part of the duration of the stretch [-].
-    bend : float
-        Largest nonlinearity of a limit inside a cell, as a part of the limit [-].
-    gap : float
-        Accepted gap to the optimum, relative to the time [-].
-    points : int
-        Number of instants per cell at which the limits are checked.
-    window_ratio : float
-        Length of a planning window in horizons; about one horizon is committed later [-].
-    window_cells : int
-        Largest number of path cells in one window.
-    bound : bool
-        Whether the least time of the committed motion is computed; the law is the same.
-    below_ceiling : bool
-        Whether the jerk stage starts below the ceiling of the toppra stage.
-    reserve : float
-        Part of a limit that stays free where the law could not brake otherwise [-].
-    law : str
-        'optimal' for the jerk stage, 'vpop' for steps forward (``vpop.py``).
-    step : float
-        Longest step of 'vpop' [s].
-    tool : ToolLimit, optional
-        Limit on the error at the tool, and the drives at the start of the path.
-
-    """
-
-    passes: int = 6
-    cell_time: tuple[float, float] = (2e-4, 6e-3)
-    share: float = 1 / 64
+    passes: int = 6  #: Largest number of corrections of one stretch.
+    cell_time: tuple[float, float] = (2e-4, 6e-3)  #: Shortest and longest wanted cell time [s].
+    share: float = 1 / 64  #: Wanted cell time as a part of the duration of the stretch [-].
+    #: Largest nonlinearity of a limit inside a cell, as a part of the limit [-].
     bend: float = 0.005
-    gap: float = 5e-5
-    points: int = 7
+    gap: float = 5e-5  #: Accepted gap to the optimum, relative to the time [-].
+    points: int = 7  #: Number of instants per cell at which the limits are checked.
+    #: Length of a planning window in horizons; about one horizon is committed later [-].
     window_ratio: float = 2.5
-    window_cells: int = 4000
+    window_cells: int = 4000  #: Largest number of path cells in one window.
+    #: Whether the least time of the committed motion is computed; the law is the same.
     bound: bool = True
+    #: Whether the jerk stage starts below the ceiling of the toppra stage.
     below_ceiling: bool = False
+    #: Part of a limit that stays free where the law could not brake otherwise [-].
     reserve: float = 0.029
-    law: str = 'optimal'
-    step: float = 1e-3
+    law: str = 'optimal'  #: 'optimal' for the jerk stage, 'vpop' for steps forward (``vpop.py``).
+    step: float = 1e-3  #: Longest step of 'vpop' [s].
+    #: Limit on the error at the tool, and the drives at the start of the path.
     tool: ToolLimit | None = None
 
     def finer(self) -> PlanOptions:
@@ -78,20 +50,10 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class KeptCells:
-    """
-    The first cells of a stretch, as an older plan had them; the older law then stays feasible.
+    """The first cells of a stretch as an older plan had them; so its law stays feasible."""
 
-    Parameters
-    ----------
-    ends : ndarray, shape (k,)
-        Path positions at the ends of the cells [m].
-    scale : ndarray, shape (k, 4, n_axes)
-        Parts of the limits that these cells were allowed to use [-].
-    tool : ndarray, shape (2, k), optional
-        Parts of the limit on the error at the tool, likewise [-].
-
-    """
-
-    ends: FloatArray
+    ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
+    #: (k, 4, n_axes): Parts of the limits that these cells were allowed to use [-].
     scale: FloatArray
+    #: (2, k): Parts of the limit on the error at the tool, likewise [-].
     tool: FloatArray | None = None

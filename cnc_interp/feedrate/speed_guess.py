@@ -145,24 +145,7 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
-    """
-    Guess the speed at a position inside a cell.
-
-    Parameters
-    ----------
-    x, h : float
-        Distance from the left end of the cell, and its width [m].
-    v0, v1 : float
-        Guessed speed at the two ends [m/s].
-    bound : ndarray, shape (6,)
-        Row of ``speed_bounds`` for this cell.
-
-    Returns
-    -------
-    speed, cruise : float, bool
-        Guessed speed [m/s], and whether it is limited by 0.9 of Eq. 10.
-
-    """
+    """Guess the speed at a position inside a cell."""
     ramp = min(reach(v0, x, bound[2], bound[3]), reach(v1, h - x, bound[2], bound[3]))
     cap = 0.9 * bound[1]
     return min(ramp, cap), ramp > cap
@@ -170,24 +153,7 @@ def speed_inside(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
-    """
-    Guess the duration of the motion.
-
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    v : ndarray, shape (n + 1,)
-        Guessed speed at the nodes [m/s].
-    bounds : ndarray, shape (n, 6)
-        Output of ``speed_bounds``.
-
-    Returns
-    -------
-    float
-        Duration [s].
-
-    """
+    """Guess the duration of the motion."""
     total = 0.0
     for i in range(len(h)):
         middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]

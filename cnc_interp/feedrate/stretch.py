@@ -15,42 +15,26 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 
 @dataclass(frozen=True)
 class Stretch:
-    """
-    A planned part of the path that ends at rest: N path cells in n planner cells.
+    """A planned part of the path that ends at rest: N path cells in n planner cells."""
 
-    Parameters
-    ----------
-    path : AxisPath
-        The path on the grid of the planner.
-    v, a : ndarray, shape (N + 1,)
-        s_dot and s_ddot at the grid points [m/s, m/s2].
-    jerk, duration : ndarray, shape (N,)
-        Constant s_dddot in each path cell [m/s3], and the time spent in it [s].
-    nodes : ndarray of int, shape (n + 1,)
-        Indices of the grid points at which the planner cells begin and end.
-    scale : ndarray, shape (n, 4, n_axes)
-        Parts of velocity, acceleration, jerk and feed limits that each planner cell may use [-].
-    use : float
-        Largest use of a limit at the checked instants, divided by the accepted use [-].
-    converged : bool
-        Whether the solver came to the optimum. If not, the law may be far from it.
-    tool : ndarray, shape (2, n) or None
-        Parts of the limit on the error at the tool that the rows of tip and axis got [-].
-    tool_use : float
-        Largest error at the tool by the simulated drives, over its limit [-].
-
-    """
-
-    path: AxisPath
+    path: AxisPath  #: The path on the grid of the planner.
+    #: (N + 1,): s_dot and s_ddot at the grid points [m/s, m/s2].
     v: FloatArray
     a: FloatArray
+    #: (N,): Constant s_dddot in each path cell [m/s3], and the time spent in it [s].
     jerk: FloatArray
     duration: FloatArray
+    #: (n + 1,): Indices of the grid points at which the planner cells begin and end.
     nodes: IntArray
+    #: (n, 4, n_axes): Parts of velocity, acceleration, jerk and feed limits that each planner cell
+    #: may use [-].
     scale: FloatArray
-    use: float
+    use: float  #: Largest use of a limit at the checked instants, divided by the accepted use [-].
+    #: Whether the solver came to the optimum. If not, the law may be far from it.
     converged: bool = True
+    #: (2, n): Parts of the limit on the error at the tool that the rows of tip and axis got [-].
     tool: FloatArray | None = None
+    #: Largest error at the tool by the simulated drives, over its limit [-].
     tool_use: float = 0.0
 
     def after(self, cell: int) -> Stretch:
@@ -99,27 +83,6 @@ def settle_widths(
 
     Position, speed and acceleration must be continuous to the last digits. A check by third
     differences needs this: at a period of 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
-
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    m : ndarray, shape (n,)
-        Coefficients of the jerk stage [m2/s2].
-    width : ndarray, shape (n,)
-        Effective widths, updated in place [m].
-    ends : ndarray, shape (4,)
-        s_dot^2 and s_ddot at the start, then at the end [m2/s2, m/s2].
-    v, a : ndarray, shape (n + 1,)
-        Output: s_dot and s_ddot at the nodes [m/s, m/s2].
-    duration : ndarray, shape (n,)
-        Output: time spent in each cell [s].
-
-    Returns
-    -------
-    float
-        Relative change of the widths in the last iteration [-].
-
     """
     b = np.empty(len(v))
     left = 1.0

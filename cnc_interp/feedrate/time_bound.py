@@ -36,20 +36,10 @@ ROUNDING = 4e-16
 
 
 class TimeBound(NamedTuple):
-    """
-    Ceiling and bound along a path of N cells.
+    """Ceiling and bound along a path of N cells."""
 
-    Parameters
-    ----------
-    squared : ndarray, shape (N + 1,)
-        Largest possible s_dot^2 at the grid points [m2/s2].
-    time : ndarray, shape (N,)
-        Least time in each cell [s].
-
-    """
-
-    squared: FloatArray
-    time: FloatArray
+    squared: FloatArray  #: (N + 1,): Largest possible s_dot^2 at the grid points [m2/s2].
+    time: FloatArray  #: (N,): Least time in each cell [s].
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -153,19 +143,7 @@ def _both_passes(left: FloatArray, right: FloatArray, rooms: FloatArray, b: Floa
 def stroke_time(
     distance: float, start: float, end: float, velocity: float, acceleration: float
 ) -> float:
-    """
-    Return the least time of one axis over a distance.
-
-    Parameters
-    ----------
-    distance : float
-        Distance, not negative [m or rad].
-    start, end : float
-        Largest squared velocity at both ends.
-    velocity, acceleration : float
-        Limits of the axis.
-
-    """
+    """Return the least time of one axis over a distance."""
     if not distance > 0.0:
         return 0.0
     rise = 2 * acceleration * distance
@@ -220,28 +198,7 @@ def _step_rows(
 def time_bound(
     path: AxisPath, nodes: IntArray, table: FloatArray, start: float, rests: bool
 ) -> TimeBound:
-    """
-    Compute the ceiling of the speed along a path and the least time in its cells.
-
-    Parameters
-    ----------
-    path : AxisPath
-        Path without stops inside, with N cells.
-    nodes : ndarray of int
-        Indices of the grid points between the planner cells, from 0 to N.
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position. Only velocity and acceleration limits are used.
-    start : float
-        Largest s_dot^2 at the start of the path [m2/s2].
-    rests : bool
-        Whether every motion rests at the end of the path. If not, it may pass there.
-
-    Returns
-    -------
-    TimeBound
-        What no motion within these limits exceeds or beats.
-
-    """
+    """Compute the ceiling of the speed along a path and the least time in its cells."""
     h, left, right, feed = np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed
     largest = _largest_limits(left, right, table)
     ways = _ways(h, left, right)

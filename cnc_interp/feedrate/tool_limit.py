@@ -62,38 +62,17 @@ STANDS = 0.5
 
 @dataclass(frozen=True)
 class ToolLimit:
-    """
-    The limit, and the state of the drives at the start of the path.
+    """The limit, and the state of the drives at the start of the path."""
 
-    Parameters
-    ----------
-    machine : Machine
-        The machine with its true drives.
-    model : Machine or None
-        The model whose drives are compensated.
-    period : float
-        Interpolation period [s].
-    largest : float
-        Largest error of the tip, and of the tool axis at flank height [m].
-    flank_height : float
-        Height at which the tool axis is measured [m].
-    series : ErrorSeries
-        The errors of the axes in slow motion.
-    motion : ToolMotion or None
-        The drives; None at a start that has not been simulated yet.
-    wait : float
-        Time from the start of the path to the next setpoint [s].
-
-    """
-
-    machine: Machine
-    model: Machine | None
-    period: float
-    largest: float
-    flank_height: float
-    series: ErrorSeries
+    machine: Machine  #: The machine with its true drives.
+    model: Machine | None  #: The model whose drives are compensated.
+    period: float  #: Interpolation period [s].
+    largest: float  #: Largest error of the tip, and of the tool axis at flank height [m].
+    flank_height: float  #: Height at which the tool axis is measured [m].
+    series: ErrorSeries  #: The errors of the axes in slow motion.
+    #: The drives; None at a start that has not been simulated yet.
     motion: ToolMotion | None = None
-    wait: float = 0.0
+    wait: float = 0.0  #: Time from the start of the path to the next setpoint [s].
 
     @staticmethod
     def wanted(machine: Machine, settings: Settings) -> ToolLimit | None:
@@ -274,15 +253,7 @@ class ToolLimit:
 
 
 def lowered(part: FloatArray, simulated: FloatArray, predicted: FloatArray) -> FloatArray:
-    """
-    Return the parts of the limit that the rows of each cell get after a correction.
-
-    Parameters
-    ----------
-    part, simulated, predicted : ndarray, shape (2, n)
-        Parts so far, and errors over the limit as ``ToolLimit.use`` returns them [-].
-
-    """
+    """Return the parts of the limit that the rows of each cell get after a correction."""
     reached = np.clip(predicted, 0.5 * part, part)
     less = reached * AIM / (1.0 + EXCESS_FACTOR * (simulated - 1.0))
     found: FloatArray = np.where(simulated > 1.0, np.maximum(less, LEAST_PART), part)

@@ -66,23 +66,7 @@ class _Rows(LinearConstraint):  # type: ignore[misc]
 
 
 def controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
-    """
-    Return the largest squared speeds from which the rest of a path can be driven.
-
-    Parameters
-    ----------
-    start, end : ndarray, shape (n, n_axes)
-        q_s^2 / (2 A w) at the start and at the end of each step, where w is the way of the axis
-        in the step: ``|end b_1 - start b_0| <= 1`` [s2/m2].
-    cap : ndarray, shape (n + 1,)
-        Largest squared speed at each node; the last one may be reached [m2/s2].
-
-    Returns
-    -------
-    ndarray, shape (n + 1,)
-        Squared speeds [m2/s2]; no real motion exceeds them.
-
-    """
+    """Return the largest squared speeds from which the rest of a path can be driven."""
     largest = float(cap.max())
     scaled = cap / largest
     n = len(start)

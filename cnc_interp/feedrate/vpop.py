@@ -371,28 +371,7 @@ def plan(
     options: PlanOptions | None = None,
     kept: KeptCells | None = None,
 ) -> Stretch | None:
-    """
-    Plan from a state of motion to rest at the end of the path, by steps forward.
-
-    Parameters
-    ----------
-    path : AxisPath
-        Path without stops inside.
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    start : tuple of float
-        s_dot and s_ddot at the start of the path [m/s, m/s2].
-    options : PlanOptions, optional
-        Settings of the planner: the longest step, and the instants at which limits are checked.
-    kept : KeptCells, optional
-        Cells of an older plan; they are not needed here.
-
-    Returns
-    -------
-    Stretch or None
-        A law that keeps every limit, or None if the steps are stuck: nothing passes a place.
-
-    """
+    """Plan from a state of motion to rest at the end of the path, by steps forward."""
     options = options or PlanOptions()
     septics = _all_septics(np.diff(path.s), path.cell_left, path.cell_right)
     # Counted from the start of the stretch, positions have the smallest rounding errors.

@@ -52,26 +52,14 @@ KEPT_PART = 0.5
 
 @dataclass(frozen=True)
 class PlannedPiece:
-    """
-    One committed part of the motion.
+    """One committed part of the motion."""
 
-    Parameters
-    ----------
-    path : AxisPath
-        The path on the grid of the planner.
-    law : MotionLaw
-        The motion law along it, one piece per path cell; its clock continues between parts.
-    least_time : float
-        No motion within feed, velocities and accelerations is faster here [s]; 0 if not computed.
-    solved : str
-        One of ``SOLVED_BY``.
-
-    """
-
-    path: AxisPath
+    path: AxisPath  #: The path on the grid of the planner.
+    #: The motion law along it, one piece per path cell; its clock continues between parts.
     law: MotionLaw
+    #: No motion within feed, velocities and accelerations is faster here [s]; 0 if not computed.
     least_time: float = 0.0
-    solved: str = CONVERGED
+    solved: str = CONVERGED  #: One of ``SOLVED_BY``.
 
     @staticmethod
     def join(parts: list[PlannedPiece]) -> PlannedPiece:

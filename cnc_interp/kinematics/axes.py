@@ -12,27 +12,15 @@ from cnc_interp.core.units import DEG, MM, UM
 
 @dataclass(frozen=True)
 class Axis:
-    """
-    One axis of a machine.
+    """One axis of a machine."""
 
-    Parameters
-    ----------
-    name : str
-        Its letter.
-    linear : bool
-        True for a linear axis, False for a rotary one.
-    max_velocity, max_acceleration, max_jerk : float
-        Limits [m/s or rad/s, per s, per s2].
-    travel : tuple of float
-        Lowest and highest position, infinite for an endless axis [m or rad].
-
-    """
-
-    name: str
-    linear: bool
+    name: str  #: Its letter.
+    linear: bool  #: True for a linear axis, False for a rotary one.
+    #: Limits [m/s or rad/s, per s, per s2].
     max_velocity: float
     max_acceleration: float
     max_jerk: float
+    #: Lowest and highest position, infinite for an endless axis [m or rad].
     travel: tuple[float, float]
 
     @property

@@ -18,40 +18,20 @@ class AxisDrive:
 
     Inertia, largest torque, Coulomb and viscous friction are those of ``DriveLoad``.
     ``drives/drive_model.py`` has the equations.
-
-    Parameters
-    ----------
-    position_gain : float
-        ``kv`` of the position loop [1/s].
-    feed_forward : float
-        Share ``f`` of the setpoint's velocity that is fed forward [-].
-    time_constant : float
-        Lag ``tau`` of the velocity loop [s].
-    delay : float
-        Dead time of the setpoints [s].
-    static : float
-        Friction at rest; 0 where it is the Coulomb friction [N or Nm].
-    stribeck_velocity : float
-        Velocity at which the excess of ``static`` has fallen to 1/e [m/s or rad/s].
-    backlash : float
-        Play between motor and table [m or rad].
-    mode_frequency, mode_damping : float
-        Flexible mode between motor and table; frequency 0 for none [Hz, -].
-    resolution : float
-        Step of the measuring system at the table, 0 for none [m or rad].
-
     """
 
-    position_gain: float = 100.0
-    feed_forward: float = 1.0
-    time_constant: float = 2e-3
-    delay: float = 0.0
-    static: float = 0.0
+    position_gain: float = 100.0  #: ``kv`` of the position loop [1/s].
+    feed_forward: float = 1.0  #: Share ``f`` of the setpoint's velocity that is fed forward [-].
+    time_constant: float = 2e-3  #: Lag ``tau`` of the velocity loop [s].
+    delay: float = 0.0  #: Dead time of the setpoints [s].
+    static: float = 0.0  #: Friction at rest; 0 where it is the Coulomb friction [N or Nm].
+    #: Velocity at which the excess of ``static`` has fallen to 1/e [m/s or rad/s].
     stribeck_velocity: float = 0.0
-    backlash: float = 0.0
+    backlash: float = 0.0  #: Play between motor and table [m or rad].
+    #: Flexible mode between motor and table; frequency 0 for none [Hz, -].
     mode_frequency: float = 0.0
     mode_damping: float = 0.0
-    resolution: float = 0.0
+    resolution: float = 0.0  #: Step of the measuring system at the table, 0 for none [m or rad].
 
     @property
     def lag(self) -> float:
@@ -64,27 +44,16 @@ IDEAL = AxisDrive()
 
 
 class Entry(NamedTuple):
-    """
-    One value of a drive in the file.
+    """One value of a drive in the file."""
 
-    Parameters
-    ----------
-    field : str
-        Field of ``AxisDrive``.
-    linear, rotary : str
-        Key for a linear and for a rotary axis; the unit ends it.
-    linear_unit, rotary_unit : float
-        Size of the units in SI.
-    low, high : float
-        Smallest and largest plausible value, in the unit of the file.
-
-    """
-
-    field: str
+    field: str  #: Field of ``AxisDrive``.
+    #: Key for a linear and for a rotary axis; the unit ends it.
     linear: str
     rotary: str
+    #: Size of the units in SI.
     linear_unit: float
     rotary_unit: float
+    #: Smallest and largest plausible value, in the unit of the file.
     low: float
     high: float
 
@@ -120,24 +89,7 @@ def axis_drives(
     linear: list[bool],
     loads: dict[int, DriveLoad],
 ) -> dict[int, AxisDrive]:
-    """
-    Read the drives that are not ideal.
-
-    Parameters
-    ----------
-    content : dict
-        The machine file.
-    names, linear : list of str, list of bool
-        All axes, and whether each is linear.
-    loads : dict of int to DriveLoad
-        Their loads.
-
-    Raises
-    ------
-    MachineError
-        If an entry is wrong; the message names the key.
-
-    """
+    """Read the drives that are not ideal."""
     given = entries_by_axis(content, 'drives', names, 'the values of its drive')
     return {j: _drive(values, where, linear[j], loads.get(j)) for j, where, values in given}
 

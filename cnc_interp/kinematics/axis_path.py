@@ -21,36 +21,23 @@ UNSEEN = 1e-12
 
 @dataclass(frozen=True)
 class AxisPath:
-    """
-    Machine axes along the path, N grid points and N - 1 cells between them.
+    """Machine axes along the path, N grid points and N - 1 cells between them."""
 
-    Parameters
-    ----------
-    s : ndarray, shape (N,)
-        Path length, strictly increasing: the tool tip's arc length, and in pure rotations flank
-        height times angle [m].
-    cell_left, cell_right : ndarray, shape (4, N - 1, n_axes)
-        q, q_s, q_ss, q_sss at the left and right end of each cell, one-sided [m or rad, per m].
-        Value, first and second derivative agree across a grid point; the third may jump. At a
-        ``stop`` all derivatives may jump.
-    tip, axis : ndarray, shape (N, 3)
-        Tool tip [m] and unit tool axis [-] in W.
-    cell_feed : ndarray, shape (N - 1,)
-        Programmed feedrate in ds/dt [m/s], infinite for rapids and where only axes limit.
-    cell_block : ndarray of int, shape (N - 1,)
-        Row of the block being executed.
-    stop : ndarray of bool, shape (N,)
-        True where the motion must come to rest (first and last point of a program included).
-
-    """
-
+    #: (N,): Path length, strictly increasing: the tool tip's arc length, and in pure rotations
+    #: flank height times angle [m].
     s: FloatArray
+    #: (4, N - 1, n_axes): q, q_s, q_ss, q_sss at the left and right end of each cell, one-sided [m
+    #: or rad, per m]. Value, first and second derivative agree across a grid point; the third may
+    #: jump. At a ``stop`` all derivatives may jump.
     cell_left: FloatArray
     cell_right: FloatArray
+    #: (N, 3): Tool tip [m] and unit tool axis [-] in W.
     tip: FloatArray
     axis: FloatArray
+    #: (N - 1,): Programmed feedrate in ds/dt [m/s], infinite for rapids and where only axes limit.
     cell_feed: FloatArray
-    cell_block: IntArray
+    cell_block: IntArray  #: (N - 1,): Row of the block being executed.
+    #: (N,): True where the motion must come to rest (first and last point of a program included).
     stop: BoolArray
 
     def __post_init__(self) -> None:

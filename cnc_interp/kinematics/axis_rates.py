@@ -29,25 +29,7 @@ def traits_of(transform: Transform) -> MachineTraits:
 def jerk_rates(
     transform: Transform, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
 ) -> FloatArray:
-    """
-    Return how far the axes move per metre of tool tip path, each over its jerk limit.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's geometry.
-    tip, axis : ndarray, shape (n, 3)
-        Tool tips [m] and unit tool axes [-].
-    step, turn : ndarray, shape (n, 3)
-        Unit direction of the tip [-], rotation vector of the tool axis per metre [rad/m].
-
-    Returns
-    -------
-    ndarray, shape (n, 3 or 5)
-        q_s / J [s3/m] for one of the two branches; the other one differs by signs and by what
-        the offsets between the rotary axes add. Not finite at the pole and out of reach.
-
-    """
+    """Return how far the axes move per metre of tool tip path, each over its jerk limit."""
     machine = transform.machine
     if not machine.has_rotary:
         return np.asarray(step / machine.max_jerk[:3])

@@ -18,22 +18,7 @@ def on_pole(transform: Transform, axis: FloatArray) -> bool:
 
 
 def branch_at(transform: Transform, rotary: FloatArray) -> float:
-    """
-    Return the branch on which rotary positions lie.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's five-axis transformation.
-    rotary : ndarray, shape (2,)
-        Primary and secondary position [rad].
-
-    Returns
-    -------
-    float
-        +1 or -1: the sign of the sine of the tilt.
-
-    """
+    """Return the branch on which rotary positions lie."""
     axis = transform.tool_axis(rotary[None])[0]
     gaps = [
         np.abs(np.sin(0.5 * (rotary - pair))).max() for pair in transform.rotary_solutions(axis)

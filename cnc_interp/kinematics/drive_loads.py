@@ -20,26 +20,12 @@ PLAUSIBLE = (1e-6, 1e7)
 
 @dataclass(frozen=True)
 class DriveLoad:
-    """
-    The largest torque of a drive, and what needs it: |J q_ddot + B q_dot + C sign(q_dot)| <= T.
+    """Largest torque of a drive, and what needs it: |J q_ddot + B q_dot + C sign(q_dot)| <= T."""
 
-    Parameters
-    ----------
-    inertia : float
-        Mass or moment of inertia J [kg or kg m2].
-    torque : float
-        Largest force or torque T [N or Nm].
-    coulomb : float
-        Coulomb friction C [N or Nm].
-    viscous : float
-        Viscous friction B [N s/m or Nm s/rad].
-
-    """
-
-    inertia: float
-    torque: float
-    coulomb: float
-    viscous: float
+    inertia: float  #: Mass or moment of inertia J [kg or kg m2].
+    torque: float  #: Largest force or torque T [N or Nm].
+    coulomb: float  #: Coulomb friction C [N or Nm].
+    viscous: float  #: Viscous friction B [N s/m or Nm s/rad].
 
     @property
     def row(self) -> FloatArray:
@@ -57,25 +43,7 @@ def drive_loads(
     linear: list[bool],
     velocities: FloatArray,
 ) -> dict[int, DriveLoad]:
-    """
-    Read the drives that have a largest torque.
-
-    Parameters
-    ----------
-    content : dict
-        The machine file.
-    names, linear : list of str, list of bool
-        All axes, and whether each is linear.
-    velocities : ndarray, shape (n_axes,)
-        Their largest velocities [m/s or rad/s].
-
-    Raises
-    ------
-    MachineError
-        If an entry is wrong, or friction takes the whole torque at the largest velocity; the
-        message names the key.
-
-    """
+    """Read the drives that have a largest torque."""
     found = {}
     given = entries_by_axis(content, 'loads', names, 'inertia, torque and friction')
     for j, where, values in given:

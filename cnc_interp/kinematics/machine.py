@@ -49,60 +49,40 @@ class Machine:
         R_1 R_2 o_W = +Z
 
     ``transform.py`` has the general formula, heads included.
-
-    Parameters
-    ----------
-    name : str
-        Name of the machine.
-    axis_names : tuple of str
-        ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
-    max_velocity, max_acceleration, max_jerk : ndarray, shape (n_axes,)
-        Limits, the largest ones where they depend on the position [m/s or rad/s, per s, per s2].
-    travel : ndarray, shape (n_axes, 2)
-        Lowest and highest position, infinite for endless axes [m or rad].
-    rotary_direction : ndarray, shape (2, 3)
-        Unit vectors about which primary and secondary turn, in M at rest [-].
-    rotary_on_head : tuple of bool
-        True where the rotary axis carries the tool, False where it carries the workpiece.
-    offsets : ndarray, shape (3, 3)
-        Workpiece, secondary and primary offset [m].
-    tool_offset : ndarray, shape (2, 3)
-        On heads: from the tip to the secondary pivot, and from there to the primary pivot [m].
-    singular_cone : float
-        Smallest allowed angle between a turning tool axis and the pole [rad].
-    extra_direction : ndarray, shape (k, 3)
-        Unit vectors in M along which the extra axes move the tool [-].
-    places : dict of int to ndarray, shape (4, k)
-        For axes whose limits depend on the position: velocity, acceleration and jerk limits, and
-        the k positions at which they hold, see ``core/limit_table.py`` [m or rad, per s, s2, s3].
-    loads : dict of int to DriveLoad
-        For axes whose drives have a largest torque: torque, inertia and friction.
-    drives : dict of int to AxisDrive
-        For axes whose drives are not ideal: how they follow their setpoints.
-    homing : Homing
-        Reference switches, and the order in which axes are homed.
-    file : str
-        Where it was read from; empty for bundled machines, which their name finds.
-
     """
 
-    name: str
+    name: str  #: Name of the machine.
+    #: ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
     axis_names: tuple[str, ...]
+    #: (n_axes,): Limits, the largest ones where they depend on the position [m/s or rad/s, per s,
+    #: per s2].
     max_velocity: FloatArray
     max_acceleration: FloatArray
     max_jerk: FloatArray
+    #: (n_axes, 2): Lowest and highest position, infinite for endless axes [m or rad].
     travel: FloatArray
+    #: (2, 3): Unit vectors about which primary and secondary turn, in M at rest [-].
     rotary_direction: FloatArray
+    #: True where the rotary axis carries the tool, False where it carries the workpiece.
     rotary_on_head: tuple[bool, bool]
-    offsets: FloatArray
+    offsets: FloatArray  #: (3, 3): Workpiece, secondary and primary offset [m].
+    #: (2, 3): On heads: from the tip to the secondary pivot, and from there to the primary pivot
+    #: [m].
     tool_offset: FloatArray
-    singular_cone: float
+    singular_cone: float  #: Smallest allowed angle between a turning tool axis and the pole [rad].
+    #: (k, 3): Unit vectors in M along which the extra axes move the tool [-].
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    #: (4, k): For axes whose limits depend on the position: velocity, acceleration and jerk
+    #: limits, and the k positions at which they hold, see ``core/limit_table.py`` [m or rad, per
+    #: s, s2, s3].
     places: dict[int, FloatArray] = field(default_factory=dict)
+    #: For axes whose drives have a largest torque: torque, inertia and friction.
     loads: dict[int, DriveLoad] = field(default_factory=dict)
+    #: For axes whose drives are not ideal: how they follow their setpoints.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
+    #: Reference switches, and the order in which axes are homed.
     homing: Homing = field(default_factory=Homing)
-    file: str = ''
+    file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
 
     @cached_property
     def is_linear(self) -> BoolArray:

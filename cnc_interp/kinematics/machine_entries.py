@@ -122,43 +122,18 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Homing:
-    """
-    The reference switches of a machine.
+    """The reference switches of a machine."""
 
-    Parameters
-    ----------
-    switches : mapping of str to float
-        Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
-        end of the travel that is nearer.
-    groups : tuple of tuples of str
-        Axes that home together, one group after the other.
-    required : bool
-        Whether no program may start before all these axes are homed.
-
-    """
-
+    #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
+    #: end of the travel that is nearer.
     switches: Mapping[str, float] = field(default_factory=dict)
+    #: Axes that home together, one group after the other.
     groups: tuple[tuple[str, ...], ...] = ()
-    required: bool = False
+    required: bool = False  #: Whether no program may start before all these axes are homed.
 
 
 def homing(content: dict[str, Any], travel: dict[str, tuple[FloatArray, float]]) -> Homing:
-    """
-    Read the reference switches.
-
-    Parameters
-    ----------
-    content : dict
-        The machine file.
-    travel : dict
-        Lowest and highest position of each axis [m, rad], and the SI size of a unit of the file.
-
-    Raises
-    ------
-    MachineError
-        If an entry is wrong; the message names it.
-
-    """
+    """Read the reference switches."""
     given = content.get('homing')
     if given is None:
         return Homing()
@@ -220,15 +195,7 @@ def limits_by_position(
     linear: list[bool],
     rows: list[tuple[list[float], list[float]]],
 ) -> dict[int, FloatArray]:
-    """
-    Read the limits that depend on the position; ``rows`` are limits and travel of all axes.
-
-    Returns
-    -------
-    dict of int to ndarray, shape (4, k)
-        Limits of an axis, and in the last row the k positions [m or rad, per s, s2, s3].
-
-    """
+    """Read the limits that depend on the position; ``rows`` are limits and travel of all axes."""
     given = entries_by_axis(content, 'limits_by_position', names, 'positions and limits')
     return {i: _places(values, where, linear[i], *rows[i]) for i, where, values in given}
 
@@ -236,35 +203,7 @@ def limits_by_position(
 def entries_by_axis(
     content: dict[str, Any], section: str, names: list[str], holds: str
 ) -> Iterator[tuple[int, str, Any]]:
-    """
-    Yield what a section of a machine file gives for each axis it names.
-
-    Parameters
-    ----------
-    content : dict
-        The machine file.
-    section : str
-        Key of the section, which may be missing.
-    names : list of str
-        All axes.
-    holds : str
-        What an entry of the section holds, for error messages.
-
-    Yields
-    ------
-    axis : int
-        Index of the axis.
-    where : str
-        Key of its entry, for error messages.
-    values : object
-        The entry, unchecked.
-
-    Raises
-    ------
-    MachineError
-        If the section names no axes, or one that the machine has not.
-
-    """
+    """Yield what a section of a machine file gives for each axis it names."""
     given = content.get(section) or {}
     if not isinstance(given, dict):
         raise MachineError(f'must name axes, each with {holds}', section)

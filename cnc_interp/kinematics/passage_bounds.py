@@ -49,20 +49,7 @@ MOST_POINTS = 4000
 
 
 def rates_of(segments: PathSegments) -> FloatArray:
-    """
-    Bound the derivatives by u of tool axis and path length on segments of poses.
-
-    Parameters
-    ----------
-    segments : PathSegments
-        n segments. The rows of others have no meaning.
-
-    Returns
-    -------
-    ndarray, shape (n, 4)
-        The columns ``TURN`` to ``RISE`` [-, -, m, m].
-
-    """
+    """Bound the derivatives by u of tool axis and path length on segments of poses."""
     found = np.zeros((len(segments), 4))
     straight = (segments.kind == LINE) | (segments.kind == ROTATION)
     found[straight, TURN] = norm(segments.rotation)[straight]

@@ -89,39 +89,26 @@ class PathAtPole:
 
     Parameters
     ----------
-    transform : Transform
-        The machine's five-axis transformation.
-    height : float
-        Flank height [m].
-    segments : PathSegments
-        The segments, n of them.
-    motion : ndarray of int, shape (n,)
-        How their rotary axes move.
-    guides, bound, turn_first : ndarray
-        What was decided so far, see ``Released``; ``bound`` is that of the deviation [rad].
     shapes, beside, rates : ndarray
         Their curves, as the kernels read them.
-    lengths : ndarray, shape (n,)
-        Path length [m].
-    near : ndarray, shape (n, 2)
-        Parameters between which a segment is at the pole; the first is larger where it is not.
-    sine : ndarray, shape (n,)
-        Sine of the angle between tool axis and pole at the start [-].
 
     """
 
-    transform: Transform
-    height: float
-    segments: PathSegments
-    motion: IntArray
+    transform: Transform  #: The machine's five-axis transformation.
+    height: float  #: Flank height [m].
+    segments: PathSegments  #: The segments, n of them.
+    motion: IntArray  #: (n,): How their rotary axes move.
+    #: What was decided so far, see ``Released``; ``bound`` is that of the deviation [rad].
     guides: FloatArray
     bound: FloatArray
     turn_first: FloatArray
     shapes: FloatArray
     beside: FloatArray
-    lengths: FloatArray
+    lengths: FloatArray  #: (n,): Path length [m].
+    #: (n, 2): Parameters between which a segment is at the pole; the first is larger where it is
+    #: not.
     near: FloatArray
-    sine: FloatArray
+    sine: FloatArray  #: (n,): Sine of the angle between tool axis and pole at the start [-].
     rates: FloatArray
 
     @classmethod

@@ -33,26 +33,7 @@ OFF_WORDS = 15.0 * DEG
 def check_words(
     transform: Transform, run: PathSegments, right: FloatArray, counts: IntArray
 ) -> None:
-    """
-    Refuse lines on which the tool axis leads the rotary axes away from their words.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's five-axis transformation.
-    run : PathSegments
-        n segments.
-    right : ndarray, shape (N, 4, n_axes)
-        Axes and three derivatives by path length at the ends of their cells.
-    counts : ndarray of int, shape (n,)
-        Number of cells of each segment.
-
-    Raises
-    ------
-    BlockError
-        If a line ends away from the words.
-
-    """
+    """Refuse lines on which the tool axis leads the rotary axes away from their words."""
     machine = transform.machine
     lines = np.flatnonzero((run.kind == LINE) & np.isfinite(run.rotary[:, 1]).all(axis=1))
     if not len(lines) or not machine.has_rotary:

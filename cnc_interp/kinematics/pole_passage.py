@@ -41,25 +41,12 @@ SHORTER, SHORTEST = 0.8, 1e-7
 
 @dataclass(frozen=True)
 class Released:
-    """
-    Segments whose rotary axes are decided.
+    """Segments whose rotary axes are decided."""
 
-    Parameters
-    ----------
-    segments : PathSegments
-        The segments. Their deviation counts the passages of the pole.
-    motion : ndarray of int, shape (n,)
-        How the rotary axes move.
-    guides : ndarray, shape (n, 13)
-        Where the outer axis is given.
-    turn_first : ndarray, shape (n,)
-        Position to which the outer axis turns at rest before a segment [rad], else NaN.
-
-    """
-
-    segments: PathSegments
-    motion: IntArray
-    guides: FloatArray
+    segments: PathSegments  #: The segments. Their deviation counts the passages of the pole.
+    motion: IntArray  #: (n,): How the rotary axes move.
+    guides: FloatArray  #: (n, 13): Where the outer axis is given.
+    #: (n,): Position to which the outer axis turns at rest before a segment [rad], else NaN.
     turn_first: FloatArray
 
 
@@ -88,17 +75,7 @@ class _Stretch:
 
 
 class PolePassages:
-    """
-    Choose where the outer rotary axis is given, segment by segment.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's five-axis transformation.
-    height : float
-        Flank height, at which the orientation tolerance counts [m].
-
-    """
+    """Choose where the outer rotary axis is given, segment by segment."""
 
     def __init__(self, transform: Transform, height: float):
         self._transform, self._height = transform, height
@@ -186,15 +163,7 @@ class PolePassages:
         self._stopped = bool(one.stop[i])
 
     def _pass(self, path: PathAtPole, first: int, last: int, closed: bool) -> int:
-        """
-        Decide on the passages in the segments ``first`` to ``last``, which join smoothly.
-
-        Returns
-        -------
-        int
-            The segments before this one are decided.
-
-        """
+        """Decide on the passages in the segments ``first`` to ``last``, which join smoothly."""
         ends = path.ends_of(first, last)
         total, hold = float(ends[-1]), np.inf
         moves = bool((path.motion[first:last] == FOLLOWING).any())

@@ -56,21 +56,7 @@ def septic_fits(
     left: FloatArray, right: FloatArray, h: float, x: float, exact: FloatArray, axes: IntArray,
     rounding: float,
 ) -> bool:  # fmt: skip
-    """
-    Tell whether the septic of a cell has the exact axes and third derivatives at one place.
-
-    Parameters
-    ----------
-    left, right, exact : ndarray, shape (4, 5 + k)
-        Axes and three derivatives by path length at both ends and at the place.
-    h, x : float
-        Length of the cell, and path length from its start to the place [m].
-    axes : ndarray of int, shape (n_axes,)
-        The columns that the machine has.
-    rounding : float
-        Rounding error of the axes, which h^-3 magnifies in the third derivative [m or rad].
-
-    """
+    """Tell whether the septic of a cell has the exact axes and third derivatives at one place."""
     coefficients, value = np.empty(8), np.empty(4)
     for i in axes:
         septic_coefficients(left[:, i], right[:, i], h, coefficients)

@@ -14,20 +14,10 @@ NO_PART = 1e-12
 
 
 class ToolLine(NamedTuple):
-    """
-    Axis positions ``q + x direction`` move the tip by x along the tool axis.
+    """Axis positions ``q + x direction`` move the tip by x along the tool axis."""
 
-    Parameters
-    ----------
-    direction : ndarray, shape (n_axes,)
-        Direction in the axes, away from the workpiece [-].
-    travel : ndarray, shape (2,)
-        Range of x within the travel of the axes [m].
-
-    """
-
-    direction: FloatArray
-    travel: FloatArray
+    direction: FloatArray  #: (n_axes,): Direction in the axes, away from the workpiece [-].
+    travel: FloatArray  #: (2,): Range of x within the travel of the axes [m].
 
 
 def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:

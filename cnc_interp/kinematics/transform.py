@@ -44,19 +44,10 @@ from cnc_interp.kinematics.transform_kernels import (
 
 @dataclass(frozen=True)
 class Transform:
-    """
-    Geometry of a machine, packed for the kernels.
+    """Geometry of a machine, packed for the kernels."""
 
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    packed : ndarray, shape (29 + 3 k,)
-        Its geometry as one array; the last 3 k values are directions of k extra axes.
-
-    """
-
-    machine: Machine
+    machine: Machine  #: The machine.
+    #: (29 + 3 k,): Its geometry as one array; the last 3 k values are directions of k extra axes.
     packed: FloatArray
 
     @staticmethod

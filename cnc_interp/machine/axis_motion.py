@@ -28,38 +28,25 @@ GROSS = 1.5
 
 @dataclass(frozen=True)
 class Recording:
-    """
-    What the axes did in K periods, one row each.
+    """What the axes did in K periods, one row each."""
 
-    Parameters
-    ----------
-    setpoint, position, velocity, following_error : ndarray, shape (K, n_axes)
-        Commanded and actual axes, and commanded minus actual position [m, rad, per s]. Drives
-        with a FIFO answer an earlier setpoint; their errors count from that one.
-    tip, axis : ndarray, shape (K, 3)
-        Actual tool tip [m] and tool axis [-] in W.
-    tip_lag : ndarray, shape (K,)
-        Distance of the actual tip from the commanded tip [m].
-    contour_error : ndarray, shape (K,)
-        Distance of the actual tip of a few periods before from the path of the commanded tips,
-        see ``ContourErrors`` [m].
-    feedrate : ndarray, shape (K,)
-        Actual speed of the tip relative to the workpiece, over each period [m/s].
-    largest_use : ndarray, shape (3, n_axes)
-        Largest velocity, acceleration and jerk of the setpoints over their limits [-]; torques
-        count as accelerations.
-
-    """
-
+    #: (K, n_axes): Commanded and actual axes, and commanded minus actual position [m, rad, per s].
+    #: Drives with a FIFO answer an earlier setpoint; their errors count from that one.
     setpoint: FloatArray
     position: FloatArray
     velocity: FloatArray
     following_error: FloatArray
+    #: (K, 3): Actual tool tip [m] and tool axis [-] in W.
     tip: FloatArray
     axis: FloatArray
-    tip_lag: FloatArray
+    tip_lag: FloatArray  #: (K,): Distance of the actual tip from the commanded tip [m].
+    #: (K,): Distance of the actual tip of a few periods before from the path of the commanded
+    #: tips, see ``ContourErrors`` [m].
     contour_error: FloatArray
+    #: (K,): Actual speed of the tip relative to the workpiece, over each period [m/s].
     feedrate: FloatArray
+    #: (3, n_axes): Largest velocity, acceleration and jerk of the setpoints over their limits [-];
+    #: torques count as accelerations.
     largest_use: FloatArray
 
 
@@ -69,16 +56,6 @@ class ContourErrors:
 
     A table that brakes may be ahead of its setpoint. So a tip is compared with the next setpoints,
     too, and its error comes when these are known.
-
-    Parameters
-    ----------
-    period : float
-        Interpolation period [s].
-    lag : float
-        How much later than their setpoints the axes are there, about [s].
-    tip : ndarray, shape (3,)
-        Where the tip stands at rest [m].
-
     """
 
     def __init__(self, period: float, lag: float, tip: FloatArray):
@@ -101,26 +78,7 @@ class ContourErrors:
 
 
 class AxisMotion:
-    """
-    The axes of the machine, some periods at a time.
-
-    Parameters
-    ----------
-    machine : Machine
-        Axes, limits, travel and geometry.
-    period : float
-        Interpolation period [s].
-    lag : float
-        How much later than their setpoints the axes are there, about [s].
-    position : ndarray, shape (n_axes,)
-        Where the axes stand at rest [m, rad].
-
-    Raises
-    ------
-    StreamError
-        If the period is not positive or an axis stands outside its travel.
-
-    """
+    """The axes of the machine, some periods at a time."""
 
     def __init__(self, machine: Machine, period: float, lag: float, position: FloatArray):
         if not 0.0 < period < np.inf:
@@ -156,17 +114,7 @@ class AxisMotion:
         v: FloatArray,
         answered: FloatArray | None = None,
     ) -> Recording:
-        """
-        Compare what was asked for with what the drives did, in the periods that follow.
-
-        Parameters
-        ----------
-        setpoints, x, v : ndarray, shape (K, n_axes)
-            Commanded position, actual position and velocity at the end of each period.
-        answered : ndarray, shape (K, n_axes), optional
-            Commanded position that the actual one is compared with, where it is an earlier one.
-
-        """
+        """Compare what was asked for with what the drives did, in the periods that follow."""
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
         shares = limit_shares(held, self.machine.limit_table, self.period)
@@ -223,24 +171,7 @@ class AxisMotion:
 
 @njit(cache=True, nogil=True)
 def path_errors(trail: FloatArray, tips: FloatArray, memory: int) -> FloatArray:
-    """
-    Measure each tip against the chords of the ``memory`` commanded tips up to its own.
-
-    Parameters
-    ----------
-    trail : ndarray, shape (K + memory - 1, 3)
-        Commanded tips [m].
-    tips : ndarray, shape (K, 3)
-        Actual tips [m].
-    memory : int
-        Commanded tips that count for one actual tip.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        Distances [m].
-
-    """
+    """Measure each tip against the chords of the ``memory`` commanded tips up to its own."""
     errors = np.empty(len(tips))
     for i in range(len(tips)):
         nearest = np.inf

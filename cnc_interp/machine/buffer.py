@@ -31,28 +31,13 @@ class Rows:
 
 @dataclass(frozen=True)
 class BufferedChunk:
-    """
-    A chunk in the buffer.
+    """A chunk in the buffer."""
 
-    Parameters
-    ----------
-    serial : int
-        Its number in the cycle.
-    run_id : RunId
-        The plan that it belongs to.
-    first : int
-        Number of its first setpoint since the last rest by a stop.
-    chunk : Chunk
-        Setpoints, stop tail, and what comes after.
-    rows, tail : Rows
-        Setpoints and stop tail with their lines.
-
-    """
-
-    serial: int
-    run_id: RunId
-    first: int
-    chunk: Chunk
+    serial: int  #: Its number in the cycle.
+    run_id: RunId  #: The plan that it belongs to.
+    first: int  #: Number of its first setpoint since the last rest by a stop.
+    chunk: Chunk  #: Setpoints, stop tail, and what comes after.
+    #: Setpoints and stop tail with their lines.
     rows: Rows
     tail: Rows
 
@@ -70,15 +55,7 @@ class BufferedChunk:
 
 
 class Buffer:
-    """
-    Chunks in their order.
-
-    Parameters
-    ----------
-    stands : ndarray, shape (n_axes,)
-        Setpoint at which the machine rests while it is empty [m, rad].
-
-    """
+    """Chunks in their order."""
 
     def __init__(self, stands: FloatArray):
         self.chunks: deque[BufferedChunk] = deque()

@@ -56,27 +56,18 @@ KEPT = 10.0
 
 
 class Records(NamedTuple):
-    """
-    What was played in K periods.
+    """What was played in K periods."""
 
-    Parameters
-    ----------
-    source, serial, row, events : ndarray of int, shape (K,)
-        Setpoint and what happened. The row of a FAILED record is the number of the fault.
-    position, velocity : ndarray, shape (K, n_axes)
-        What the drives did [m, rad, per s].
-    answered : ndarray, shape (K, n_axes)
-        The setpoint that the position answers; drives with a FIFO answer an earlier one
-        [m, rad].
-
-    """
-
+    #: (K,): Setpoint and what happened. The row of a FAILED record is the number of the fault.
     source: IntArray
     serial: IntArray
     row: IntArray
     events: IntArray
+    #: (K, n_axes): What the drives did [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
+    #: (K, n_axes): The setpoint that the position answers; drives with a FIFO answer an earlier
+    #: one [m, rad].
     answered: FloatArray
 
     def part(self, first: int, last: int) -> Records:

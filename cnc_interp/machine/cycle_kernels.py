@@ -42,45 +42,25 @@ LONGEST_CATCH_UP = 500_000_000
 
 
 class Memory(NamedTuple):
-    """
-    What the cycle shares with the threads of Python.
+    """What the cycle shares with the threads of Python."""
 
-    Parameters
-    ----------
-    control : ndarray of int, shape (WORDS,)
-        Commands and state.
-    chunks : ndarray of int, shape (slots, COLUMNS)
-        Descriptors of chunks; that of chunk ``serial`` stands in slot ``serial % slots``.
-    travel : ndarray, shape (n_axes, 2)
-        Smallest and largest setpoint [m, rad].
-    jump : ndarray, shape (n_axes,)
-        Largest step between two setpoints [m, rad].
-    setpoint : ndarray, shape (2, n_axes)
-        Commanded position and velocity [m, rad, per s].
-    feedback : ndarray, shape (4, n_axes)
-        Actual position and velocity, the setpoint that they answer, and the time by which the
-        drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
-    drives : ndarray
-        Memory of the drives.
-    records : ndarray of int, shape (count, 4)
-        Source, serial and row of the setpoint of a period, and what happened.
-    measured : ndarray, shape (count, 3, n_axes)
-        Feedback of the same periods: actual position and velocity, and the setpoint answered.
-    late : ndarray of int, shape (RECORD,)
-        Histogram of the clock, see ``realtime.Lateness``.
-
-    """
-
-    control: IntArray
+    control: IntArray  #: (WORDS,): Commands and state.
+    #: (slots, COLUMNS): Descriptors of chunks; that of chunk ``serial`` stands in slot ``serial %
+    #: slots``.
     chunks: IntArray
-    travel: FloatArray
-    jump: FloatArray
-    setpoint: FloatArray
+    travel: FloatArray  #: (n_axes, 2): Smallest and largest setpoint [m, rad].
+    jump: FloatArray  #: (n_axes,): Largest step between two setpoints [m, rad].
+    setpoint: FloatArray  #: (2, n_axes): Commanded position and velocity [m, rad, per s].
+    #: (4, n_axes): Actual position and velocity, the setpoint that they answer, and the time by
+    #: which the drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
     feedback: FloatArray
-    drives: FloatArray
+    drives: FloatArray  #: Memory of the drives.
+    #: (count, 4): Source, serial and row of the setpoint of a period, and what happened.
     records: IntArray
+    #: (count, 3, n_axes): Feedback of the same periods: actual position and velocity, and the
+    #: setpoint answered.
     measured: FloatArray
-    late: IntArray
+    late: IntArray  #: (RECORD,): Histogram of the clock, see ``realtime.Lateness``.
 
 
 @njit(cache=True, nogil=True)

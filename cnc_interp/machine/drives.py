@@ -25,16 +25,10 @@ class DriveFaultError(StreamError):
 
 @dataclass(frozen=True)
 class AxisRows:
-    """
-    Setpoints of consecutive periods, one row each.
+    """Setpoints of consecutive periods, one row each."""
 
-    Parameters
-    ----------
-    position, velocity, acceleration : ndarray, shape (K, n_axes)
-        Axis coordinates and their derivatives at the end of each period [m or rad, per s, per s2].
-
-    """
-
+    #: (K, n_axes): Axis coordinates and their derivatives at the end of each period [m or rad, per
+    #: s, per s2].
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
@@ -63,20 +57,12 @@ class AxisRows:
 
 
 class AxisFeedback(NamedTuple):
-    """
-    What the drives reported in some periods, one row each.
+    """What the drives reported in some periods, one row each."""
 
-    Parameters
-    ----------
-    position, velocity : ndarray, shape (K, n_axes)
-        Actual axis coordinates and velocities [m, rad, per s].
-    answered : ndarray, shape (K, n_axes)
-        The commanded position that the actual one answers [m, rad].
-
-    """
-
+    #: (K, n_axes): Actual axis coordinates and velocities [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
+    #: (K, n_axes): The commanded position that the actual one answers [m, rad].
     answered: FloatArray
 
 

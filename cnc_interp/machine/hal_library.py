@@ -33,26 +33,7 @@ class _Stream(ctypes.Structure):
 
 
 class HalStream:
-    """
-    A FIFO of HAL in shared memory, of a ``streamer`` or a ``sampler``.
-
-    Parameters
-    ----------
-    session : HalSession
-        The session.
-    key : int
-        Key of its shared memory.
-    columns : str
-        Types of its columns, as in ``cfg=``.
-    name : str
-        Name of the component that made it.
-
-    Raises
-    ------
-    DriveFaultError
-        If there is no such FIFO, or if its columns are others.
-
-    """
+    """A FIFO of HAL in shared memory, of a ``streamer`` or a ``sampler``."""
 
     def __init__(self, session: HalSession, key: int, columns: str, name: str):
         self._library, self._stream = session.library, _Stream()
@@ -96,15 +77,7 @@ class HalStream:
 
 
 class HalSession:
-    """
-    The running session of HAL, as a component of it that has no pins.
-
-    Raises
-    ------
-    DriveFaultError
-        If LinuxCNC is not installed, if no session runs, or if it belongs to another user.
-
-    """
+    """The running session of HAL, as a component of it that has no pins."""
 
     def __init__(self) -> None:
         try:
@@ -146,15 +119,7 @@ def shared_memories() -> dict[int, int]:
 
 
 def thread_period(functions: tuple[str, ...]) -> float:
-    """
-    Return the period of the thread of HAL that calls all these functions [s].
-
-    Raises
-    ------
-    DriveFaultError
-        If there is no such thread, or if it does not run.
-
-    """
+    """Return the period of the thread of HAL that calls all these functions [s]."""
     halcmd = shutil.which('halcmd')
     if halcmd is None:
         raise DriveFaultError('halcmd is not found; install LinuxCNC (Debian: linuxcnc-uspace)')

@@ -51,42 +51,21 @@ PATIENCE = 20
 
 
 class Block(NamedTuple):
-    """
-    The memory of the step in parts; ``n`` axes.
+    """The memory of the step in parts; ``n`` axes."""
 
-    Parameters
-    ----------
-    words : ndarray of int, shape (WORDS,)
-        Addresses and counts.
-    units : ndarray, shape (n,)
-        HAL's unit of each axis [m or rad].
-    limits : ndarray, shape (n,)
-        Largest following error [m, rad].
-    held : ndarray, shape (n,)
-        Where the axes are held after the power came [m, rad].
-    actual : ndarray, shape (2, n)
-        Position in the last two samples [m, rad].
-    kept : ndarray, shape (KEPT, 2n + FLAGS)
-        Rows that were pushed: setpoint [m, rad], the same in HAL's units, flags.
-    row : ndarray, shape (2n + 1,)
-        A row of the stream: positions, velocities, power.
-    sample : ndarray, shape (3n + 2,)
-        A row of the sampler: positions commanded and actual; then bits: amplifier faults, power
-        is on, FIFO was empty.
-    number : ndarray, shape (1,)
-        Where HAL writes the number of the sample.
-
-    """
-
-    words: IntArray
-    units: FloatArray
-    limits: FloatArray
-    held: FloatArray
-    actual: FloatArray
+    words: IntArray  #: (WORDS,): Addresses and counts.
+    units: FloatArray  #: (n,): HAL's unit of each axis [m or rad].
+    limits: FloatArray  #: (n,): Largest following error [m, rad].
+    held: FloatArray  #: (n,): Where the axes are held after the power came [m, rad].
+    actual: FloatArray  #: (2, n): Position in the last two samples [m, rad].
+    #: (KEPT, 2n + FLAGS): Rows that were pushed: setpoint [m, rad], the same in HAL's units,
+    #: flags.
     kept: FloatArray
-    row: FloatArray
+    row: FloatArray  #: (2n + 1,): A row of the stream: positions, velocities, power.
+    #: (3n + 2,): A row of the sampler: positions commanded and actual; then bits: amplifier
+    #: faults, power is on, FIFO was empty.
     sample: FloatArray
-    number: FloatArray
+    number: FloatArray  #: (1,): Where HAL writes the number of the sample.
 
 
 def block_size(n: int) -> int:

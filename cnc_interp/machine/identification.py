@@ -42,22 +42,11 @@ SIGMAS = 1.96
 
 @dataclass(frozen=True)
 class Parameter:
-    """
-    One number that is fitted.
+    """One number that is fitted."""
 
-    Parameters
-    ----------
-    name : str
-        Field of ``AxisDrive``, or ``coulomb``.
-    start : float
-        Where the search begins; for rotary axes lengths are taken as angles.
-    low, high : float
-        Bounds.
-
-    """
-
-    name: str
-    start: float
+    name: str  #: Field of ``AxisDrive``, or ``coulomb``.
+    start: float  #: Where the search begins; for rotary axes lengths are taken as angles.
+    #: Bounds.
     low: float
     high: float
 
@@ -83,32 +72,16 @@ FRICTION = (
 
 @dataclass(frozen=True)
 class IdentifiedAxis:
-    """
-    The model of one axis and how well it fits.
+    """The model of one axis and how well it fits."""
 
-    Parameters
-    ----------
-    axis : int
-        The axis.
-    drive : AxisDrive
-        Its model.
-    load : DriveLoad or None
-        Inertia and friction.
-    half_width : mapping of str to float
-        Half of the 95 % confidence interval of each fitted number, named by field of ``drive``, or
-        ``coulomb`` [SI].
-    rows : ndarray of int, shape (K,)
-        Rows of the recording that were fitted.
-    setpoint, measured, modelled : ndarray, shape (K,)
-        Positions [m or rad].
-
-    """
-
-    axis: int
-    drive: AxisDrive
-    load: DriveLoad | None
+    axis: int  #: The axis.
+    drive: AxisDrive  #: Its model.
+    load: DriveLoad | None  #: Inertia and friction.
+    #: Half of the 95 % confidence interval of each fitted number, named by field of ``drive``, or
+    #: ``coulomb`` [SI].
     half_width: Mapping[str, float]
-    rows: FloatArray
+    rows: FloatArray  #: (K,): Rows of the recording that were fitted.
+    #: (K,): Positions [m or rad].
     setpoint: FloatArray
     measured: FloatArray
     modelled: FloatArray

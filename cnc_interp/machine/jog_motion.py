@@ -40,27 +40,14 @@ EACH_ALONE, TOGETHER = ruckig.Synchronization.No, ruckig.Synchronization.Time
 
 @dataclass(frozen=True, eq=False)
 class Slides:
-    """
-    What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``.
+    """What moves by hand: m straight lines in the n axes, ``q = origin + x @ direction``."""
 
-    Parameters
-    ----------
-    origin : ndarray, shape (n,)
-        Axis positions at x = 0 [m, rad].
-    direction : ndarray, shape (m, n)
-        Motion of the axes per unit of each coordinate x.
-    limits : ndarray, shape (3, m)
-        Velocity, acceleration and jerk limits of the coordinates that hold everywhere
-        [m or rad, per s, s2, s3].
-    travel : ndarray, shape (m, 2)
-        Smallest and largest coordinate [m, rad].
-
-    """
-
-    origin: FloatArray
-    direction: FloatArray
+    origin: FloatArray  #: (n,): Axis positions at x = 0 [m, rad].
+    direction: FloatArray  #: (m, n): Motion of the axes per unit of each coordinate x.
+    #: (3, m): Velocity, acceleration and jerk limits of the coordinates that hold everywhere [m or
+    #: rad, per s, s2, s3].
     limits: FloatArray
-    travel: FloatArray
+    travel: FloatArray  #: (m, 2): Smallest and largest coordinate [m, rad].
 
     def positions(self, x: FloatArray) -> FloatArray:
         """Return the axis positions, shape (K, n) [m, rad], at coordinates, shape (K, m)."""
@@ -81,17 +68,7 @@ class Slides:
 
     @staticmethod
     def along_tool(machine: Machine, stands: FloatArray) -> Slides:
-        """
-        Return one slide: X Y Z move the tip along the tool axis; x = 0 where the machine stands.
-
-        Parameters
-        ----------
-        machine : Machine
-            Axes, limits, travel and geometry.
-        stands : ndarray, shape (n,)
-            Axis positions [m, rad].
-
-        """
+        """Return one slide: X Y Z move the tip along the tool axis; x = 0 at the present place."""
         line = tool_line(Transform.of(machine), stands)
         moves = line.direction != 0.0
         part = np.abs(line.direction[moves])
@@ -104,19 +81,7 @@ class Slides:
 
 
 class JogMotion:
-    """
-    One motion by hand, from rest to rest.
-
-    Parameters
-    ----------
-    slides : Slides
-        What moves.
-    period : float
-        Interpolation period [s].
-    x : ndarray, shape (m,)
-        Where it begins, at rest [m, rad].
-
-    """
+    """One motion by hand, from rest to rest."""
 
     def __init__(self, slides: Slides, period: float, x: FloatArray):
         self.slides, self._period = slides, period

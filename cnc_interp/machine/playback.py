@@ -245,15 +245,7 @@ class Playback:
         return self._on_tail or self.state.plan_over
 
     def check_jog(self) -> None:
-        """
-        Refuse motion by hand where it cannot begin or go on.
-
-        Raises
-        ------
-        StreamError
-            With the reason.
-
-        """
+        """Refuse motion by hand where it cannot begin or go on."""
         self.read()
         if not self.state.by_hand:
             self.state.after(Event.JOG)

@@ -77,12 +77,6 @@ class Lateness:
 
     Where it wakes up more than a period late, it catches up: the periods that are due begin at
     once. They are counted, and are no wake-ups; so the figures compare with those of other clocks.
-
-    Parameters
-    ----------
-    record : ndarray of int, shape (RECORD,)
-        Wake-ups in each class, the largest lateness [ns], periods that were caught up.
-
     """
 
     def __init__(self, record: IntArray):

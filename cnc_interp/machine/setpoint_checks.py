@@ -15,17 +15,7 @@ ROUNDING = 1.01
 
 
 def beyond_travel(machine: Machine, positions: FloatArray) -> str:
-    """
-    Return which axis would leave its travel first and where, in words; empty if none does.
-
-    Parameters
-    ----------
-    machine : Machine
-        Axes and travel.
-    positions : ndarray, shape (K, n_axes)
-        Setpoints [m, rad].
-
-    """
+    """Return which axis would leave its travel first and where, in words; empty if none does."""
     travel = machine.travel
     outside = (positions < travel[:, 0] - TRAVEL_SLACK) | (positions > travel[:, 1] + TRAVEL_SLACK)
     if not outside.any():

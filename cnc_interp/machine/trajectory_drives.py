@@ -40,39 +40,18 @@ POWER_UP, SETTLING = 5.0, 0.1
 
 
 class Trajectory(NamedTuple):
-    """
-    Points that the controller shall reach, at increasing times; the last one is at rest.
+    """Points that the controller shall reach, at increasing times; the last one is at rest."""
 
-    Parameters
-    ----------
-    start : int
-        Time of ROS from which the times of the points count [ns].
-    times : ndarray of int, shape (K,)
-        When each point shall be reached [ns].
-    rows : AxisRows
-        The points.
-
-    """
-
-    start: int
-    times: IntArray
-    rows: AxisRows
+    start: int  #: Time of ROS from which the times of the points count [ns].
+    times: IntArray  #: (K,): When each point shall be reached [ns].
+    rows: AxisRows  #: The points.
 
 
 class JointReport(NamedTuple):
-    """
-    What the controller reported once.
+    """What the controller reported once."""
 
-    Parameters
-    ----------
-    stamp : int
-        When it was measured, in the time of ROS [ns].
-    position, velocity : ndarray, shape (n_axes,)
-        Actual axis coordinates and velocities [m, rad, per s].
-
-    """
-
-    stamp: int
+    stamp: int  #: When it was measured, in the time of ROS [ns].
+    #: (n_axes,): Actual axis coordinates and velocities [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
 
@@ -108,26 +87,13 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """
-    How the controller is used.
+    """How the controller is used."""
 
-    Parameters
-    ----------
-    delay : float
-        Time from a setpoint in the cycle to its execution by the controller [s].
-    following_error : float
-        Largest following error of a linear axis [m].
-    following_angle : float
-        Largest following error of a rotary axis [rad].
-    silence : float
-        Silence of the controller after which its feedback counts as lost [s].
-
-    """
-
+    #: Time from a setpoint in the cycle to its execution by the controller [s].
     delay: float = 0.2
-    following_error: float = 1.0 * MM
-    following_angle: float = 1.0 * DEG
-    silence: float = 1.0
+    following_error: float = 1.0 * MM  #: Largest following error of a linear axis [m].
+    following_angle: float = 1.0 * DEG  #: Largest following error of a rotary axis [rad].
+    silence: float = 1.0  #: Silence of the controller after which its feedback counts as lost [s].
 
 
 class TrajectoryDrives:
@@ -282,15 +248,7 @@ class TrajectoryDrives:
         return self._news(stop) is None
 
     def _refuse_late(self, news: int) -> None:
-        """
-        Refuse to change what the controller is about to execute.
-
-        Raises
-        ------
-        DriveFaultError
-            If it is so late. The controller comes to rest where the last trajectory ends.
-
-        """
+        """Refuse to change what the controller is about to execute."""
         late = self._controller.now() - (self._time_of(news) - round(RESERVE * self._delay))
         if late > 0:
             self._on = False

@@ -12,15 +12,7 @@ from cnc_interp.wire.run_messages import modal_state
 
 
 class ActiveModesTopic:
-    """
-    Tells the modal state of a run where it changes.
-
-    Parameters
-    ----------
-    node : Node
-        The program node.
-
-    """
+    """Tells the modal state of a run where it changes."""
 
     def __init__(self, node: Any):
         self._publisher = node.create_publisher(ModalState, 'active_modes', LOADED)

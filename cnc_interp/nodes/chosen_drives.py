@@ -18,26 +18,7 @@ from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOpt
 
 
 def chosen_drives(node: Any, values: dict[str, Any], machine: Machine, period: float) -> Drives:
-    """
-    Make the drives that the parameters name.
-
-    Parameters
-    ----------
-    node : Node
-        The machine node.
-    values : dict
-        Its parameters.
-    machine : Machine
-        Axes and limits.
-    period : float
-        Interpolation period [s].
-
-    Raises
-    ------
-    InterpError
-        If there are no such drives, or if they cannot be used.
-
-    """
+    """Make the drives that the parameters name."""
     kind, model, learnt = (values[name] for name in ('drives', 'compensation', 'learnt'))
     if kind == 'simulated':
         drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
@@ -83,28 +64,7 @@ def compensated(
     period: float,
     learnt: LearntMotion | None = None,
 ) -> CompensatedDrives:
-    """
-    Put drives behind the inverse of a model.
-
-    Parameters
-    ----------
-    drives : CycleDrives
-        The drives.
-    machine : Machine
-        Their machine.
-    model : str
-        Machine whose drives are the model.
-    period : float
-        Interpolation period [s].
-    learnt : LearntMotion, optional
-        What earlier runs have taught.
-
-    Raises
-    ------
-    MachineError
-        If the model has other axes, or cannot be compensated.
-
-    """
+    """Put drives behind the inverse of a model."""
     return CompensatedDrives(drives, compensated_model(model, machine), period, learnt)
 
 

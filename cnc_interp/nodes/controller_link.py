@@ -25,18 +25,6 @@ class ControllerLink:
 
     It is a node of its own in the process of the machine node: while that one waits for the
     controller, its topics must be heard.
-
-    Parameters
-    ----------
-    namespace : str
-        Namespace of the node.
-    controller : str
-        Name of the controller; it takes trajectories on its topic ``joint_trajectory``.
-    feedback : str
-        Topic with the positions of the joints.
-    joints : sequence of str
-        Names of the joints, one for each axis.
-
     """
 
     def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):

@@ -12,19 +12,7 @@ from cnc_interp.machine.playback import Playback
 
 
 class Controls:
-    """
-    Services that act on the playback at once, without the other nodes.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    playback : Playback
-        The machine's buffer.
-    give_up : callable
-        Told the reason when a run is over for good.
-
-    """
+    """Services that act on the playback at once, without the other nodes."""
 
     def __init__(self, node: Any, playback: Playback, give_up: Callable[[str], None]):
         self._playback, self._give_up = playback, give_up

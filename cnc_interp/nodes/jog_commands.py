@@ -20,19 +20,7 @@ from cnc_interp.nodes.qos import BEATS
 
 
 class JogCommands:
-    """
-    Takes the operator's commands for motion by hand.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    playback : Playback
-        The machine's buffer.
-    diagnostics : Diagnostics
-        Where beats that cannot be followed are named.
-
-    """
+    """Takes the operator's commands for motion by hand."""
 
     def __init__(self, node: Any, playback: Playback, diagnostics: Diagnostics):
         self._jog, self._diagnostics = Jog(playback), diagnostics

@@ -9,17 +9,7 @@ from cnc_interp.machine.realtime import ask_for_priority
 
 
 class MachineClock:
-    """
-    Runs the cycle in a thread of its own, which never needs the interpreter.
-
-    Parameters
-    ----------
-    cycle : Cycle
-        The cycle.
-    priority : int
-        SCHED_FIFO priority to ask for, 1 to 99; 0 asks for nothing.
-
-    """
+    """Runs the cycle in a thread of its own, which never needs the interpreter."""
 
     def __init__(self, cycle: Cycle, priority: int):
         self._cycle, self._priority = cycle, priority

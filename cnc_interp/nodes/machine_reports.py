@@ -22,25 +22,7 @@ EXECUTED_PERIOD = 0.1
 
 
 class MachineReports:
-    """
-    Publishes state, joints and executed setpoints at the rates of the node's parameters.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    playback : Playback
-        The machine's buffer.
-    values : dict
-        Parameters of the node.
-    overrides : Overrides
-        The overrides that count.
-    homing : Homing
-        The axes whose position is known.
-    diagnostics : Diagnostics
-        The diagnostics of the node.
-
-    """
+    """Publishes state, joints and executed setpoints at the rates of the node's parameters."""
 
     def __init__(
         self,

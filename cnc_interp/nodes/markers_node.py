@@ -35,21 +35,7 @@ EXECUTED = ColorRGBA(r=0.30, g=0.76, b=0.54, a=1.0)
 
 
 class Strip:
-    """
-    A line that grows, as markers of at most ``POINTS`` points.
-
-    Parameters
-    ----------
-    name : str
-        Namespace of its markers.
-    colour : ColorRGBA
-        Its colour.
-    width : float
-        Its width [m].
-    spacing : float
-        Points nearer than this to the one before are left out [m].
-
-    """
+    """A line that grows, as markers of at most ``POINTS`` points."""
 
     def __init__(self, name: str, colour: ColorRGBA, width: float, spacing: float):
         self._name, self._colour, self._width, self._spacing = name, colour, width, spacing

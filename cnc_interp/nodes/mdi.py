@@ -20,21 +20,7 @@ from cnc_interp.wire.run_messages import modal_state
 
 
 class Mdi:
-    """
-    The lines by hand of the program node.
-
-    Parameters
-    ----------
-    node : Node
-        Publishes the modal state.
-    transform : Transform
-        The machine's transformation.
-    settings : Settings
-        The settings of the node.
-    of_machine : callable
-        Returns offsets and tools of the machine.
-
-    """
+    """The lines by hand of the program node."""
 
     def __init__(
         self,

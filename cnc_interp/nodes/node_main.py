@@ -33,25 +33,7 @@ NICENESS = -10
 def run_node(
     make: Callable[[], Any], arguments: list[str] | None = None, urgent: bool = True
 ) -> int:
-    """
-    Run one node until Ctrl-C, SIGTERM or the end of its context.
-
-    Parameters
-    ----------
-    make : callable
-        Makes the node once ROS is up. The node's ``close`` ends it in a controlled way, and its
-        ``publish_rest``, if it has one, publishes what it has collected.
-    arguments : list of str, optional
-        Command line, ROS arguments included.
-    urgent : bool
-        Whether others wait for it: false for a node that only shows.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a controlled end, 2 when the node cannot start.
-
-    """
+    """Run one node until Ctrl-C, SIGTERM or the end of its context."""
     stop: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda found, _frame: stop.append(found))

@@ -12,15 +12,7 @@ from cnc_interp.run.motion_plan import OperatorSettings
 
 
 class OperatorInputs:
-    """
-    Inputs of the operator and their current values; overrides and single block from the machine.
-
-    Parameters
-    ----------
-    node : Node
-        The node that offers the service ``optional_stop``.
-
-    """
+    """Inputs of the operator with their values; overrides and single block from the machine."""
 
     def __init__(self, node: Any):
         self.settings, self._optional_stop = OperatorSettings(), False

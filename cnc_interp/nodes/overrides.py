@@ -20,19 +20,7 @@ RANGES = {'feed_override': (0.0, 1.5), 'rapid_override': (0.01, 1.0)}
 
 
 class Override:
-    """
-    Receives an override of the operator.
-
-    Parameters
-    ----------
-    node : Node
-        The node that listens.
-    diagnostics : Diagnostics
-        Where an override out of range is named.
-    topic : str
-        Which one, a key of ``RANGES``.
-
-    """
+    """Receives an override of the operator."""
 
     def __init__(self, node: Any, diagnostics: Diagnostics, topic: str):
         self.value = 1.0

@@ -150,15 +150,7 @@ NODES = {
 
 
 def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
-    """
-    Declare parameters on a node and return their values.
-
-    Raises
-    ------
-    InterpError
-        If a value is of the wrong type or outside its range, or two do not fit together.
-
-    """
+    """Declare parameters on a node and return their values."""
     values = {}
     for parameter in parameters:
         try:

@@ -104,26 +104,7 @@ class Peers:
 
 
 class SenderWatch:
-    """
-    Reports the sender of a stream as lost, and withdraws that when it is heard again.
-
-    Parameters
-    ----------
-    node : Node
-        The node that receives.
-    diagnostics : Diagnostics
-        Its diagnostics.
-    stream : str
-        What it receives.
-    sender : str
-        The node that sends it.
-    timeout : float
-        Silence after which that counts as lost [s].
-    heartbeat : str
-        Stream that the sender receives itself, where it does: its acknowledgements show that it
-        lives, though it may have nothing to send.
-
-    """
+    """Reports the sender of a stream as lost, and withdraws that when it is heard again."""
 
     def __init__(
         self, node: Any, diagnostics: Diagnostics, stream: str, sender: str, timeout: float,

@@ -32,53 +32,24 @@ LONGEST_TEXT = 16 << 20
 
 @dataclass(frozen=True)
 class Prepared:
-    """
-    A program that was checked and can run.
+    """A program that was checked and can run."""
 
-    Parameters
-    ----------
-    blocks : BlockSpool
-        Start pose, then the program.
-    notices : tuple of str
-        What had no effect or was simplified.
-    text : str
-        The program's text; empty when it is very long.
-    settings : Settings
-        The choices of the run.
-    path_length : float
-        Length of the smoothed path [m]; 0 for a line by hand without motion.
-    stops : ndarray of int, shape (k,)
-        Rows of the corners at which a stop is faster, ascending. All others are known, too, so
-        that the look-ahead need not try them again.
-    setup : JobSetup
-        The offsets and tools that it was read with.
-    is_own_setup : bool
-        Whether the goal has named them, so that they are not those of the machine.
-    changes : tuple of ProgramChange
-        What it changes of them.
-    used : frozenset of str
-        What it uses of them.
-    modes : ModesOfBlocks
-        The modal state of each block.
-    start : StartPlace or None
-        Where the run starts, if that is not the top.
-    line : MdiLine, optional
-        The line by hand, whose modal state is kept when it is executed.
-
-    """
-
-    blocks: BlockSpool
-    notices: tuple[str, ...]
-    text: str
-    settings: Settings
-    path_length: float
+    blocks: BlockSpool  #: Start pose, then the program.
+    notices: tuple[str, ...]  #: What had no effect or was simplified.
+    text: str  #: The program's text; empty when it is very long.
+    settings: Settings  #: The choices of the run.
+    path_length: float  #: Length of the smoothed path [m]; 0 for a line by hand without motion.
+    #: (k,): Rows of the corners at which a stop is faster, ascending. All others are known, too,
+    #: so that the look-ahead need not try them again.
     stops: IntArray
-    setup: JobSetup
+    setup: JobSetup  #: The offsets and tools that it was read with.
+    #: Whether the goal has named them, so that they are not those of the machine.
     is_own_setup: bool
-    changes: tuple[ProgramChange, ...]
-    used: frozenset[str]
-    modes: ModesOfBlocks
-    start: StartPlace | None = None
+    changes: tuple[ProgramChange, ...]  #: What it changes of them.
+    used: frozenset[str]  #: What it uses of them.
+    modes: ModesOfBlocks  #: The modal state of each block.
+    start: StartPlace | None = None  #: Where the run starts, if that is not the top.
+    #: The line by hand, whose modal state is kept when it is executed.
     line: MdiLine | None = None
 
     def __getitem__(self, rows: slice) -> Blocks:
@@ -98,34 +69,7 @@ def prepare(
     folders: Sequence[str] = (),
     of_machine: Callable[[], JobSetup] = JobSetup,
 ) -> Prepared:
-    """
-    Read and check the program of a goal, before anything moves; memory does not grow with it.
-
-    Parameters
-    ----------
-    goal : RunProgram.Goal
-        Program and choices.
-    transform : Transform
-        The machine's transformation.
-    defaults : Settings
-        Settings of the node, for choices that the goal leaves open.
-    told : callable
-        Told the share of the text that is checked, 0 to 1; raises when the user has cancelled.
-    folders : sequence of str, optional
-        Folders and files that the goal may name; see ``require_allowed``.
-    of_machine : callable, optional
-        Returns offsets and tools of the machine, for a goal that names no setup.
-
-    Raises
-    ------
-    SettingsError
-        If the goal asks for a choice that is unknown or not possible.
-    ProgramError
-        If the program cannot be read or holds no motion.
-    BlockError
-        If a block cannot be executed on the machine: travel, reach, singular pose, tolerance.
-
-    """
+    """Read and check the program of a goal before anything moves; memory stays flat."""
     machine = transform.machine
     if goal.machine and goal.machine != machine.name:
         raise InterpError(
@@ -153,28 +97,7 @@ def prepare_line(
     settings: Settings,
     told: Callable[[float], None],
 ) -> Prepared:
-    """
-    Read and check a line by hand.
-
-    Parameters
-    ----------
-    goal : RunProgram.Goal
-        The line.
-    reader : MdiReader
-        Reads it in the modal state of the lines before.
-    setup : JobSetup
-        Offsets and tools of the machine.
-    stands : ndarray, shape (n_axes,)
-        Axis positions of the machine [m, rad].
-    transform, settings, told
-        As for ``prepare``; the settings are those of the node.
-
-    Raises
-    ------
-    InterpError
-        As ``prepare``; a line without motion is sound.
-
-    """
+    """Read and check a line by hand."""
     if settings_of_goal(goal, settings) != settings:
         raise InterpError('a line by hand has the settings of program_node; leave out others')
     line = reader.line(goal.text, stands, setup)
@@ -217,12 +140,6 @@ def require_allowed(program: Path, folders: Sequence[str]) -> None:
     Refuse a path that is neither one of some files nor below one of some folders.
 
     Nothing of the file is read, and the answer is the same whether or not it exists.
-
-    Raises
-    ------
-    InterpError
-        If the node was not started with a folder of this program.
-
     """
     wanted = program.resolve()
     if not any(wanted.is_relative_to(Path(folder).resolve()) for folder in folders if folder):
@@ -246,19 +163,7 @@ def checked_path(
     settings: Settings,
     told: Callable[[float], None],
 ) -> tuple[float, IntArray, StartPlace | None]:
-    """
-    Run a program through look-ahead and kinematics; its blocks go into the spool on their way.
-
-    Returns
-    -------
-    float
-        Length of its path [m].
-    ndarray of int
-        Rows of the corners at which a stop is faster, ascending.
-    StartPlace or None
-        Where the run starts, if that is not the top.
-
-    """
+    """Run a program through look-ahead and kinematics; its blocks go into the spool."""
     chain, tolerances = PathChain(transform, settings), ToleranceUse()
     finder = StartFinder(transform, settings.flank_height, stream.start)
     inside, length = stream.start.line > 0, 0.0

@@ -53,15 +53,7 @@ def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
 
 
 class ProgramRun:
-    """
-    The state of one run.
-
-    Parameters
-    ----------
-    goal : RunProgram.Goal
-        What the user asked for.
-
-    """
+    """The state of one run."""
 
     def __init__(self, goal: Any):
         self.run_id = RunId(uuid.uuid4().hex)
@@ -259,17 +251,7 @@ class ProgramRun:
         self._change(Step.STALE, now)
 
     def take_changes(self, block: int, ended: bool) -> list[ProgramChange]:
-        """
-        Return what the program has changed of the machine's setup since the last call.
-
-        Parameters
-        ----------
-        block : int
-            The block that the machine executes.
-        ended : bool
-            Whether the program was executed to its end.
-
-        """
+        """Return what the program has changed of the machine's setup since the last call."""
         program = self.preparation.prepared
         if program is None or program.is_own_setup:
             return []

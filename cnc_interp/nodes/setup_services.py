@@ -32,21 +32,7 @@ RUNNING = frozenset(('active offset', 'spindle'))
 
 
 class SetupServices:
-    """
-    Answers the services, and tells the table to all.
-
-    Parameters
-    ----------
-    node : Node
-        The program node.
-    table : SetupTable
-        The setup of the machine.
-    transform : Transform
-        The machine's transformation.
-    peers : Peers
-        What the machine says.
-
-    """
+    """Answers the services, and tells the table to all."""
 
     def __init__(self, node: Any, table: SetupTable, transform: Transform, peers: Peers):
         self._table, self._peers, self._node = table, peers, node

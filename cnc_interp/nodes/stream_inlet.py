@@ -37,32 +37,7 @@ def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
 
 
 class Inlet:
-    """
-    The receiving end of a stream.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    receiver : WindowedReceiver
-        Its bookkeeping.
-    kinds : dict
-        Message type of each topic on which the stream may come.
-    check : callable
-        Raises StreamError for a message that is not taken. Its kind LATE means that the stream
-        was left; for any other kind the run is refused.
-    on_message : callable
-        Takes a sound message, in order.
-    on_refusal : callable
-        Called when a run is refused.
-    diagnostics : Diagnostics
-        Where refusals are named.
-    status_period : float
-        Time between acknowledgements while a program is received [s].
-    gate : callable
-        Takes a message of a topic and returns those that are received now, in order.
-
-    """
+    """The receiving end of a stream."""
 
     def __init__(
         self,

@@ -20,27 +20,7 @@ from cnc_interp.wire.window_protocol import WindowedSender
 
 
 class Outlet:
-    """
-    The sending end of a stream.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    stream : str
-        Name of the stream in acknowledgements.
-    kind : type
-        Message type.
-    resend_after : float
-        Time without acknowledgement after which sending starts again [s].
-    encode : callable
-        Makes the message of a queued item and its number.
-    topic : str
-        Name of the topic; that of the stream where it is empty.
-    profile : QoSProfile
-        Quality of service of the topic.
-
-    """
+    """The sending end of a stream."""
 
     def __init__(
         self,

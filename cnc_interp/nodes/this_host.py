@@ -18,13 +18,6 @@ def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
 
     The range of discovery alone does not: sockets would still answer every host that knows the
     address. So the profile binds them to 127.0.0.1.
-
-    Parameters
-    ----------
-    environment : mapping
-        The environment of the process. A range other than LOCALHOST, static peers or transports
-        of the user's own are respected.
-
     """
     if environment.get(PEERS) or environment.get(RANGE, 'LOCALHOST') != 'LOCALHOST':
         return {}

@@ -21,46 +21,19 @@ MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
 
 @dataclass(frozen=True)
 class ActiveModes:
-    """
-    A modal state.
+    """A modal state."""
 
-    Parameters
-    ----------
-    codes : tuple of str
-        The active code of each modal group, such as G1, G17, G21, G90.
-    feedrate : float
-        Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
-    duration : float
-        Duration of a block with G93 [s]; NaN where none is set.
-    spindle_speed : float
-        Programmed spindle speed [rev/min].
-    tool : int
-        Number of the active tool; 0 where none is chosen.
-    contour_tolerance, orientation_tolerance : float
-        Tolerances [m].
-
-    """
-
-    codes: tuple[str, ...]
-    feedrate: float
-    duration: float
-    spindle_speed: float
-    tool: int
+    codes: tuple[str, ...]  #: The active code of each modal group, such as G1, G17, G21, G90.
+    feedrate: float  #: Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
+    duration: float  #: Duration of a block with G93 [s]; NaN where none is set.
+    spindle_speed: float  #: Programmed spindle speed [rev/min].
+    tool: int  #: Number of the active tool; 0 where none is chosen.
+    #: Tolerances [m].
     contour_tolerance: float
     orientation_tolerance: float
 
     def moving(self, motion: float, feed: float) -> ActiveModes:
-        """
-        Return the state with a motion code and a feed.
-
-        Parameters
-        ----------
-        motion : float
-            Number of the motion code, 0 to 3, or ``NONE``.
-        feed : float
-            Feedrate [m/s], with G95 [m per rev/min], with G93 [1/min], or ``NONE``.
-
-        """
+        """Return the state with a motion code and a feed."""
         codes = self.codes if motion == NONE else (f'G{motion:.0f}', *self.codes)
         if feed == NONE:
             return replace(self, codes=codes)

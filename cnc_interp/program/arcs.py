@@ -29,25 +29,12 @@ _FARTHEST_CENTRE = 1e6
 
 @dataclass(frozen=True)
 class Arcs:
-    """
-    The arcs of n blocks in program coordinates.
+    """The arcs of n blocks in program coordinates."""
 
-    Parameters
-    ----------
-    centre : ndarray, shape (n, 3)
-        Point on the axis, at the height of the start [m].
-    sweep : ndarray, shape (n,)
-        Signed angle, positive counter-clockwise [rad].
-    fault : ndarray of int, shape (n,)
-        0 if the arc exists, else a key of ``FAULTS``.
-    mismatch : ndarray, shape (n,)
-        Difference of both radii, or excess of the chord over the diameter [m].
-
-    """
-
-    centre: FloatArray
-    sweep: FloatArray
-    fault: IntArray
+    centre: FloatArray  #: (n, 3): Point on the axis, at the height of the start [m].
+    sweep: FloatArray  #: (n,): Signed angle, positive counter-clockwise [rad].
+    fault: IntArray  #: (n,): 0 if the arc exists, else a key of ``FAULTS``.
+    #: (n,): Difference of both radii, or excess of the chord over the diameter [m].
     mismatch: FloatArray
 
 
@@ -74,32 +61,7 @@ def arcs_of(
     absolute: BoolArray | bool = False,
     turns: FloatArray | float = 1.0,
 ) -> Arcs:
-    """
-    Compute centre and sweep of arcs.
-
-    Parameters
-    ----------
-    plane : {'G17', 'G18', 'G19'}
-        Plane of the arcs.
-    counter_clockwise : ndarray of bool, shape (n,)
-        True for G3, False for G2.
-    start, end : ndarray, shape (n, 3)
-        Start and end in program coordinates [m].
-    offset : ndarray, shape (n, 3)
-        I, J, K [m], NaN if the block has none.
-    radius : ndarray, shape (n,)
-        R [m], negative for the longer arc, NaN if the block has none.
-    absolute : bool or ndarray of bool, shape (n, 3)
-        Whether I, J, K are coordinates of the centre (G90.1).
-    turns : float or ndarray, shape (n,)
-        Number of turns begun (P), 1 for an ordinary arc [-].
-
-    Returns
-    -------
-    Arcs
-        Centre, sweep and fault of each arc.
-
-    """
+    """Compute centre and sweep of arcs."""
     a, b, normal = PLANES[plane]
     chord = end - start
     by_radius = np.isfinite(radius)
@@ -144,20 +106,7 @@ def arcs_of(
 
 
 def allowed_mismatch(radius: FloatArray) -> FloatArray:
-    """
-    Return the largest accepted rounding error of a radius.
-
-    Parameters
-    ----------
-    radius : ndarray, shape (n,)
-        Radii [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Accepted differences [m].
-
-    """
+    """Return the largest accepted rounding error of a radius."""
     return np.asarray(np.clip(RADIUS_SHARE * radius, RADIUS_ERROR, RADIUS_MOST))
 
 
@@ -169,22 +118,7 @@ def points_on(
     sweep: FloatArray,
     u: FloatArray,
 ) -> FloatArray:
-    """
-    Return points on arcs.
-
-    Parameters
-    ----------
-    start, end, centre, normal : ndarray, shape (n, 3)
-        Start, end and centre [m] and unit normal [-] of each arc.
-    sweep, u : ndarray, shape (n,)
-        Signed angle [rad], and parameter in [0, 1] [-].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Points [m].
-
-    """
+    """Return points on arcs."""
     arm, other = start - centre, end - centre
     level = np.sum(arm * normal, axis=1)
     rise = np.sum(other * normal, axis=1) - level
@@ -200,22 +134,7 @@ def points_on(
 def lengths(
     start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray
 ) -> FloatArray:
-    """
-    Return the lengths of arcs and helices.
-
-    Parameters
-    ----------
-    start, end, centre, normal : ndarray, shape (n, 3)
-        Start, end and centre [m] and unit normal [-] of each arc.
-    sweep : ndarray, shape (n,)
-        Signed angle [rad].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Lengths [m].
-
-    """
+    """Return the lengths of arcs and helices."""
     rise = np.sum((end - start) * normal, axis=1)
     arm, other = start - centre, end - centre
     radius = 0.5 * sum(

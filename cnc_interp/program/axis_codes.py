@@ -21,12 +21,6 @@ class AxisCodes:
     The codes G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3.
 
     All but G52 change the setup, which outlives the program on the machine.
-
-    Parameters
-    ----------
-    mover : Mover
-        Position and frames of the program.
-
     """
 
     def __init__(self, mover: Mover):

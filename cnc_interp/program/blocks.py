@@ -30,67 +30,46 @@ class Blocks:
     A spline row is one control point of a pair of cubic B-splines [B2013, section 4.1].
     Consecutive spline rows form one curve. Its first row repeats the pose before it. A linear row
     or an exact stop ends the curve.
-
-    Parameters
-    ----------
-    tip : ndarray, shape (n, 3)
-        Tool tip ``p_WT`` in W at the end of the block, or control point of a spline row [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axis ``o_W`` in W at the end of the block, from tip to spindle [-].
-    rotary : ndarray, shape (n, 2)
-        Rotary positions at the end of the block [rad], NaN if the program does not name them.
-    feedrate : ndarray, shape (n,)
-        Tip speed relative to the workpiece [m/s]; infinite for rapids; NaN if ``duration`` is
-        given.
-    duration : ndarray, shape (n,)
-        Programmed duration (inverse-time feed, G93) [s], else NaN.
-    rapid : ndarray of bool, shape (n,)
-        Whether the block is a rapid (G0).
-    exact_stop : ndarray of bool, shape (n,)
-        Whether the tool rests at the end of the block (G61, M0, program end).
-    contour_tolerance, orientation_tolerance : ndarray, shape (n,)
-        Largest deviation of the tool tip, and of the point at flank height [m].
-    line_number : ndarray of int, shape (n,)
-        Line of the program text, counted from 1.
-    top : ndarray, shape (n, 3)
-        Control points of the second curve on spline rows [m], else NaN.
-    knot_interval : ndarray, shape (n,)
-        On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots of its curve
-        [-]. It is 0 in the first row, in the last two rows and for a repeated knot. NaN on linear
-        rows. Without ``top`` and ``knot_interval`` all rows are linear.
-    extra : ndarray, shape (n, k)
-        Positions of the k extra axes of the machine (U V W) at the end of the block [m]. They run
-        linearly with the tip. The default is k = 0.
-    program_stop : ndarray of int, shape (n,)
-        STOP (M0) or OPTIONAL_STOP (M1) if the program waits for the operator at the end of the
-        block. Such a block has an exact stop. Otherwise GO_ON, which is the default.
-    interpolation : ndarray of int, shape (n,)
-        POSES, which is the default, ROTARY_LINEAR or AXES_LINEAR.
-    rotary_from : ndarray, shape (n, 2)
-        Rotary positions at the start of rows whose rotary axes run linearly, beside the tip or
-        about the resting tip [rad], else NaN.
-    corner : ndarray of int, shape (n,)
-        ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block, where
-        the path is not smooth and need not rest. Otherwise OPEN_CORNER, which is the default.
-
     """
 
+    #: (n, 3): Tool tip ``p_WT`` in W at the end of the block, or control point of a spline row
+    #: [m].
     tip: FloatArray
+    #: (n, 3): Unit tool axis ``o_W`` in W at the end of the block, from tip to spindle [-].
     axis: FloatArray
+    #: (n, 2): Rotary positions at the end of the block [rad], NaN if the program does not name
+    #: them.
     rotary: FloatArray
+    #: (n,): Tip speed relative to the workpiece [m/s]; infinite for rapids; NaN if ``duration`` is
+    #: given.
     feedrate: FloatArray
-    duration: FloatArray
-    rapid: BoolArray
+    duration: FloatArray  #: (n,): Programmed duration (inverse-time feed, G93) [s], else NaN.
+    rapid: BoolArray  #: (n,): Whether the block is a rapid (G0).
+    #: (n,): Whether the tool rests at the end of the block (G61, M0, program end).
     exact_stop: BoolArray
+    #: (n,): Largest deviation of the tool tip, and of the point at flank height [m].
     contour_tolerance: FloatArray
     orientation_tolerance: FloatArray
-    line_number: IntArray
+    line_number: IntArray  #: (n,): Line of the program text, counted from 1.
+    #: (n, 3): Control points of the second curve on spline rows [m], else NaN.
     top: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    #: (n,): On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots of its
+    #: curve [-]. It is 0 in the first row, in the last two rows and for a repeated knot. NaN on
+    #: linear rows. Without ``top`` and ``knot_interval`` all rows are linear.
     knot_interval: FloatArray = field(default_factory=lambda: np.zeros(0))
+    #: (n,): STOP (M0) or OPTIONAL_STOP (M1) if the program waits for the operator at the end of
+    #: the block. Such a block has an exact stop. Otherwise GO_ON, which is the default.
     program_stop: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    #: (n, k): Positions of the k extra axes of the machine (U V W) at the end of the block [m].
+    #: They run linearly with the tip. The default is k = 0.
     extra: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    #: (n,): POSES, which is the default, ROTARY_LINEAR or AXES_LINEAR.
     interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    #: (n, 2): Rotary positions at the start of rows whose rotary axes run linearly, beside the tip
+    #: or about the resting tip [rad], else NaN.
     rotary_from: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    #: (n,): ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block,
+    #: where the path is not smooth and need not rest. Otherwise OPEN_CORNER, which is the default.
     corner: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:

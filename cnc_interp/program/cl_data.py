@@ -64,21 +64,7 @@ class _Circle:
 
 
 class ClReader:
-    """
-    A reader of CL data; ``blocks`` runs it.
-
-    Parameters
-    ----------
-    geometry : RotaryGeometry
-        Of the machine. CL data have no rotary words, so only the number of axes matters.
-    settings : Settings
-        Tolerances, and the feedrate of files without FEDRAT.
-    source : Source
-        The text of the program.
-    notices : Notices
-        Collects notices about harmless words.
-
-    """
+    """A reader of CL data; ``blocks`` runs it."""
 
     def __init__(
         self, geometry: RotaryGeometry, settings: Settings, source: Source, notices: Notices

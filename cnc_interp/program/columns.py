@@ -53,39 +53,16 @@ MOST_CHANGES = 1000
 
 @dataclass(frozen=True)
 class ProgramChange:
-    """
-    A change of the setup by a program.
+    """A change of the setup by a program."""
 
-    Parameters
-    ----------
-    change : SetupChange
-        What changes.
-    line_number : int
-        Line of the program.
-    block : int
-        Row of the blocks before which it happens; the number of rows after the last one.
-
-    """
-
-    change: SetupChange
-    line_number: int
+    change: SetupChange  #: What changes.
+    line_number: int  #: Line of the program.
+    #: Row of the blocks before which it happens; the number of rows after the last one.
     block: int
 
 
 class TargetColumns:
-    """
-    Growing columns of motion targets that are converted to blocks in batches.
-
-    Parameters
-    ----------
-    geometry : RotaryGeometry
-        Kinematics of the machine.
-    settings : Settings
-        Flank height, for the division of curved motion.
-    source : str
-        File name for error messages.
-
-    """
+    """Growing columns of motion targets that are converted to blocks in batches."""
 
     def __init__(self, geometry: RotaryGeometry, settings: Settings, source: str):
         self._geometry, self._settings, self._source = geometry, settings, source
@@ -137,17 +114,7 @@ class TargetColumns:
             self._rows.extend(ready)
 
     def begin_radius(self, distance: float, frame: FloatArray) -> None:
-        """
-        Take the targets from here on as a contour beside which the tool runs.
-
-        Parameters
-        ----------
-        distance : float
-            Radius of the cutter, positive to the left of the contour [m].
-        frame : ndarray, shape (3, 3)
-            Two directions in the plane and its normal, as columns.
-
-        """
+        """Take the targets from here on as a contour beside which the tool runs."""
         before = np.array(self._rows[-WIDTH:])
         self._radius = CutterRadius(distance, frame, before, self._source)
 
@@ -200,33 +167,13 @@ class TargetColumns:
             self._rows[at] = max(self._rows[at], kind)
 
     def stand_at(self, rotary: FloatArray) -> None:
-        """
-        Set the rotary positions of the last target, whose tool axis came from a direction.
-
-        Parameters
-        ----------
-        rotary : ndarray, shape (2,)
-            Positions of the rotary axes [rad].
-
-        """
+        """Set the rotary positions of the last target, whose tool axis came from a direction."""
         if self._rows:
             last = len(self._rows) - WIDTH
             self._rows[last + ROTARY.start : last + ROTARY.stop] = array('d', rotary)
 
     def add_curve(self, curve: Blocks, end: tuple[float, ...], passes: int) -> None:
-        """
-        Add a native spline that begins at the last target.
-
-        Parameters
-        ----------
-        curve : Blocks
-            Control points of the spline, one per row.
-        end : tuple of 29 floats
-            Target at the end of the spline, as for ``add``; the next motion starts there.
-        passes : int
-            How often the start line was reached before its last control point.
-
-        """
+        """Add a native spline that begins at the last target."""
         self._convert(last=True)
         extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
         self._curve, self._before = replace(curve, extra=extra), None

@@ -39,20 +39,10 @@ Fault = Callable[[str], ProgramError]
 
 @dataclass(frozen=True)
 class Cutter:
-    """
-    A filleted cutter.
+    """A filleted cutter."""
 
-    Parameters
-    ----------
-    radius : float
-        Radius of its cylinder [m].
-    corner_radius : float
-        Radius of its corner, at most ``radius`` [m].
-
-    """
-
-    radius: float
-    corner_radius: float
+    radius: float  #: Radius of its cylinder [m].
+    corner_radius: float  #: Radius of its corner, at most ``radius`` [m].
 
     def beyond(self, other: Cutter) -> Cutter:
         """Return the differences to another cutter; they may be negative."""
@@ -81,15 +71,7 @@ class Cutter:
 
 
 class ContactPath:
-    """
-    One stretch of compensation along contact normals, from G41.2 or G42.2 to G40.
-
-    Parameters
-    ----------
-    cutter : Cutter
-        The cutter, or what it differs by from that of the program.
-
-    """
+    """One stretch of compensation along contact normals, from G41.2 or G42.2 to G40."""
 
     def __init__(self, cutter: Cutter):
         self._cutter = cutter

@@ -41,19 +41,7 @@ class _Call:
 
 
 class Cursor:
-    """
-    A position in a program and its subprograms.
-
-    Parameters
-    ----------
-    source : Source
-        The main program.
-    variables : ProgramVariables
-        Variables for conditions and arguments.
-    most_jumps : int
-        Number of backward jumps after which the program is refused as endless.
-
-    """
+    """A position in a program and its subprograms."""
 
     def __init__(self, source: Source, variables: ProgramVariables, most_jumps: int):
         self.main = self.source = source

@@ -45,24 +45,13 @@ _NO_FIT = 'the cutter does not fit in here; take a smaller radius, or round the 
 
 @dataclass(frozen=True)
 class Element:
-    """
-    A line or an arc in the plane.
+    """A line or an arc in the plane."""
 
-    Parameters
-    ----------
-    start, end : complex
-        End points [m].
-    centre : complex
-        Centre of an arc [m].
-    sweep : float
-        Angle of an arc, counter-clockwise positive [rad]; NaN of a line.
-
-    """
-
+    #: End points [m].
     start: complex
     end: complex
-    centre: complex = 0j
-    sweep: float = nan
+    centre: complex = 0j  #: Centre of an arc [m].
+    sweep: float = nan  #: Angle of an arc, counter-clockwise positive [rad]; NaN of a line.
 
     @property
     def is_arc(self) -> bool:
@@ -154,21 +143,7 @@ def crossings(first: Element, second: Element) -> list[complex]:
 
 
 class CutterRadius:
-    """
-    One stretch of compensation, from G41 or G42 to G40.
-
-    Parameters
-    ----------
-    distance : float
-        Radius of the cutter; positive to the left of the contour [m].
-    frame : ndarray, shape (3, 3)
-        Directions in the plane (two columns) and normal to it, as points.
-    before : ndarray
-        The target at which the tool stands.
-    source : str
-        File name for error messages.
-
-    """
+    """One stretch of compensation, from G41 or G42 to G40."""
 
     def __init__(self, distance: float, frame: FloatArray, before: FloatArray, source: str):
         self._distance, self._frame, self._source = distance, frame, source

@@ -29,42 +29,14 @@ _RESTING = {'G82', 'G86', 'G89'}
 
 
 class CannedCycle:
-    """
-    The active canned cycle.
-
-    Parameters
-    ----------
-    code : str
-        G73, G74, G81 to G86 or G89.
-    start : float
-        Position of the tool along the drilling axis when the cycle was called, in program
-        coordinates [m].
-
-    """
+    """The active canned cycle."""
 
     def __init__(self, code: str, start: float):
         self.code, self.start = code, start
         self._sticky: dict[str, float] = {}
 
     def drill(self, mover: Mover, words: BlockWords, feed_given: bool) -> None:
-        """
-        Drill the holes of one block.
-
-        Parameters
-        ----------
-        mover : Mover
-            Position and settings of the program.
-        words : BlockWords
-            Words of the block; those of the cycle are removed.
-        feed_given : bool
-            Whether the block has an F.
-
-        Raises
-        ------
-        ProgramError
-            If depth, retract plane or peck are missing or contradict each other.
-
-        """
+        """Drill the holes of one block."""
         axis = PLANES[mover.plane][2]
         drilling = 'XYZ'[axis]
         values = words.values

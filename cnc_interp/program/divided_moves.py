@@ -61,33 +61,7 @@ def portions(moves: Moves) -> list[slice]:
 def blocks_of(
     moves: Moves, settings: Settings, extra: list[int], source: str
 ) -> tuple[Blocks, IntArray]:
-    """
-    Divide motions into blocks.
-
-    Parameters
-    ----------
-    moves : Moves
-        The motions.
-    settings : Settings
-        Flank height, at which the orientation tolerance counts.
-    extra : list of int
-        Columns of the extra axes of the machine.
-    source : str
-        File name for error messages.
-
-    Returns
-    -------
-    blocks : Blocks
-        The blocks, one or more for each motion.
-    row : ndarray of int, shape (M,)
-        The motion of each block.
-
-    Raises
-    ------
-    ProgramError
-        If the plane of a rotation is undefined, or if a motion needs too many blocks.
-
-    """
+    """Divide motions into blocks."""
     rows = moves.rows
     counts = _piece_counts(moves, settings, source)
     row, piece = ragged(counts)
@@ -173,24 +147,7 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
 
 
 def start_pose(here: Moves, geometry: RotaryGeometry, extra: list[int]) -> Blocks:
-    """
-    Return row 0, the start pose. It has no motion, so no feedrate and no duration.
-
-    Parameters
-    ----------
-    here : Moves
-        One motion that goes nowhere, at the start target.
-    geometry : RotaryGeometry
-        Kinematics of the machine.
-    extra : list of int
-        Columns of the extra axes of the machine.
-
-    Returns
-    -------
-    Blocks
-        One row.
-
-    """
+    """Return row 0, the start pose. It has no motion, so no feedrate and no duration."""
     row = here.rows
     tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
     rotary = row[:, ROTARY].copy()

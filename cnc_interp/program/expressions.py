@@ -117,28 +117,7 @@ def _parser() -> Lark:
 
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
-    """
-    Parse a line, a row of bracketed values, or a condition; all without comments.
-
-    Parameters
-    ----------
-    text : str
-        The text in upper case.
-    start : {'line', 'values', 'condition'}
-        Kind of the text.
-
-    Returns
-    -------
-    tuple
-        Items ``('word', letter, node)``, ``('set_name', name, node)``, ``('set_parameter', index
-        node, node)`` and ``('key', name, *nodes)``. For 'values' and 'condition', value nodes.
-
-    Raises
-    ------
-    ExpressionError
-        If the text does not follow the grammar.
-
-    """
+    """Parse a line, a row of bracketed values, or a condition; all without comments."""
     try:
         return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
     except RecursionError:
@@ -153,27 +132,7 @@ def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
 
 
 def evaluate(node: Node, variables: Variables) -> float:
-    """
-    Return the value of a node of the parse tree.
-
-    Parameters
-    ----------
-    node : tuple
-        The node, from ``parse``.
-    variables : Variables
-        The variables that it can read.
-
-    Returns
-    -------
-    float
-        The value.
-
-    Raises
-    ------
-    ExpressionError
-        If a variable is not set, or the value is not a finite number.
-
-    """
+    """Return the value of a node of the parse tree."""
     try:
         value = _value(node, variables)
     except RecursionError:

@@ -86,23 +86,6 @@ class Frames:
 
         With L20 the coordinates of the offset read the words. Those without a word keep what they
         read, so both X and Y of a turned offset change.
-
-        Parameters
-        ----------
-        index : int
-            1 for G54, 2 for G55, ...; 0 for the active one.
-        words : dict
-            Values of the words by axis number [m, rad].
-        here : ndarray, shape (5,), optional
-            Point, and rotary positions [m, rad].
-        angle : float, optional
-            New rotation about Z [rad].
-
-        Returns
-        -------
-        SetupChange
-            The change of the offset.
-
         """
         name = WORK_OFFSETS[index - 1] if index else self._setup.offset
         position = dict(self._setup.work_offsets.get(name, {}))

@@ -45,23 +45,7 @@ _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
 
 
 class GcodeReader:
-    """
-    A reader of G-code; ``blocks`` runs it.
-
-    Parameters
-    ----------
-    geometry : RotaryGeometry
-        Names of the rotary axes, and their kinematics.
-    settings : Settings
-        Values that the program does not give: tolerances, feedrate, interpolation.
-    setup : JobSetup
-        Work offsets, tool lengths and reference points.
-    source : Source
-        The text of the program.
-    notices : Notices
-        Collects notices about harmless words.
-
-    """
+    """A reader of G-code; ``blocks`` runs it."""
 
     def __init__(
         self,

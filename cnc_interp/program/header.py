@@ -23,17 +23,6 @@ def leader_lines(source: Source) -> int:
     Return the number of lines before the line with % that begins a program.
 
     ISO 6983-1 calls this text the leader; controls skip it. Files that begin without % have none.
-
-    Parameters
-    ----------
-    source : Source
-        The text of the program.
-
-    Returns
-    -------
-    int
-        Lines before %; 0 if one of them has words of a program.
-
     """
     head = source.lines(source.start).decode('utf-8', 'replace').splitlines()[:_HEAD_LINES]
     for number, line in enumerate(head):

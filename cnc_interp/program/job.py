@@ -31,46 +31,22 @@ _DIGITS = 9
 
 @dataclass(frozen=True)
 class Tool:
-    """
-    An entry of the tool table.
+    """An entry of the tool table."""
 
-    Parameters
-    ----------
-    length : float
-        Length along the tool that G43 uses [m].
-    radius : float
-        Radius of the cutter [m].
-    corner_radius : float, optional
-        Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
-    remark : str
-        Anything that tells it from others, in one line.
-
-    """
-
-    length: float = 0.0
-    radius: float = 0.0
-    remark: str = ''
+    length: float = 0.0  #: Length along the tool that G43 uses [m].
+    radius: float = 0.0  #: Radius of the cutter [m].
+    remark: str = ''  #: Anything that tells it from others, in one line.
+    #: Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
     corner_radius: float | None = None
 
 
 @dataclass(frozen=True)
 class SetupChange:
-    """
-    One change of a setup.
+    """One change of a setup."""
 
-    Parameters
-    ----------
-    field : str
-        Name of the field of ``JobSetup``.
-    value : object
-        Its new value, or that of one entry; None removes the entry.
-    key : str or int, optional
-        The entry that changes, where the field is a mapping of entries.
-
-    """
-
-    field: str
-    value: Any
+    field: str  #: Name of the field of ``JobSetup``.
+    value: Any  #: Its new value, or that of one entry; None removes the entry.
+    #: The entry that changes, where the field is a mapping of entries.
     key: str | int | None = None
 
     @property
@@ -84,36 +60,20 @@ class SetupChange:
 
 @dataclass(frozen=True)
 class JobSetup:
-    """
-    Offsets, tools and reference points: those of the machine, or those of one job.
+    """Offsets, tools and reference points: those of the machine, or those of one job."""
 
-    Parameters
-    ----------
-    work_offsets : mapping of str to position
-        Machine coordinates of the workpiece zeros G54 to G59.3, by axis letter [m, rad]. If a zero
-        is missing, the machine file gives the workpiece zero. ``R`` is the rotation about Z [rad].
-    tools : mapping of int to Tool
-        The tool table, by tool number.
-    reference_points : mapping of str to position
-        Machine coordinates of G28 and G30 by axis letter [m, rad]; missing values are 0.
-    active : str
-        The work offset that a program begins with; empty: G54, until the program names another.
-    g92 : position
-        What G92 adds to the work offset, by axis letter [m, rad].
-    g92_on : bool
-        Whether that counts; G92.2 suspends it.
-    tool : int
-        Number of the tool in the spindle; 0: none.
-
-    """
-
+    #: Machine coordinates of the workpiece zeros G54 to G59.3, by axis letter [m, rad]. If a zero
+    #: is missing, the machine file gives the workpiece zero. ``R`` is the rotation about Z [rad].
     work_offsets: Mapping[str, Position] = field(default_factory=dict)
-    tools: Mapping[int, Tool] = field(default_factory=dict)
+    tools: Mapping[int, Tool] = field(default_factory=dict)  #: The tool table, by tool number.
+    #: Machine coordinates of G28 and G30 by axis letter [m, rad]; missing values are 0.
     reference_points: Mapping[str, Position] = field(default_factory=dict)
+    #: The work offset that a program begins with; empty: G54, until the program names another.
     active: str = ''
+    #: What G92 adds to the work offset, by axis letter [m, rad].
     g92: Position = field(default_factory=dict)
-    g92_on: bool = False
-    tool: int = 0
+    g92_on: bool = False  #: Whether that counts; G92.2 suspends it.
+    tool: int = 0  #: Number of the tool in the spindle; 0: none.
 
     @property
     def offset(self) -> str:
@@ -258,15 +218,7 @@ def _tool_shown(tool: Tool) -> dict[str, Any]:
 
 
 class _Reading:
-    """
-    The content of a setup file, read into a setup.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for errors.
-
-    """
+    """The content of a setup file, read into a setup."""
 
     KEYS = ('work_offsets', 'active', 'g92', 'g92_on', 'tools', 'tool', 'reference_points')
 

@@ -292,15 +292,7 @@ class ModalState:
         self.vector = None
 
     def check_point(self, point: FloatArray) -> None:
-        """
-        Raise ProgramError for a point that no machine can reach.
-
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Target point [m].
-
-        """
+        """Raise ProgramError for a point that no machine can reach."""
         farthest = int(np.argmax(np.abs(point)))
         if not abs(point[farthest]) <= FARTHEST:
             raise self.fault(
@@ -309,17 +301,7 @@ class ModalState:
             )
 
     def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
-        """
-        Give a notice if rotary words turn an axis by more than 180 deg while cutting.
-
-        Parameters
-        ----------
-        turned : ndarray, shape (2,)
-            Turn of each rotary axis in the block [rad].
-        rapid : bool
-            Whether the motion is a rapid.
-
-        """
+        """Give a notice if rotary words turn an axis by more than 180 deg while cutting."""
         if rapid or not self.rotary_letters or self.targets.empty:
             return
         which = int(np.argmax(turned))

@@ -15,15 +15,7 @@ from cnc_interp.program.words import BlockWords
 
 
 class Modes:
-    """
-    The settings of a program that change more than one attribute.
-
-    Parameters
-    ----------
-    mover : Mover
-        Position and modal settings of the program.
-
-    """
+    """The settings of a program that change more than one attribute."""
 
     def __init__(self, mover: Mover):
         self._mover, self.fault, self.notice = mover, mover.fault, mover.notice

@@ -74,15 +74,7 @@ class Mover(ModalState):
         self.go(point, rotary, vector, arc, feed_given)
 
     def stand_at(self, q: FloatArray) -> None:
-        """
-        Begin where the machine stands: its pose becomes the first target.
-
-        Parameters
-        ----------
-        q : ndarray, shape (n_axes,)
-            Axis positions [m, rad].
-
-        """
+        """Begin where the machine stands: its pose becomes the first target."""
         own = 3 + len(self.rotary_letters)
         for letter, value in zip(self.extra_letters, q[own:], strict=True):
             self.extra[EXTRA_LETTERS.index(letter)] = value
@@ -95,17 +87,7 @@ class Mover(ModalState):
         self.go(point, rotary, rapid=True)
 
     def begin_radius(self, code: str, distance: float) -> None:
-        """
-        Take the motion from here on as a contour beside which the tool runs, by G41 or G42.
-
-        Parameters
-        ----------
-        code : str
-            The code.
-        distance : float
-            Radius of the cutter, positive to the left of the contour [m].
-
-        """
+        """Take the motion from here on as a contour beside which the tool runs, by G41 or G42."""
         if self.targets.empty:
             raise self.fault('move to a place beside the contour before', code)
         frame = self.frames.turn[:, list(PLANES[self.plane])]
@@ -159,14 +141,6 @@ class Mover(ModalState):
         Add a rapid to a point and to rotary positions, as if words had named them.
 
         Before the first motion of the program they are where it starts.
-
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Target point [m].
-        rotary : ndarray, shape (2,)
-            Target of the rotary axes [rad].
-
         """
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
@@ -251,20 +225,7 @@ class Mover(ModalState):
             self.notice('machine coordinates', 'on this machine their zero is the workpiece zero')
 
     def machine_target(self, words: BlockWords) -> FloatArray:
-        """
-        Remove X Y Z as machine coordinates and return their point.
-
-        Parameters
-        ----------
-        words : BlockWords
-            Words of the block; X, Y and Z are removed.
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            Point [m].
-
-        """
+        """Remove X Y Z as machine coordinates and return their point."""
         point = self.point.copy()
         for i, letter in enumerate('XYZ'):
             if (value := words.values.pop(letter, None)) is not None:

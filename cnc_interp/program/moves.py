@@ -59,25 +59,6 @@ class Moves:
     """
     Motions between consecutive targets, which can be evaluated at any parameter.
 
-    Parameters
-    ----------
-    geometry : RotaryGeometry
-        Kinematics of the machine.
-    zero : ndarray, shape (3,)
-        Axis positions of the workpiece zero, with the rotary axes at zero [m].
-    before, rows : ndarray, shape (n, WIDTH)
-        Targets at the start and at the end of each motion.
-    settings : Settings
-        Choices of the user.
-    dense : int
-        Number of short blocks before the first motion, at most ``FEWEST_DENSE``.
-    led : bool
-        Whether the motion before the first one is ROTARY_LINEAR.
-    since_arc : int
-        How many motions before the first one the last arc is, at most ``BESIDE_ARC``.
-    coming : ndarray, shape (m, WIDTH), optional
-        The targets after the last motion; ``BESIDE_ARC`` of them, fewer where the motion ends.
-
     Attributes
     ----------
     interpolation : ndarray of int, shape (n,)

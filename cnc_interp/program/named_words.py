@@ -19,21 +19,7 @@ _MACHINE_KEYS = {'SUPA', 'G153'}
 
 
 class NamedWords:
-    """
-    The words of a block that have a name instead of a letter.
-
-    Parameters
-    ----------
-    mover : Mover
-        Position and modal settings of the program.
-    modes : Modes
-        Settings that need more than one attribute.
-    plane : TiltedPlane
-        The tilted working plane.
-    variables : ProgramVariables
-        Variables of the program.
-
-    """
+    """The words of a block that have a name instead of a letter."""
 
     def __init__(
         self, mover: Mover, modes: Modes, plane: TiltedPlane, variables: ProgramVariables

@@ -35,26 +35,13 @@ _HEIDENHAIN_LINE = re.compile(r'\s*\d+\s+BEGIN\s+PGM\b', re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Program:
-    """
-    A part program that has been read.
+    """A part program that has been read."""
 
-    Parameters
-    ----------
-    blocks : Blocks
-        Row 0 is the start pose. Each other row is one linear piece of motion.
-    notices : tuple of str
-        Words that had no effect or were simplified, each with its first line.
-    source : str
-        File name, or ``<text>``.
-    dialect : {'gcode', 'cl'}
-        Dialect of the text.
-
-    """
-
-    blocks: Blocks
+    blocks: Blocks  #: Row 0 is the start pose. Each other row is one linear piece of motion.
+    #: Words that had no effect or were simplified, each with its first line.
     notices: tuple[str, ...]
-    source: str
-    dialect: str
+    source: str  #: File name, or ``<text>``.
+    dialect: str  #: Dialect of the text.
 
 
 class ProgramStream:
@@ -159,64 +146,14 @@ class ProgramStream:
 def open_program(
     path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
 ) -> ProgramStream:
-    """
-    Open a part program to read it batch by batch.
-
-    Parameters
-    ----------
-    path : Path
-        File of the program.
-    geometry : RotaryGeometry
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the program does not give, and choices of the user.
-    setup : JobSetup, optional
-        Work offsets, tool lengths and reference points. Without it, the file that the settings
-        name is read.
-
-    Returns
-    -------
-    ProgramStream
-        The program; iterate over it to read it.
-
-    Raises
-    ------
-    ProgramError
-        If the file cannot be opened, or its dialect is not supported.
-
-    """
+    """Open a part program to read it batch by batch."""
     return ProgramStream(Source.of_file(path), geometry, settings, setup)
 
 
 def read_program(
     path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
 ) -> Program:
-    """
-    Read a part program from a file.
-
-    Parameters
-    ----------
-    path : Path
-        File of the program.
-    geometry : RotaryGeometry
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the program does not give, and choices of the user.
-    setup : JobSetup, optional
-        Work offsets, tool lengths and reference points. Without it, the file that the settings
-        name is read.
-
-    Returns
-    -------
-    Program
-        All blocks, and the notices.
-
-    Raises
-    ------
-    ProgramError
-        If the file cannot be opened or its text cannot be read. Nothing is skipped silently.
-
-    """
+    """Read a part program from a file."""
     return open_program(path, geometry, settings, setup).read()
 
 
@@ -229,25 +166,6 @@ def read_text(
 ) -> Program:
     """
     Read a part program from a string.
-
-    Parameters
-    ----------
-    text : str
-        The program.
-    source : str
-        Name for error messages.
-    geometry : RotaryGeometry
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the program does not give, and choices of the user.
-    setup : JobSetup, optional
-        Work offsets, tool lengths and reference points. Without it, the file that the settings
-        name is read.
-
-    Returns
-    -------
-    Program
-        All blocks, and the notices.
 
     Examples
     --------

@@ -39,20 +39,7 @@ class RotaryGeometry(Protocol):
         """Angle around the pole in which a direction does not give rotary positions [rad]."""
 
     def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """
-        Compute the smallest angle between tool axis and pole while the rotary axes run linearly.
-
-        Parameters
-        ----------
-        start, end : ndarray, shape (n, 2)
-            Positions of the rotary axes [rad].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Angles [rad].
-
-        """
+        """Smallest angle between tool axis and pole while the rotary axes run linearly."""
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """

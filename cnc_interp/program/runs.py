@@ -50,24 +50,7 @@ def _filled(values: FloatArray, first: float) -> FloatArray:
 
 
 def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: IntArray) -> bool:
-    """
-    Execute plain lines.
-
-    Parameters
-    ----------
-    mover : Mover
-        State of the program. It is updated to the state after the lines.
-    code, values : ndarray, shape (n,) and (n, 11)
-        Output of ``scan.scan_lines``.
-    lines : ndarray of int, shape (n,)
-        Line numbers.
-
-    Returns
-    -------
-    bool
-            False if the lines must be read one by one. Then nothing has changed.
-
-    """
+    """Execute plain lines."""
     if (
         mover.targets.empty
         or mover.stop_once

@@ -135,20 +135,5 @@ def scan_lines(
 
 
 def empty_columns(lines: int) -> tuple[NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]:
-    """
-    Return empty arrays for ``scan_lines``.
-
-    Parameters
-    ----------
-    lines : int
-        Number of lines m.
-
-    Returns
-    -------
-    kind, code : ndarray of int8, shape (m,)
-        Kind and code of each line.
-    values : ndarray, shape (m, 11)
-        Numbers of each line.
-
-    """
+    """Return empty arrays for ``scan_lines``."""
     return np.empty(lines, np.int8), np.empty(lines, np.int8), np.empty((lines, len(COLUMNS)))

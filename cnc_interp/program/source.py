@@ -30,34 +30,18 @@ class Place:
 
 @dataclass(frozen=True)
 class Window:
-    """
-    Consecutive lines of a program, scanned.
+    """Consecutive lines of a program, scanned."""
 
-    Parameters
-    ----------
-    start : Place
-        Place of the first line.
-    text : bytes
-        The lines, each with its newline.
-    first, last : ndarray of int, shape (n,)
-        Offsets in ``text`` of the first character and of the newline of each line.
-    kind, code : ndarray of int8, shape (n,)
-        Output of ``scan.scan_lines``.
-    values : ndarray, shape (n, 11)
-        Output of ``scan.scan_lines``.
-    rare : ndarray of int, shape (k,)
-        Rows of the lines that need the general reader.
-
-    """
-
-    start: Place
-    text: bytes
+    start: Place  #: Place of the first line.
+    text: bytes  #: The lines, each with its newline.
+    #: (n,): Offsets in ``text`` of the first character and of the newline of each line.
     first: IntArray
     last: IntArray
+    #: (n,): Output of ``scan.scan_lines``.
     kind: NDArray[np.int8]
     code: NDArray[np.int8]
-    values: FloatArray
-    rare: IntArray
+    values: FloatArray  #: (n, 11): Output of ``scan.scan_lines``.
+    rare: IntArray  #: (k,): Rows of the lines that need the general reader.
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -118,15 +102,7 @@ class Source:
 
     @staticmethod
     def of_file(path: Path) -> Source:
-        """
-        Open a file.
-
-        Raises
-        ------
-        ProgramError
-            If it cannot be opened.
-
-        """
+        """Open a file."""
         try:
             return Source(path.open('rb'), str(path))
         except OSError as error:

@@ -18,15 +18,7 @@ _SECOND = ('XH', 'YH', 'ZH')
 
 
 class Splines:
-    """
-    The native splines of a program.
-
-    Parameters
-    ----------
-    mover : Mover
-        Position and settings of the program. Splines change the position.
-
-    """
+    """The native splines of a program."""
 
     def __init__(self, mover: Mover):
         self._mover = mover

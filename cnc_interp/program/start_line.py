@@ -13,27 +13,14 @@ from cnc_interp.core.errors import ProgramError
 
 @dataclass(frozen=True)
 class StartBlock:
-    """
-    Where in the program a run starts.
+    """Where in the program a run starts."""
 
-    Parameters
-    ----------
-    line : int
-        The line that was asked for.
-    row : int
-        Row of ``Blocks`` with the first motion from there on.
-    passes, which : int
-        How often the program executes the line, and the execution that was asked for, from 1.
-    words : tuple of str
-        State of the program there, as words that would set it.
-
-    """
-
-    line: int
-    row: int
+    line: int  #: The line that was asked for.
+    row: int  #: Row of ``Blocks`` with the first motion from there on.
+    #: How often the program executes the line, and the execution that was asked for, from 1.
     passes: int
     which: int
-    words: tuple[str, ...]
+    words: tuple[str, ...]  #: State of the program there, as words that would set it.
 
 
 class StartLine:

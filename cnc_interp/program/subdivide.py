@@ -32,19 +32,6 @@ def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatAr
     Return the tool axis on the great circle between two tool axes.
 
     ``o(u) = (sin((1 - u) theta) o_from + sin(u theta) o_to) / sin(theta)``
-
-    Parameters
-    ----------
-    o_from, o_to : ndarray, shape (n, 3)
-        Unit tool axes, not antiparallel [-].
-    u : ndarray, shape (n,)
-        Part of the angle, 0 to 1 [-].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Unit tool axes [-].
-
     """
     theta = angle_between(o_from, o_to)
     with np.errstate(invalid='ignore', divide='ignore'):
@@ -57,20 +44,7 @@ def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatAr
 
 
 def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
-    """
-    Return the angles between unit vectors, exact for small and for large angles.
-
-    Parameters
-    ----------
-    o_from, o_to : ndarray, shape (n, 3)
-        Unit vectors [-].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Angles in [0, pi] [rad].
-
-    """
+    """Return the angles between unit vectors, exact for small and for large angles."""
     apart = np.linalg.norm(o_to - o_from, axis=1)
     return np.asarray(2.0 * np.arctan2(apart, np.linalg.norm(o_to + o_from, axis=1)))
 

@@ -39,15 +39,7 @@ BY_AXES, SOLID, PROJECTED, DIRECT = range(4)
 
 
 class TiltedPlane:
-    """
-    The tilted working plane of a program.
-
-    Parameters
-    ----------
-    mover : Mover
-        Position, frames and modal settings of the program.
-
-    """
+    """The tilted working plane of a program."""
 
     def __init__(self, mover: Mover):
         self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
@@ -76,15 +68,7 @@ class TiltedPlane:
     # --- the plane -----------------------------------------------------------------------------
 
     def _define(self, code: str, words: BlockWords) -> None:
-        """
-        Process G68, G68.2, G68.3 and G68.4.
-
-        Raises
-        ------
-        ProgramError
-            If the words do not give a plane.
-
-        """
+        """Process G68, G68.2, G68.3 and G68.4."""
         if code == 'G68':
             self._turn_in_plane(words)
             return
@@ -287,18 +271,7 @@ class TiltedPlane:
         return min(wanted or found, key=lambda pair: float(np.abs(pair - mover.rotary).sum()))
 
     def swivel(self, given: Sequence[float | None], words: BlockWords) -> None:
-        """
-        Process CYCLE800: shift, turn, shift, and turn the tool.
-
-        Parameters
-        ----------
-        given : sequence of float or None
-            Arguments: retract, name, state, mode, three shifts, three angles, three shifts, and
-            the direction of the tilting axis.
-        words : BlockWords
-            The block.
-
-        """
+        """Process CYCLE800: shift, turn, shift, and turn the tool."""
         values = [value or 0.0 for value in given] + [0.0] * (DIRECTION + 1)
         state, direction = int(values[STATE]), values[DIRECTION]
         if direction not in (-1.0, 1.0):

@@ -14,15 +14,7 @@ UNSET = 'is read before it is set; set it in the program'
 
 
 class ProgramVariables:
-    """
-    The variables of a program, and the system variables that it can read.
-
-    Parameters
-    ----------
-    system : callable
-        Returns the system variables by number: positions in program coordinates.
-
-    """
+    """The variables of a program, and the system variables that it can read."""
 
     def __init__(self, system: Callable[[], Mapping[int, float]]):
         self._system = system

@@ -43,31 +43,20 @@ _GROUP_BEFORE = re.compile(r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])[A-Z_][A-Z_]\w*)$')
 
 @dataclass
 class BlockWords:
-    """
-    The words of one line.
+    """The words of one line."""
 
-    Parameters
-    ----------
-    g, m : list of str
-        Codes in their shortest form ('G1', 'G43.4', 'M3'), in the order of the line.
-    values, texts : dict
-        Number and text of every other word, by letter.
-    ways : dict
-        Function of an axis word, by letter: 'AC', 'IC', 'DC', 'ACP' or 'ACN'.
-    keys : list of tuple
-        Words of several letters ('TRAORI', '#TRAFO ON') with the numbers in their parentheses;
-        None for an empty argument or a text.
-    sets : list of tuple
-        Assignments to parameters (int) and names (str), in the order of the line.
-
-    """
-
+    #: Codes in their shortest form ('G1', 'G43.4', 'M3'), in the order of the line.
     g: list[str] = field(default_factory=list)
     m: list[str] = field(default_factory=list)
+    #: Number and text of every other word, by letter.
     values: dict[str, float] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+    #: Function of an axis word, by letter: 'AC', 'IC', 'DC', 'ACP' or 'ACN'.
     ways: dict[str, str] = field(default_factory=dict)
+    #: Words of several letters ('TRAORI', '#TRAFO ON') with the numbers in their parentheses; None
+    #: for an empty argument or a text.
     keys: list[tuple[str, tuple[float | None, ...]]] = field(default_factory=list)
+    #: Assignments to parameters (int) and names (str), in the order of the line.
     sets: list[tuple[int | str, float]] = field(default_factory=list)
 
 
@@ -119,16 +108,7 @@ def _end_of_comment(line: str, at: int, fault: Fault) -> int:
 
 
 def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
-    """
-    Split one line of G-code into words. The line is in upper case and without comments.
-
-    Raises
-    ------
-    ProgramError
-        If a part of the line is not a word, a letter other than G and M occurs twice, or an
-        expression has no value.
-
-    """
+    """Split one line of G-code into words. The line is in upper case and without comments."""
     if 'E' in line and (exponent := _EXPONENT.search(line)):
         raise fault('a number with an exponent; write all its digits', exponent[1])
     words = BlockWords()

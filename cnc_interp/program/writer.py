@@ -53,37 +53,20 @@ class Modal:
 
 @dataclass(frozen=True)
 class GcodeMove:
-    """
-    One block of G-code.
+    """One block of G-code."""
 
-    Parameters
-    ----------
-    tip : ndarray, shape (3,)
-        Tool tip [m].
-    rotary : ndarray, shape (2,), or None
-        Positions of the rotary axes [rad]; None without words for them.
-    feedrate, duration : float
-        Speed of the tip [m/s]; duration [s] or NaN.
-    rapid, exact_stop : bool
-        Whether the block is a rapid, and whether the tool rests at its end.
-    program_stop : int
-        GO_ON, STOP or OPTIONAL_STOP.
-    on_great_circle : bool
-        Whether the tool axis turns on the great circle.
-    tolerance : float
-        Path tolerance [m].
-
-    """
-
-    tip: FloatArray
+    tip: FloatArray  #: (3,): Tool tip [m].
+    #: (2,): Positions of the rotary axes [rad]; None without words for them.
     rotary: FloatArray | None
+    #: Speed of the tip [m/s]; duration [s] or NaN.
     feedrate: float
     duration: float
+    #: Whether the block is a rapid, and whether the tool rests at its end.
     rapid: bool
     exact_stop: bool
-    program_stop: int
-    on_great_circle: bool
-    tolerance: float
+    program_stop: int  #: GO_ON, STOP or OPTIONAL_STOP.
+    on_great_circle: bool  #: Whether the tool axis turns on the great circle.
+    tolerance: float  #: Path tolerance [m].
 
 
 def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
@@ -133,28 +116,13 @@ def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: li
 
 @dataclass(frozen=True)
 class SiemensMove:
-    """
-    One block of a Siemens program.
+    """One block of a Siemens program."""
 
-    Parameters
-    ----------
-    tip : ndarray, shape (3,)
-        Tool tip or control point [m].
-    second : ndarray, shape (3,), or None
-        Second point on the tool axis [m].
-    feedrate : float
-        Speed of the tip [m/s].
-    knot_interval : float
-        Knot interval of a control point [m]; NaN on lines.
-    rapid, exact_stop : bool
-        Whether the block is a rapid, and whether the tool rests at its end.
-
-    """
-
-    tip: FloatArray
-    second: FloatArray | None
-    feedrate: float
-    knot_interval: float
+    tip: FloatArray  #: (3,): Tool tip or control point [m].
+    second: FloatArray | None  #: (3,): Second point on the tool axis [m].
+    feedrate: float  #: Speed of the tip [m/s].
+    knot_interval: float  #: Knot interval of a control point [m]; NaN on lines.
+    #: Whether the block is a rapid, and whether the tool rests at its end.
     rapid: bool
     exact_stop: bool
 
@@ -191,28 +159,16 @@ def siemens(moves: Iterable[SiemensMove], notes: list[str]) -> str:
 
 @dataclass(frozen=True)
 class ClMove:
-    """
-    One point of CL data.
+    """One point of CL data."""
 
-    Parameters
-    ----------
-    tip, axis : ndarray, shape (3,)
-        Tool tip [m] and unit tool axis [-].
-    feedrate : float
-        Speed of the tip [m/s].
-    rapid, exact_stop : bool
-        Whether the motion is a rapid, and whether the tool rests at its end.
-    program_stop : int
-        GO_ON, STOP or OPTIONAL_STOP.
-
-    """
-
+    #: (3,): Tool tip [m] and unit tool axis [-].
     tip: FloatArray
     axis: FloatArray
-    feedrate: float
+    feedrate: float  #: Speed of the tip [m/s].
+    #: Whether the motion is a rapid, and whether the tool rests at its end.
     rapid: bool
     exact_stop: bool
-    program_stop: int = GO_ON
+    program_stop: int = GO_ON  #: GO_ON, STOP or OPTIONAL_STOP.
 
 
 def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:

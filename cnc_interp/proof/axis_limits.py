@@ -18,24 +18,7 @@ AT_REST = 1e-12
 
 
 def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    """
-    Return one kind of limit of every axis at many positions.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    order : int
-        1 for velocity, 2 for acceleration, 3 for jerk.
-    q : ndarray, shape (K, n_axes)
-        Positions [m or rad].
-
-    Returns
-    -------
-    ndarray, shape (K, n_axes)
-        Limits [m or rad, per s^order].
-
-    """
+    """Return one kind of limit of every axis at many positions."""
     limits = np.tile(machine.limits[order - 1], (len(q), 1))
     for j, of in machine.places.items():
         limits[:, j] = np.interp(q[:, j], of[-1], of[order - 1])
@@ -47,21 +30,6 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
     Return the largest limit between the samples of each difference.
 
     The k-th difference over T^k is a mean of the k-th derivative between its k + 1 samples.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    order : int
-        1 for velocity, 2 for acceleration, 3 for jerk.
-    q : ndarray, shape (K, n_axes)
-        Samples [m or rad].
-
-    Returns
-    -------
-    ndarray, shape (K - order, n_axes)
-        Limits [m or rad, per s^order].
-
     """
     limits = np.tile(machine.limits[order - 1], (len(q) - order, 1))
     for j, of in machine.places.items():
@@ -82,23 +50,6 @@ def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> Flo
 
     It is |J a + B v + C sign(v)| with the second difference a and the central one v. If the axis
     turns at the sample, the sign is free, and the smaller torque counts.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    axis : int
-        An axis with a largest torque.
-    q : ndarray, shape (K,)
-        Samples of the axis [m or rad].
-    period : float
-        Time between them [s].
-
-    Returns
-    -------
-    ndarray, shape (K - 2,)
-        Torques, not negative [N or Nm].
-
     """
     load = machine.loads[axis]
     before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]

@@ -27,18 +27,6 @@ class Stored:
 
     Rows are read when they are asked for, by a number, by a slice, or by ``[:, slice]``. Rows of
     a column in a temporary file are written likewise.
-
-    Parameters
-    ----------
-    file : BinaryIO
-        An open file.
-    start : int
-        Place of the first row in it [bytes].
-    dtype : DTypeLike
-        Type of the values.
-    shape : tuple of int
-        Shape of the column.
-
     """
 
     def __init__(self, file: BinaryIO, start: int, dtype: DTypeLike, shape: tuple[int, ...]):
@@ -100,19 +88,7 @@ def spans(count: int) -> Iterator[tuple[int, int]]:
 
 
 def held(column: Any, first: int, last: int, before: int, after: int) -> NDArray[Any]:
-    """
-    Return rows of a column with neighbours; beyond its ends the end row is repeated.
-
-    Parameters
-    ----------
-    column : column
-        The column.
-    first, last : int
-        First row and last row (exclusive).
-    before, after : int
-        Number of neighbours on both sides.
-
-    """
+    """Return rows of a column with neighbours; beyond its ends the end row is repeated."""
     low, high = max(first - before, 0), min(last + after, len(column))
     edges = ((before - (first - low), after - (high - last)), *[(0, 0)] * (column.ndim - 1))
     return np.pad(column[low:high], edges, mode='edge')

@@ -22,22 +22,13 @@ DIGITS = 12
 
 @dataclass(frozen=True)
 class Given:
-    """
-    One thing that is not proven but given.
+    """One thing that is not proven but given."""
 
-    Parameters
-    ----------
-    what, value, source : str
-        Its name, its value in shop units, and where it comes from.
-    sha256 : str
-        First digits of the hash of its content, or ''.
-
-    """
-
+    #: Its name, its value in shop units, and where it comes from.
     what: str
     value: str
     source: str
-    sha256: str = ''
+    sha256: str = ''  #: First digits of the hash of its content, or ''.
 
     def text(self) -> str:
         """Return it as one line."""

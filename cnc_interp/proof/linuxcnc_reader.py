@@ -71,34 +71,7 @@ def read_by_linuxcnc(
     rows: int,
     setup: Setup | None = None,
 ) -> Iterator[Move]:
-    """
-    Read a program.
-
-    Parameters
-    ----------
-    text : str
-        Its text.
-    axis_names : tuple of str
-        Axes of the machine: X Y Z, rotary axes, extra axes.
-    skip : bool
-        Leave out lines that begin with a slash.
-    rows : int
-        Number of rows of the plan; what may be printed depends on it.
-    setup : Setup, optional
-        Offsets and tools at the start; the length of other tools is 0.
-
-    Yields
-    ------
-    Move
-        Motions in order, those that go nowhere included. The first one is the way to the start
-        pose. They have no line numbers.
-
-    Raises
-    ------
-    LinuxCNCError
-        If there is no interpreter, or it ends before the program does; after the motions so far.
-
-    """
+    """Read a program."""
     command = interpreter()
     if not command:
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")

@@ -39,27 +39,17 @@ CHORD_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Pieces:
-    """
-    The program as straight pieces, in some coordinates.
+    """The program as straight pieces, in some coordinates."""
 
-    Parameters
-    ----------
-    row : ndarray of int, shape (P,)
-        Program row of each piece.
-    start, end : ndarray, shape (P, D)
-        Coordinates at both ends of each piece.
-    room : ndarray, shape (P, D)
-        Distance that is in order along each piece; infinite for coordinates that are not compared.
-    vertex, vertex_room : ndarray, shape (P + 1, D)
-        Coordinates of the ends of the pieces, the start of the first piece first, and the distance
-        that is in order there.
-
-    """
-
-    row: IntArray
+    row: IntArray  #: (P,): Program row of each piece.
+    #: (P, D): Coordinates at both ends of each piece.
     start: FloatArray
     end: FloatArray
+    #: (P, D): Distance that is in order along each piece; infinite for coordinates that are not
+    #: compared.
     room: FloatArray
+    #: (P + 1, D): Coordinates of the ends of the pieces, the start of the first piece first, and
+    #: the distance that is in order there.
     vertex: FloatArray
     vertex_room: FloatArray
 
@@ -82,30 +72,18 @@ class Pieces:
 
 @dataclass
 class Pursuit:
-    """
-    How far a motion, taken chunk by chunk, has followed some pieces.
+    """How far a motion, taken chunk by chunk, has followed some pieces."""
 
-    Parameters
-    ----------
-    pieces : list of ndarray
-        Start, way and room of the P pieces, and place and room of their ends.
-    low : ndarray, shape (P,)
-        Least part of each piece that can be reached at the last sample; infinite where none.
-    begin, stop : int
-        The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
-    furthest : int
-        Furthest piece that the motion can have reached; P if it reached the end of the last one.
-    lost : int
-        Sample at which no piece can be reached, or -1.
-
-    """
-
+    #: Start, way and room of the P pieces, and place and room of their ends.
     pieces: list[FloatArray]
+    #: (P,): Least part of each piece that can be reached at the last sample; infinite where none.
     low: FloatArray
+    #: The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
     begin: int = 0
     stop: int = 1
+    #: Furthest piece that the motion can have reached; P if it reached the end of the last one.
     furthest: int = 0
-    lost: int = -1
+    lost: int = -1  #: Sample at which no piece can be reached, or -1.
 
     def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:
         """
@@ -145,19 +123,11 @@ class Pursuit:
 
 @dataclass(frozen=True)
 class Order:
-    """
-    What was found about the order of a motion.
+    """What was found about the order of a motion."""
 
-    Parameters
-    ----------
-    left : tuple of (str, int, int)
-        What leaves the order, at which sample, and the furthest program row it reached.
-    low, high : column of int, shape (K,)
-        First and last program row that each sample can execute; in temporary files.
-
-    """
-
+    #: What leaves the order, at which sample, and the furthest program row it reached.
     left: tuple[tuple[str, int, int], ...]
+    #: (K,): First and last program row that each sample can execute; in temporary files.
     low: Stored
     high: Stored
 
@@ -169,28 +139,7 @@ def order_of(
     lines: ProgrammedAxes | None,
     tolerances: tuple[FloatArray, FloatArray],
 ) -> Order:
-    """
-    Follow a program with the motion of its plan.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        Plan with K setpoints and M program rows.
-    machine : Machine
-        Machine with the forward kinematics to use.
-    program : ProgrammedPath
-        The program as lines and great circles.
-    lines : ProgrammedAxes or None
-        Rows of the program whose rotary axes run linearly.
-    tolerances : tuple of ndarray, shape (M,)
-        Contour and orientation tolerance at the vertices, slack included [m].
-
-    Returns
-    -------
-    Order
-        Where the motion leaves the order, and the rows that are possible.
-
-    """
+    """Follow a program with the motion of its plan."""
     count, rows = len(plan.position), len(plan.blocks['tip'])
     shapes, transform = _Shapes(plan, machine, program, lines), Transform.of(machine)
 

@@ -37,19 +37,7 @@ ROUNDING = 1.001
 
 
 def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """
-    Check the grid of the planner: poses, continuity, setpoints, feeds, limits and stops.
-
-    Parameters
-    ----------
-    ledger : Ledger
-        Takes what is found.
-    plan : PlanFiles
-        Plan with a path.
-    machine : Machine
-        Machine with the forward kinematics to use.
-
-    """
+    """Check the grid of the planner: poses, continuity, setpoints, feeds, limits and stops."""
     path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
     points, transform = len(s), Transform.of(machine)
     rising = bool((np.diff(s) > 0.0).all())

@@ -41,65 +41,30 @@ _NAMED = re.compile(
 
 @dataclass(frozen=True)
 class Move:
-    """
-    One motion of a program.
+    """One motion of a program."""
 
-    Parameters
-    ----------
-    line : int
-        Line of the text; 0 where the reader does not know it.
-    rapid : bool
-        Whether it is a rapid.
-    end : ndarray, shape (3,)
-        X Y Z at its end [m].
-    rotary : ndarray, shape (2,) or (0,)
-        Rotary axes at its end [rad].
-    axis : ndarray, shape (3,), or None
-        Tool axis, where the program gives it.
-    extra : ndarray, shape (k,)
-        Extra axes at its end [m].
-    feed, duration : float
-        Feed [m/s] and duration [s]; NaN where it has none.
-    tcp : bool
-        Whether X Y Z are the tool tip. Otherwise they are axis positions.
-    plane : tuple of int
-        Both axes of the plane of an arc, and the one across.
-    centre : ndarray, shape (2,), or None
-        Centre of an arc in its plane [m].
-    sweep : int
-        1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
-    turns : int
-        Turns of an arc, the last one mostly not whole.
-    digit : float
-        Last digit of lengths that the reader knows [m]; 0 where it knows all.
-    unsure : float
-        Share of feed or duration up to which the reader knows it [-].
-    tolerance : float
-        Programmed contour tolerance [m]; NaN for that of the settings.
-    normal : ndarray, shape (3,), or None
-        Normal of the part, where ``end`` is the point at which the cutter touches it.
-    cutter : tuple of float
-        Radius of the cutter beyond its corner, and radius of the corner [m].
-
-    """
-
-    line: int
-    rapid: bool
-    end: FloatArray
-    rotary: FloatArray
-    axis: FloatArray | None
-    extra: FloatArray
+    line: int  #: Line of the text; 0 where the reader does not know it.
+    rapid: bool  #: Whether it is a rapid.
+    end: FloatArray  #: (3,): X Y Z at its end [m].
+    rotary: FloatArray  #: (2,) or (0,): Rotary axes at its end [rad].
+    axis: FloatArray | None  #: (3,): Tool axis, where the program gives it.
+    extra: FloatArray  #: (k,): Extra axes at its end [m].
+    #: Feed [m/s] and duration [s]; NaN where it has none.
     feed: float
     duration: float
-    tcp: bool
+    tcp: bool  #: Whether X Y Z are the tool tip. Otherwise they are axis positions.
+    #: Both axes of the plane of an arc, and the one across.
     plane: tuple[int, int, int] = (0, 1, 2)
-    centre: FloatArray | None = None
-    sweep: int = 0
-    turns: int = 1
-    digit: float = 0.0
-    unsure: float = 0.0
+    centre: FloatArray | None = None  #: (2,): Centre of an arc in its plane [m].
+    sweep: int = 0  #: 1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
+    turns: int = 1  #: Turns of an arc, the last one mostly not whole.
+    digit: float = 0.0  #: Last digit of lengths that the reader knows [m]; 0 where it knows all.
+    unsure: float = 0.0  #: Share of feed or duration up to which the reader knows it [-].
+    #: Programmed contour tolerance [m]; NaN for that of the settings.
     tolerance: float = float('nan')
+    #: (3,): Normal of the part, where ``end`` is the point at which the cutter touches it.
     normal: FloatArray | None = None
+    #: Radius of the cutter beyond its corner, and radius of the corner [m].
     cutter: tuple[float, float] = (0.0, 0.0)
 
 
@@ -111,33 +76,7 @@ def read_plainly(
     skip: bool,
     tools: Mapping[int, tuple[float, float]] | None = None,
 ) -> list[Move]:
-    """
-    Read a program.
-
-    Parameters
-    ----------
-    text, name : str
-        Its text, and the name of its file.
-    axis_names : tuple of str
-        Axes of the machine: X Y Z, rotary axes, extra axes.
-    feed : float or None
-        Feed where the program has no F [m/s].
-    skip : bool
-        Leave out lines that begin with a slash.
-    tools : mapping of int to tuple of float, optional
-        Radius and corner radius of each tool [m]; a corner radius that is not known is NaN.
-
-    Returns
-    -------
-    list of Move
-        All motions in order. The first one is the way to the start pose.
-
-    Raises
-    ------
-    ProgramError
-        If a word is not plain; names the line.
-
-    """
+    """Read a program."""
     state = _State(name, axis_names, feed, tools or {})
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
     for number, line in enumerate(text.splitlines(), start=1):

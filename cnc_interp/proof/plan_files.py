@@ -66,27 +66,14 @@ NO_LENGTH, UNIT = 1e-9, 1e-6
 
 @dataclass(frozen=True)
 class PlanFiles:
-    """
-    A plan: the program (blocks), the path and every setpoint, all in SI units.
+    """A plan: the program (blocks), the path and every setpoint, all in SI units."""
 
-    Parameters
-    ----------
-    setpoints : mapping
-        ``time`` [s], ``block`` [-], ``s`` [m], shape (K,), and ``position``, ``velocity``,
-        ``acceleration``, shape (K, n) [m or rad, per s, per s2].
-    path : mapping
-        Grid of the planner, with the columns of ``path.npz``; empty for a bag.
-    blocks : mapping
-        Program rows, the start pose first, with all optional columns present.
-    summary : mapping
-        Contents of ``summary.json``.
-
-    """
-
+    #: ``time`` [s], ``block`` [-], ``s`` [m], shape (K,), and ``position``, ``velocity``,
+    #: ``acceleration``, shape (K, n) [m or rad, per s, per s2].
     setpoints: Columns
-    path: Columns
-    blocks: Columns
-    summary: Mapping[str, Any]
+    path: Columns  #: Grid of the planner, with the columns of ``path.npz``; empty for a bag.
+    blocks: Columns  #: Program rows, the start pose first, with all optional columns present.
+    summary: Mapping[str, Any]  #: Contents of ``summary.json``.
 
     def in_memory(self) -> PlanFiles:
         """Return the plan with all columns as arrays."""
@@ -365,15 +352,7 @@ def _array_header(column: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[An
 
 
 def _check_lengths(file: Path) -> None:
-    """
-    Refuse an archive that says it holds more than it does, before anything of it is unpacked.
-
-    Raises
-    ------
-    ValueError, OSError, BadZipFile
-        If it is no archive, or its lengths are not true.
-
-    """
+    """Refuse an archive that declares more than it holds, before it is unpacked."""
     file.stat()
     if not file.is_file():
         raise ValueError('it is not a file')

@@ -37,24 +37,13 @@ LONGEST = 64 << 20
 
 @dataclass(frozen=True)
 class Agreement:
-    """
-    What was compared, and what differs.
+    """What was compared, and what differs."""
 
-    Parameters
-    ----------
-    motions, arcs : int
-        Motions of the text, and arcs among them.
-    faults : tuple of str
-        One sentence for each line that differs.
-    readers : str
-        Who has read the text, and who has not, and why.
-
-    """
-
+    #: Motions of the text, and arcs among them.
     motions: int
     arcs: int
-    faults: tuple[str, ...]
-    readers: str = ''
+    faults: tuple[str, ...]  #: One sentence for each line that differs.
+    readers: str = ''  #: Who has read the text, and who has not, and why.
 
 
 def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agreement:
@@ -144,26 +133,7 @@ def _tolerated(moves: Iterable[Move], forced: bool) -> Iterable[Move]:
 def compare_places(
     blocks: Columns, machine: Machine, moves: Iterable[Move], tolerance: float = float('nan')
 ) -> Agreement:
-    """
-    Compare rows with motions whose lines are not known.
-
-    Parameters
-    ----------
-    blocks : mapping
-        Columns of ``blocks.npz``.
-    machine : Machine
-        The machine.
-    moves : iterable of Move
-        All motions of the text in order.
-    tolerance : float
-        Contour tolerance where the text has none [m]; NaN if it is not known.
-
-    Returns
-    -------
-    Agreement
-        If the end of a motion is not found, what follows is not compared.
-
-    """
+    """Compare rows with motions whose lines are not known."""
     return _FollowPlaces(blocks, machine, tolerance).follow(moves)
 
 

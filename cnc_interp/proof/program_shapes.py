@@ -25,31 +25,14 @@ REACH = 142.0
 
 @dataclass(frozen=True)
 class Program:
-    """
-    What a plan was made for, in the shapes that its motion is compared with.
+    """What a plan was made for, in the shapes that its motion is compared with."""
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan, with M program rows.
-    machine : Machine
-        The machine.
-    transform : Transform
-        Its forward kinematics.
-    path : ProgrammedPath
-        The rows as lines and great circles.
-    lines : ProgrammedAxes or None
-        Rows whose rotary axes run linearly.
-    contour, orientation : ndarray, shape (M,)
-        Tolerances at the vertices [m].
-
-    """
-
-    plan: PlanFiles
-    machine: Machine
-    transform: Transform
-    path: ProgrammedPath
-    lines: ProgrammedAxes | None
+    plan: PlanFiles  #: The plan, with M program rows.
+    machine: Machine  #: The machine.
+    transform: Transform  #: Its forward kinematics.
+    path: ProgrammedPath  #: The rows as lines and great circles.
+    lines: ProgrammedAxes | None  #: Rows whose rotary axes run linearly.
+    #: (M,): Tolerances at the vertices [m].
     contour: FloatArray
     orientation: FloatArray
 

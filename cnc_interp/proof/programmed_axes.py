@@ -33,34 +33,21 @@ BRACKET = 8.0
 
 @dataclass(frozen=True)
 class ProgrammedAxes:
-    """
-    The rows of a program as lines in coordinates: three of X Y Z or of the tip, then the others.
+    """The rows of a program as lines in coordinates: X Y Z or the tip, then the others."""
 
-    Parameters
-    ----------
-    machine : Transform
-        The forward kinematics.
-    known : ndarray of bool, shape (M,)
-        Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
-    linear, in_axes : ndarray of bool, shape (M,)
-        Rows whose rotary axes run linearly, and known rows whose coordinates are machine axes.
-    start, step : ndarray, shape (M, n)
-        Coordinates at the start of known rows, and what they move by [m, rad].
-    tolerance : ndarray, shape (M, 2)
-        Contour and orientation tolerance of each row, for the comparison of both [m].
-    height : float
-        Flank height [m].
-
-    """
-
-    machine: Transform
+    machine: Transform  #: The forward kinematics.
+    #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
     known: BoolArray
+    #: (M,): Rows whose rotary axes run linearly, and known rows whose coordinates are machine
+    #: axes.
     linear: BoolArray
     in_axes: BoolArray
+    #: (M, n): Coordinates at the start of known rows, and what they move by [m, rad].
     start: FloatArray
     step: FloatArray
+    #: (M, 2): Contour and orientation tolerance of each row, for the comparison of both [m].
     tolerance: FloatArray
-    height: float
+    height: float  #: Flank height [m].
 
     @staticmethod
     def of(plan: PlanFiles, machine: Machine) -> ProgrammedAxes | None:
@@ -106,25 +93,7 @@ class ProgrammedAxes:
         return scale
 
     def improve(self, result: Deviation, position: FloatArray, block: IntArray) -> FloatArray:
-        """
-        Compare positions with the lines near them and keep what is nearer.
-
-        Parameters
-        ----------
-        result : Deviation
-            Distances of the K positions from other rows. They are replaced where they are larger.
-        position : ndarray, shape (K, n)
-            Axis positions [m, rad].
-        block : ndarray of int, shape (K,)
-            Row that each position executes.
-
-        Returns
-        -------
-        ndarray, shape (K,)
-            Largest distance of an axis from its line over its tolerance, where all machine axes
-            run linearly [-]; the rotary axes count at flank height. Zero elsewhere.
-
-        """
+        """Compare positions with the lines near them and keep what is nearer."""
         least = np.full(len(block), np.inf)
         beside = np.full(len(block), np.inf)
         tip, axis = self.machine.forward(position)
@@ -222,19 +191,6 @@ def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
     Return X Y Z at which the tip is where it should be, from the forward kinematics alone.
 
     With the rotary axes at rest the tip is a rotation of X Y Z plus a constant.
-
-    Parameters
-    ----------
-    machine : Transform
-        The forward kinematics.
-    coordinates : ndarray, shape (m, n)
-        Tool tips, then the other axes [m, rad].
-
-    Returns
-    -------
-    ndarray, shape (m, 3)
-        Positions of X Y Z [m].
-
     """
     at = coordinates.copy()
     at[:, :3] = 0.0

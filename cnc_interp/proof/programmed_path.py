@@ -30,60 +30,34 @@ TIE = 1e-9
 
 @dataclass(frozen=True)
 class Deviation:
-    """
-    Distance of poses from the program.
+    """Distance of poses from the program."""
 
-    Parameters
-    ----------
-    contour : ndarray, shape (K,)
-        Distance of the tip from the nearest programmed line [m].
-    row : ndarray of int, shape (K,)
-        Program row of the nearest point.
-    part : ndarray, shape (K,)
-        Position of the nearest point on its row, from 0 at the start to 1 at the end [-].
-    orientation : ndarray, shape (K,)
-        Distance of the point at flank height from its programmed curve T [m].
-    twist : ndarray, shape (K,)
-        Flank height times the angle between the tool axis and the programmed axis at the nearest
-        point of the tip [m]. It is stricter than ``orientation`` and only for information.
-
-    """
-
-    contour: FloatArray
-    row: IntArray
+    contour: FloatArray  #: (K,): Distance of the tip from the nearest programmed line [m].
+    row: IntArray  #: (K,): Program row of the nearest point.
+    #: (K,): Position of the nearest point on its row, from 0 at the start to 1 at the end [-].
     part: FloatArray
+    #: (K,): Distance of the point at flank height from its programmed curve T [m].
     orientation: FloatArray
+    #: (K,): Flank height times the angle between the tool axis and the programmed axis at the
+    #: nearest point of the tip [m]. It is stricter than ``orientation`` and only for information.
     twist: FloatArray
 
 
 @dataclass(frozen=True)
 class ProgrammedPath:
-    """
-    The program as lines and great circles, one row per block; row 0 is the start pose.
+    """The program as lines and great circles, one row per block; row 0 is the start pose."""
 
-    Parameters
-    ----------
-    start, chord : ndarray, shape (M, 3)
-        Tip at the start of the row, and the vector from there to its end [m].
-    axis, sideways : ndarray, shape (M, 3)
-        Tool axis at the start of the row, and the unit vector towards which it turns [-].
-    turn : ndarray, shape (M,)
-        Angle of the turn [rad].
-    by_axes : ndarray of bool, shape (M,)
-        Pure rotations given by rotary words, and rows without a line of the tip. The rotary axes
-        move linearly, not on a great circle.
-    flank_height : float
-        Height of the second point above the tip [m].
-
-    """
-
+    #: (M, 3): Tip at the start of the row, and the vector from there to its end [m].
     start: FloatArray
     chord: FloatArray
+    #: (M, 3): Tool axis at the start of the row, and the unit vector towards which it turns [-].
     axis: FloatArray
     sideways: FloatArray
-    turn: FloatArray
+    turn: FloatArray  #: (M,): Angle of the turn [rad].
+    #: (M,): Pure rotations given by rotary words, and rows without a line of the tip. The rotary
+    #: axes move linearly, not on a great circle.
     by_axes: BoolArray
-    flank_height: float
+    flank_height: float  #: Height of the second point above the tip [m].
 
     @staticmethod
     def of(
@@ -185,17 +159,6 @@ def peaks(points: FloatArray) -> FloatArray:
     That eighth takes the acceleration from both samples. Where it has a peak between them, as in
     the middle of a corner, it is larger there by at most half of what it changes in a period
     nearby: half a third difference.
-
-    Parameters
-    ----------
-    points : ndarray, shape (..., K, D)
-        Samples of the motion.
-
-    Returns
-    -------
-    ndarray, shape (..., K - 3, D)
-        Bounds over the chord in the middle of each four samples, as far as these tell.
-
     """
     return np.asarray(np.abs(np.diff(points, 3, axis=-2)) / 16.0)
 
@@ -213,25 +176,6 @@ def distances_to_vertices(
     Between two samples the motion deviates from its chord by up to an eighth of the second
     difference, and by the ``peaks``. The distance is reduced by the former, because a vertex lies
     outside its rounding.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, 3)
-        Samples of the motion [m].
-    vertices : ndarray, shape (M, 3)
-        Programmed points [m].
-    low, high : ndarray of int, shape (M,)
-        First and last sample to search for each vertex.
-    unit : ndarray, shape (M, 3), optional
-        Units in which the coordinates count at each vertex. Without it, they count as they are.
-
-    Returns
-    -------
-    distance : ndarray, shape (M,)
-        Distance between vertex and motion, zero if within the deviation from the chord [m].
-    sample : ndarray of int, shape (M,)
-        Index of the sample before the nearest point.
-
     """
     bulge = np.zeros(points.shape)
     bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0

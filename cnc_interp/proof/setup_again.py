@@ -23,23 +23,13 @@ ROTATION = 10
 
 @dataclass(frozen=True)
 class Setup:
-    """
-    What LinuxCNC starts with.
+    """What LinuxCNC starts with."""
 
-    Parameters
-    ----------
-    parameters : mapping of int to float
-        Numbered parameters [inch, deg].
-    tool_lengths : mapping of int to float
-        Length of tools by their numbers [m].
-    tool : int
-        The tool in the spindle; 0: none.
-
-    """
-
+    #: Numbered parameters [inch, deg].
     parameters: Mapping[int, float] = field(default_factory=dict)
+    #: Length of tools by their numbers [m].
     tool_lengths: Mapping[int, float] = field(default_factory=dict)
-    tool: int = 0
+    tool: int = 0  #: The tool in the spindle; 0: none.
 
 
 def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
@@ -68,22 +58,7 @@ def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
 
 
 def setup_of(text: Any, machine: Machine) -> Setup:
-    """
-    Read the setup that stands in the summary of a plan.
-
-    Parameters
-    ----------
-    text : object
-        Text of a setup file, in mm and deg; empty for none.
-    machine : Machine
-        Its workpiece zero is the zero of LinuxCNC.
-
-    Raises
-    ------
-    InterpError
-        If it cannot be read.
-
-    """
+    """Read the setup that stands in the summary of a plan."""
     if not text:
         return Setup()
     zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0] / MM

@@ -22,85 +22,42 @@ TORQUE = 'torque'
 
 @dataclass(frozen=True)
 class Finding:
-    """
-    The place where one quantity uses most of its limit, or exceeds it most.
+    """The place where one quantity uses most of its limit, or exceeds it most."""
 
-    Parameters
-    ----------
-    what, axis : str
-        Name of the quantity, and name of its axis or ''.
-    value, limit, ratio : float
-        Value and limit in SI units, and value / limit [-].
-    sample : int
-        Sample number, or -1 if the finding belongs to a block or to the path.
-    time : float
-        Time of the sample [s], NaN if ``sample`` is -1.
-    line : int
-        Line of the part program.
-    exceeded : int
-        Number of places at which the limit is exceeded.
-    linear : bool
-        Whether value and limit are lengths. Otherwise they belong to a rotary axis.
-
-    """
-
+    #: Name of the quantity, and name of its axis or ''.
     what: str
     axis: str
+    #: Value and limit in SI units, and value / limit [-].
     value: float
     limit: float
     ratio: float
-    sample: int
-    time: float
-    line: int
-    exceeded: int
+    sample: int  #: Sample number, or -1 if the finding belongs to a block or to the path.
+    time: float  #: Time of the sample [s], NaN if ``sample`` is -1.
+    line: int  #: Line of the part program.
+    exceeded: int  #: Number of places at which the limit is exceeded.
+    #: Whether value and limit are lengths. Otherwise they belong to a rotary axis.
     linear: bool = True
 
 
 @dataclass(frozen=True)
 class Proof:
-    """
-    What is proven about a plan, and what is not.
+    """What is proven about a plan, and what is not."""
 
-    Parameters
-    ----------
-    machine : str
-        Name of the machine whose limits were used.
-    axis_names : tuple of str
-        Names of the axes of that machine.
-    samples, blocks : int
-        Number of setpoints and of program rows after the start pose.
-    period, cycle_time : float
-        Interpolation period and duration of the motion [s].
-    findings : tuple of Finding
-        Largest use of each limit and tolerance.
-    failures : tuple of str
-        One sentence for each fact that is not proven.
-    remarks : dict
-        Figures for information only.
-    machine_file : str
-        File of the machine; empty for a bundled one.
-    given : tuple of Given
-        What is taken as given.
-    program : str
-        What was compared with the text of the program, or ''.
-    beside : str
-        What was executed beside the program, or ''.
-
-    """
-
-    machine: str
-    axis_names: tuple[str, ...]
+    machine: str  #: Name of the machine whose limits were used.
+    axis_names: tuple[str, ...]  #: Names of the axes of that machine.
+    #: Number of setpoints and of program rows after the start pose.
     samples: int
     blocks: int
+    #: Interpolation period and duration of the motion [s].
     period: float
     cycle_time: float
-    findings: tuple[Finding, ...]
-    failures: tuple[str, ...]
-    remarks: dict[str, float] = field(default_factory=dict)
-    machine_file: str = ''
-    given: tuple[Given, ...] = ()
-    program: str = ''
-    beside: str = ''
+    findings: tuple[Finding, ...]  #: Largest use of each limit and tolerance.
+    failures: tuple[str, ...]  #: One sentence for each fact that is not proven.
+    remarks: dict[str, float] = field(default_factory=dict)  #: Figures for information only.
+    machine_file: str = ''  #: File of the machine; empty for a bundled one.
+    given: tuple[Given, ...] = ()  #: What is taken as given.
+    program: str = ''  #: What was compared with the text of the program, or ''.
+    beside: str = ''  #: What was executed beside the program, or ''.
 
     @property
     def ok(self) -> bool:
@@ -205,29 +162,7 @@ class Ledger:
         first: int = 0,
         quiet: bool = False,
     ) -> None:
-        """
-        Record the largest ``value / limit``; above ``allowed`` it is a failure.
-
-        Parameters
-        ----------
-        what : str
-            Name of the quantity.
-        value : ndarray, shape (k,)
-            Values in SI units, all >= 0.
-        limit : ndarray, shape (k,), or float
-            Limit of each value, in the same unit.
-        axis : str
-            Name of the axis, or ''.
-        allowed, slack : float
-            A value is accepted up to ``limit * allowed + slack``.
-        rows : ndarray of int, shape (k,), optional
-            Program row of each value. Without it, the values belong to the samples.
-        first : int
-            Sample of the first value.
-        quiet : bool
-            Whether the finding is told only if it fails.
-
-        """
+        """Record the largest ``value / limit``; above ``allowed`` it is a failure."""
         if not len(value):
             return
         limit = np.broadcast_to(np.asarray(limit, dtype=float), value.shape)

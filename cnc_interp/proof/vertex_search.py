@@ -14,15 +14,7 @@ from cnc_interp.proof.programmed_path import distances_to_vertices, peaks
 
 
 class VertexSearch:
-    """
-    The search for the samples at which a motion passes vertices of its program.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan, with K setpoints and M program rows.
-
-    """
+    """The search for the samples at which a motion passes vertices of its program."""
 
     def __init__(self, plan: PlanFiles):
         self.plan, self.count = plan, len(plan.position)

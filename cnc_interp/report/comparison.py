@@ -22,26 +22,12 @@ from cnc_interp.report.series import Series, extremes
 
 @dataclass(frozen=True)
 class Run:
-    """
-    A plan with its name, its proof and the values to draw.
+    """A plan with its name, its proof and the values to draw."""
 
-    Parameters
-    ----------
-    name : str
-        Name shown on the page.
-    plan : PlanFiles
-        The plan.
-    proof : Proof
-        Its proof.
-    series : Series
-        Values to draw.
-
-    """
-
-    name: str
-    plan: PlanFiles
-    proof: Proof
-    series: Series
+    name: str  #: Name shown on the page.
+    plan: PlanFiles  #: The plan.
+    proof: Proof  #: Its proof.
+    series: Series  #: Values to draw.
 
 
 Figure = Callable[[Run], float]
@@ -100,24 +86,7 @@ def use_table(first: Run, second: Run) -> str:
 
 
 def use_of(run: Run, kind: str, axis: str) -> float:
-    """
-    Return the largest use of a limit.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    kind : str
-        'velocity', 'acceleration', 'jerk' or 'torque'.
-    axis : str
-        Name of the axis.
-
-    Returns
-    -------
-    float
-        Share of the limit [-]; NaN if the machine has no such axis, or the axis no such limit.
-
-    """
+    """Return the largest use of a limit."""
     return run.proof.use_of(kind, axis)
 
 

@@ -109,17 +109,6 @@ def shift(view: CornerView) -> FloatArray:
 
     At true height a small corner would look like two dots. With a displacement along the tool axis
     both curves keep their shapes and one scale.
-
-    Parameters
-    ----------
-    view : CornerView
-        The corner.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        Displacement; it is subtracted from the top curve [mm].
-
     """
     size = _size(view)
     middle = view.axis[len(view.axis) // 2]
@@ -183,20 +172,7 @@ def asked_of(view: CornerView) -> str:
 
 
 def feed_ceiling(view: CornerView) -> float:
-    """
-    Choose the upper end of the feed axis of a corner.
-
-    Parameters
-    ----------
-    view : CornerView
-        The corner.
-
-    Returns
-    -------
-    float
-        Feed [mm/min].
-
-    """
+    """Choose the upper end of the feed axis of a corner."""
     asked = view.programmed_feed[np.isfinite(view.programmed_feed)]
     fastest = float(view.feed.max(initial=0.0))
     return HEADROOM * max(fastest, min(float(asked.max(initial=0.0)), 2.0 * fastest)) or 1.0

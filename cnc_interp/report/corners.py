@@ -30,56 +30,33 @@ MARGIN = 1.5
 
 @dataclass(frozen=True)
 class CornerView:
-    """
-    One corner with all values to draw.
+    """One corner with all values to draw."""
 
-    Parameters
-    ----------
-    line : int
-        Line of the block that leaves the corner.
-    deviation, tolerance : ndarray, shape (2,)
-        Contour and orientation deviation, and their tolerances [um].
-    slowest, programmed : float
-        Least planned and least programmed feed in the corner [mm/min].
-    bottom, top : ndarray, shape (K, 3)
-        Points of both curves, the top curve with its connection [mm].
-    bottom_polygon, top_polygon : ndarray, shape (5, 3)
-        Control points [mm].
-    vertex : ndarray, shape (3,)
-        Programmed corner [mm].
-    axis : ndarray, shape (K, 3)
-        Unit tool axis on the curve [-].
-    u, top_u : ndarray, shape (K,)
-        Parameter of the bottom curve and of the top curve [-].
-    connection : ndarray, shape (K,)
-        Length of the connection that is added to the top curve [um].
-    way, turn : ndarray, shape (M,)
-        Path length from the middle of the corner [mm], and norm of the third derivative of the
-        tool axis by path length, with the lines on both sides [1/mm3].
-    ends : (float, float)
-        Path lengths at which the corner begins and ends [mm].
-    feed_way, feed, feed_limit, programmed_feed : ndarray, shape (N,)
-        Planner's grid near the corner [mm] and the speeds there [mm/min].
-
-    """
-
-    line: int
+    line: int  #: Line of the block that leaves the corner.
+    #: (2,): Contour and orientation deviation, and their tolerances [um].
     deviation: FloatArray
     tolerance: FloatArray
+    #: Least planned and least programmed feed in the corner [mm/min].
     slowest: float
     programmed: float
+    #: (K, 3): Points of both curves, the top curve with its connection [mm].
     bottom: FloatArray
     top: FloatArray
+    #: (5, 3): Control points [mm].
     bottom_polygon: FloatArray
     top_polygon: FloatArray
-    vertex: FloatArray
-    axis: FloatArray
+    vertex: FloatArray  #: (3,): Programmed corner [mm].
+    axis: FloatArray  #: (K, 3): Unit tool axis on the curve [-].
+    #: (K,): Parameter of the bottom curve and of the top curve [-].
     u: FloatArray
     top_u: FloatArray
-    connection: FloatArray
+    connection: FloatArray  #: (K,): Length of the connection that is added to the top curve [um].
+    #: (M,): Path length from the middle of the corner [mm], and norm of the third derivative of
+    #: the tool axis by path length, with the lines on both sides [1/mm3].
     way: FloatArray
     turn: FloatArray
-    ends: tuple[float, float]
+    ends: tuple[float, float]  #: Path lengths at which the corner begins and ends [mm].
+    #: (N,): Planner's grid near the corner [mm] and the speeds there [mm/min].
     feed_way: FloatArray
     feed: FloatArray
     feed_limit: FloatArray
@@ -102,27 +79,7 @@ class CornerView:
 
 
 def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
-    """
-    Select the corners that use most of their tolerance or are slowest, and prepare them.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    segments : PathSegments
-        Its smooth path.
-
-    Returns
-    -------
-    list of CornerView
-        At most ``MOST`` corners in path order.
-
-    Raises
-    ------
-    InterpError
-        If the segments do not belong to the plan.
-
-    """
+    """Select the corners that use most of their tolerance or are slowest, and prepare them."""
     ends = np.cumsum(lengths(segments, plan.flank_height))
     total = float(plan.path['s'][-1] - plan.path['s'][0])
     rows = segments.block
@@ -138,24 +95,7 @@ def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
 def worst_corners(
     plan: PlanFiles, segments: PathSegments, starts: FloatArray, ends: FloatArray
 ) -> IntArray:
-    """
-    Select corners, alternately by the use of the tolerance and by the feed.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    segments : PathSegments
-        Its n segments.
-    starts, ends : ndarray, shape (n,)
-        Path lengths at which the segments begin and end [m].
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        Rows of the segments in path order, k <= ``MOST``.
-
-    """
+    """Select corners, alternately by the use of the tolerance and by the feed."""
     # A corner in machine axes has no top curve to be drawn.
     corners = np.flatnonzero((segments.kind == CORNER) & (segments.interpolation == POSES))
     use = (segments.deviation[corners] / _tolerances(plan, segments, corners)).max(axis=1)
@@ -269,20 +209,7 @@ def _third_derivatives(
 
 
 def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
-    """
-    Return the path speed ds/du with its Taylor coefficients.
-
-    Parameters
-    ----------
-    tip : ndarray, shape (3, 4)
-        Taylor coefficients of the tip by u [m].
-
-    Returns
-    -------
-    tuple of float
-        Taylor coefficients of ds/du, four values of which the last is 0 [m].
-
-    """
+    """Return the path speed ds/du with its Taylor coefficients."""
     first, second, third = tip[:, 1], 2.0 * tip[:, 2], 3.0 * tip[:, 3]
     squared = (first @ first, 2.0 * first @ second, 2.0 * first @ third + second @ second)
     s0 = float(np.sqrt(squared[0]))
@@ -291,22 +218,7 @@ def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
 
 
 def by_path_length(a: FloatArray, speed: tuple[float, ...]) -> tuple[float, ...]:
-    """
-    Convert Taylor coefficients by u to derivatives by path length.
-
-    Parameters
-    ----------
-    a : ndarray, shape (4,)
-        Taylor coefficients of a value by u [any unit].
-    speed : tuple of float
-        Taylor coefficients of ds/du, of ``ds_du`` [m].
-
-    Returns
-    -------
-    tuple of float
-        The value and its three derivatives by path length [unit per m, m2, m3].
-
-    """
+    """Convert Taylor coefficients by u to derivatives by path length."""
     found: tuple[float, ...] = jet.by_arc_length.py_func(tuple(a), speed)
     return found
 

@@ -25,40 +25,20 @@ MOST = 4000
 
 @dataclass(frozen=True)
 class CurvesView:
-    """
-    Curves through dense blocks with all values to draw.
+    """Curves through dense blocks with all values to draw."""
 
-    Parameters
-    ----------
-    blocks, spans, runs : int
-        Number of blocks that became curves, of spans, and of curves.
-    share : float
-        Share of the path that consists of curves [-].
-    way : ndarray, shape (n,)
-        Path length at the ends of the spans [mm].
-    bound : ndarray, shape (n, 2)
-        Bounds of contour and orientation deviation of the spans [um].
-    used : ndarray, shape (2,)
-        Largest bounds of all spans over their tolerances [-].
-    curve : ndarray, shape (K, 2)
-        The curve around the largest bound, in the plane of its largest extent [mm].
-    polyline : ndarray, shape (M, 2)
-        The programmed tips there, in the same plane [mm].
-    line : int
-        Line of the program there.
-
-    """
-
+    #: Number of blocks that became curves, of spans, and of curves.
     blocks: int
     spans: int
     runs: int
-    share: float
-    way: FloatArray
-    bound: FloatArray
-    used: FloatArray
+    share: float  #: Share of the path that consists of curves [-].
+    way: FloatArray  #: (n,): Path length at the ends of the spans [mm].
+    bound: FloatArray  #: (n, 2): Bounds of contour and orientation deviation of the spans [um].
+    used: FloatArray  #: (2,): Largest bounds of all spans over their tolerances [-].
+    #: (K, 2): The curve around the largest bound, in the plane of its largest extent [mm].
     curve: FloatArray
-    polyline: FloatArray
-    line: int
+    polyline: FloatArray  #: (M, 2): The programmed tips there, in the same plane [mm].
+    line: int  #: Line of the program there.
 
     @property
     def text(self) -> str:
@@ -73,22 +53,7 @@ class CurvesView:
 
 
 def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
-    """
-    Prepare the curves of a plan.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    segments : PathSegments
-        Its smooth path.
-
-    Returns
-    -------
-    CurvesView or None
-        None if no linear blocks became curves.
-
-    """
+    """Prepare the curves of a plan."""
     native = np.isfinite(plan.blocks['knot_interval'])
     spans = np.flatnonzero((segments.kind == SPLINE) & ~native[segments.block[:, 1]])
     if not len(spans):
@@ -166,22 +131,7 @@ def close_figure(view: CurvesView) -> Any:
 
 
 def curves_section(plan: PlanFiles, segments: PathSegments) -> str:
-    """
-    Write the section about curves through dense blocks.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    segments : PathSegments
-        Its smooth path.
-
-    Returns
-    -------
-    str
-        HTML; empty if no blocks became curves.
-
-    """
+    """Write the section about curves through dense blocks."""
     view = curves_of(plan, segments)
     if view is None:
         return ''

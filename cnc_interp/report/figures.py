@@ -82,20 +82,7 @@ def path_figure(series: Series) -> Any:
 
 
 def feed_span(series: Series) -> tuple[float, str]:
-    """
-    Choose the colour scale of the feedrate so that short rapids do not dominate it.
-
-    Parameters
-    ----------
-    series : Series
-        Values to draw.
-
-    Returns
-    -------
-    (float, str)
-        Upper end of the scale [mm/min] and its title.
-
-    """
+    """Choose the colour scale of the feedrate so that short rapids do not dominate it."""
     fastest = float(series.feed.max(initial=0.0))
     usual = float(np.percentile(series.feed, 95.0))
     if 0.0 < usual < 0.5 * fastest:
@@ -135,20 +122,7 @@ def feed_figure(series: Series) -> Any:
 
 
 def feed_ceiling(series: Series) -> float:
-    """
-    Choose the upper end of the feed axis.
-
-    Parameters
-    ----------
-    series : Series
-        Values to draw.
-
-    Returns
-    -------
-    float
-        Feed [mm/min].
-
-    """
+    """Choose the upper end of the feed axis."""
     finite = series.programmed_feed[np.isfinite(series.programmed_feed)]
     asked = float(finite.max(initial=0.0))
     fastest = float(series.feed.max(initial=0.0))
@@ -267,23 +241,11 @@ def _tool_lines(series: Series) -> FloatArray:
 
 @dataclass(frozen=True)
 class Plot:
-    """
-    A section of the report with one figure.
+    """A section of the report with one figure."""
 
-    Parameters
-    ----------
-    heading : str
-        Heading of the section.
-    text : callable
-        Returns the text above the figure.
-    draw : callable
-        Returns the figure.
-
-    """
-
-    heading: str
-    text: Callable[[Series], str]
-    draw: Callable[[Series], Any]
+    heading: str  #: Heading of the section.
+    text: Callable[[Series], str]  #: Returns the text above the figure.
+    draw: Callable[[Series], Any]  #: Returns the figure.
 
 
 #: The figures of every report, in order. A new one is a function above and a row here.

@@ -139,24 +139,7 @@ def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
 
 
 def transfer(drive: AxisDrive, viscous: float, frequency: FloatArray) -> FloatArray:
-    """
-    Return the linear answer of an axis to its setpoint, without backlash and friction.
-
-    Parameters
-    ----------
-    drive : AxisDrive
-        The drive.
-    viscous : float
-        Viscous friction over the inertia [1/s].
-    frequency : ndarray, shape (n,)
-        Frequencies [Hz].
-
-    Returns
-    -------
-    ndarray of complex, shape (n,)
-        X/R.
-
-    """
+    """Return the linear answer of an axis to its setpoint, without backlash and friction."""
     s = 2j * np.pi * frequency
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant
     answer = (f * s + kv) / (tau * s**2 + (1.0 + tau * viscous) * s + kv)

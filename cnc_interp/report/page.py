@@ -23,26 +23,7 @@ from cnc_interp.smoothing.segments import PathSegments
 def write_report(
     directory: Path, out: Path, machine: Machine | None = None, compare: Path | None = None
 ) -> None:
-    """
-    Write the report of a plan directory.
-
-    Parameters
-    ----------
-    directory : Path
-        A directory written by ``cnc-interp plan``.
-    out : Path
-        HTML file to write.
-    machine : Machine, optional
-        The machine, if the machine that the summary names cannot be found.
-    compare : Path, optional
-        Another plan directory to compare with.
-
-    Raises
-    ------
-    InterpError
-        If the files cannot be read or written, or plotly is not installed.
-
-    """
+    """Write the report of a plan directory."""
     plan = read_plan(directory).in_memory()
     segments = read_segments(directory)
     other = None
@@ -58,23 +39,11 @@ def write_report(
 
 @dataclass(frozen=True)
 class Other:
-    """
-    The second plan of a comparison.
+    """The second plan of a comparison."""
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        The second plan.
-    machine : Machine or None
-        Its machine, if given.
-    names : (str, str)
-        Names of both plans.
-
-    """
-
-    plan: PlanFiles
-    machine: Machine | None
-    names: tuple[str, str]
+    plan: PlanFiles  #: The second plan.
+    machine: Machine | None  #: Its machine, if given.
+    names: tuple[str, str]  #: Names of both plans.
 
 
 def render(
@@ -83,31 +52,7 @@ def render(
     segments: PathSegments | None = None,
     other: Other | None = None,
 ) -> str:
-    """
-    Write the page.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        Its machine.
-    segments : PathSegments, optional
-        The smooth path, for corners and curves.
-    other : Other, optional
-        A second plan to compare with.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    Raises
-    ------
-    InterpError
-        If the plan was made for another machine, or plotly is not installed.
-
-    """
+    """Write the page."""
     try:
         from plotly.offline import get_plotlyjs
 

@@ -54,20 +54,7 @@ def with_axes(figure: Any) -> Any:
 
 
 def xyz(points: FloatArray) -> dict[str, FloatArray]:
-    """
-    Return points as the coordinates of a trace in space.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Points [mm].
-
-    Returns
-    -------
-    dict of str to ndarray, shape (n,)
-        Coordinates ``x``, ``y`` and ``z`` [mm].
-
-    """
+    """Return points as the coordinates of a trace in space."""
     return dict(zip('xyz', rounded(points).T, strict=True))
 
 

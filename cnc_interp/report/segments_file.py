@@ -22,25 +22,7 @@ OPTIONAL = {'extra', 'interpolation', 'room'}
 
 
 def read_segments(directory: Path) -> PathSegments | None:
-    """
-    Read the smooth path of a plan directory.
-
-    Parameters
-    ----------
-    directory : Path
-        The plan directory.
-
-    Returns
-    -------
-    PathSegments or None
-        None if the directory has no such file.
-
-    Raises
-    ------
-    InterpError
-        If the file cannot be read, or its columns do not belong together.
-
-    """
+    """Read the smooth path of a plan directory."""
     file = directory / FILE
     if not file.is_file():
         return None
@@ -68,22 +50,7 @@ def read_segments(directory: Path) -> PathSegments | None:
 
 
 def lengths(segments: PathSegments, height: float) -> FloatArray:
-    """
-    Return the path lengths of segments; those of curves by Gauss's rule.
-
-    Parameters
-    ----------
-    segments : PathSegments
-        n segments.
-    height : float
-        Flank height, at which rotary axes that run linearly count [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Lengths [m].
-
-    """
+    """Return the path lengths of segments; those of curves by Gauss's rule."""
     length = np.array(segments.length, dtype=float)
     corner = np.flatnonzero(segments.kind == CORNER)
     points = segments.bottom[corner, :5]

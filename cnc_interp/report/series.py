@@ -20,64 +20,35 @@ KINDS = ('velocity', 'acceleration', 'jerk')
 
 @dataclass(frozen=True)
 class Series:
-    """
-    The values to draw, one row per setpoint unless stated otherwise.
+    """The values to draw, one row per setpoint unless stated otherwise."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (K,)
-        Time [s].
-    way : ndarray, shape (K,)
-        Path length [mm].
-    tip : ndarray, shape (K, 3)
-        Tool tip [mm].
-    axis : ndarray, shape (K, 3)
-        Tool axis [-].
-    feed, programmed_feed, feed_limit : ndarray, shape (K,)
-        Speed along the path, programmed feed, and the limit of Eq. 10 [mm/min].
-    axis_use : ndarray, shape (3, K, n_axes)
-        Velocity, acceleration and jerk over their limits, signed [-].
-    axis_limits : ndarray, shape (3, K, n_axes)
-        Those limits where the axes are [mm or deg, per s, per s2, per s3].
-    torque_use : dict of int to ndarray, shape (K,)
-        Torque over the largest one [-], for axes that have one.
-    largest_torque : dict of int to float
-        Those torques [N or Nm].
-    axis_names, axis_units : tuple of str
-        Names, and ``mm`` or ``deg``.
-    contour_error, orientation_error : ndarray, shape (K,)
-        Deviation of the tip and of the point at flank height [um].
-    contour_tolerance, orientation_tolerance : ndarray, shape (K,)
-        Tolerances there [um].
-    line : ndarray of int, shape (K,)
-        Line of the part program.
-    vertices : ndarray, shape (M, 3)
-        Programmed tool tips [mm].
-    flank_height : float
-        Height above the tip at which the orientation error is measured [mm].
-
-    """
-
-    time: FloatArray
-    way: FloatArray
-    tip: FloatArray
-    axis: FloatArray
+    time: FloatArray  #: (K,): Time [s].
+    way: FloatArray  #: (K,): Path length [mm].
+    tip: FloatArray  #: (K, 3): Tool tip [mm].
+    axis: FloatArray  #: (K, 3): Tool axis [-].
+    #: (K,): Speed along the path, programmed feed, and the limit of Eq. 10 [mm/min].
     feed: FloatArray
     programmed_feed: FloatArray
     feed_limit: FloatArray
+    #: (3, K, n_axes): Velocity, acceleration and jerk over their limits, signed [-].
     axis_use: FloatArray
+    #: (3, K, n_axes): Those limits where the axes are [mm or deg, per s, per s2, per s3].
     axis_limits: FloatArray
+    #: (K,): Torque over the largest one [-], for axes that have one.
     torque_use: dict[int, FloatArray]
-    largest_torque: dict[int, float]
+    largest_torque: dict[int, float]  #: Those torques [N or Nm].
+    #: Names, and ``mm`` or ``deg``.
     axis_names: tuple[str, ...]
     axis_units: tuple[str, ...]
+    #: (K,): Deviation of the tip and of the point at flank height [um].
     contour_error: FloatArray
     orientation_error: FloatArray
+    #: (K,): Tolerances there [um].
     contour_tolerance: FloatArray
     orientation_tolerance: FloatArray
-    line: IntArray
-    vertices: FloatArray
-    flank_height: float
+    line: IntArray  #: (K,): Line of the part program.
+    vertices: FloatArray  #: (M, 3): Programmed tool tips [mm].
+    flank_height: float  #: Height above the tip at which the orientation error is measured [mm].
 
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
@@ -157,22 +128,7 @@ def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray
 
 
 def extremes(values: FloatArray, buckets: int) -> IntArray:
-    """
-    Choose rows that preserve a curve: of each bucket its first row, its minima and its maxima.
-
-    Parameters
-    ----------
-    values : ndarray, shape (K,) or (K, m)
-        Curves whose extremes are preserved [any unit].
-    buckets : int
-        Number of buckets; about ``1 + 2 m`` rows of each are kept.
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        Rows in increasing order, with the first and the last.
-
-    """
+    """Choose rows that preserve a curve: of each bucket first row, minima and maxima."""
     table = values.reshape(len(values), -1)
     count = len(table)
     if count <= buckets * (1 + 2 * table.shape[1]):

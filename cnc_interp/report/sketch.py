@@ -55,22 +55,7 @@ def feed_sketch(directory: Path, width: int, unicode: bool) -> str:
 
 
 def bars(shares: FloatArray, steps: str) -> list[str]:
-    """
-    Draw a bar chart with characters.
-
-    Parameters
-    ----------
-    shares : ndarray, shape (n,)
-        Heights of the bars between 0 and 1 [-].
-    steps : str
-        Characters from empty to full.
-
-    Returns
-    -------
-    list of str
-        ``ROWS`` lines of n characters, the highest first.
-
-    """
+    """Draw a bar chart with characters."""
     levels = np.round(shares * ROWS * (len(steps) - 1)).astype(int)
     full = len(steps) - 1
     return [

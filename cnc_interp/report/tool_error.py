@@ -18,22 +18,7 @@ from cnc_interp.report.series import extremes
 
 
 def tool_error_section(plan: PlanFiles, machine: Machine) -> str:
-    """
-    Draw the errors of the simulated drives at the tool, with and without compensation.
-
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        Its machine, whose drives are not ideal.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Draw the errors of the simulated drives at the tool, with and without compensation."""
     velocity = np.asarray(plan.setpoints['velocity'])
     position = np.asarray(plan.position)
     plain, compensated = (

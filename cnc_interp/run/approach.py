@@ -22,29 +22,7 @@ THERE = 1e-12
 def approach(
     transform: Transform, flank_height: float, start: FloatArray, end: FloatArray
 ) -> AxisPath | None:
-    """
-    Make the path of the approach to the start pose: all axes run straight and arrive together.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    flank_height : float
-        Height that measures rotations [m].
-    start, end : ndarray, shape (n_axes,)
-        Axis positions where the machine stands, and of the start pose [m, rad].
-
-    Returns
-    -------
-    AxisPath or None
-        As from ``straight``.
-
-    Raises
-    ------
-    TravelError
-        If the start pose lies outside the travel.
-
-    """
+    """Make the approach path to the start pose: all axes run straight and arrive together."""
     return straight(transform, flank_height, np.stack([start, end]), np.array([np.inf]))
 
 
@@ -95,33 +73,7 @@ def approach_inside(
     retract: float,
     plunge_feed: float,
 ) -> AxisPath | None:
-    """
-    Make the path to a place inside the program: retract, position, plunge.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    flank_height : float
-        Height that measures rotations [m].
-    stands, place : ndarray, shape (n_axes,)
-        Axis positions where the machine stands, and of the place [m, rad].
-    retract : float
-        Length of the plunge, and least way back along the tool [m].
-    plunge_feed : float
-        Feedrate of the plunge [m/s].
-
-    Returns
-    -------
-    AxisPath or None
-        As from ``straight``.
-
-    Raises
-    ------
-    TravelError
-        If the place lies outside the travel.
-
-    """
+    """Make the path to a place inside the program: retract, position, plunge."""
     corners = way_inside(transform, stands, place, retract)
     feeds = np.array([np.inf, np.inf, np.inf, plunge_feed])
     return straight(transform, flank_height, corners, feeds)
@@ -134,28 +86,6 @@ def straight(
     Make a path from point to point, with a rest at each.
 
     Each axis runs monotonically between two points, so it stays within its travel when both do.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    flank_height : float
-        Height that measures rotations [m].
-    points : ndarray, shape (m, n_axes)
-        Axis positions, the first one where the machine stands [m, rad].
-    feeds : ndarray, shape (m - 1,)
-        Feedrate to each of the other points; infinite where only the axes limit it [m/s].
-
-    Returns
-    -------
-    AxisPath or None
-        Block 0, with s from below 0 to 0 [m]; None where the machine is there already.
-
-    Raises
-    ------
-    TravelError
-        If a point lies outside the travel.
-
     """
     machine = transform.machine
     there = np.concatenate([points[1:, None], np.zeros((len(points) - 1, 3, points.shape[1]))], 1)

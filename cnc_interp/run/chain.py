@@ -53,23 +53,7 @@ class Plan:
 
 
 class Chain:
-    """
-    All stages: blocks in; segments, planned pieces and setpoints out.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    settings : Settings
-        The choices of the run.
-    clock : callable
-        Measures the time of each stage [s].
-    start : StartFinder, optional
-        Finds the place where the run starts, if that is not the top.
-    processes : int
-        How many processes plan motion; with 1, this one does. The results are the same.
-
-    """
+    """All stages: blocks in; segments, planned pieces and setpoints out."""
 
     def __init__(
         self,
@@ -176,29 +160,7 @@ def plan_program(
     machine: Machine,
     settings: Settings | None = None,
 ) -> Plan:
-    """
-    Plan a whole program and keep everything; ``plan_to_files`` keeps nothing.
-
-    Parameters
-    ----------
-    program : Program
-        What was read.
-    machine : Machine
-        The machine it shall run on.
-    settings : Settings, optional
-        The user's choices.
-
-    Returns
-    -------
-    Plan
-        Setpoints and all that led to them.
-
-    Raises
-    ------
-    InterpError
-        If the program cannot run on the machine; the message names line, axis and value.
-
-    """
+    """Plan a whole program and keep everything; ``plan_to_files`` keeps nothing."""
     settings = settings or Settings()
     chain = Chain(machine, settings)
     with at_fault(program.source):
@@ -307,17 +269,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
 
 
 def write_plan(plan: Plan, directory: Path) -> None:
-    """
-    Write the plan files (README, "Plan files"); everything in SI.
-
-    Parameters
-    ----------
-    plan : Plan
-        What was planned.
-    directory : Path
-        Created if missing; files in it are replaced.
-
-    """
+    """Write the plan files (README, "Plan files"); everything in SI."""
     with PlanWriter(directory, plan.machine, plan.settings) as writer:
         pass_on(plan, writer)
         writer.finish(plan.program.source, plan.planning_time)

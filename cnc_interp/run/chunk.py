@@ -23,23 +23,12 @@ class Wait(IntEnum):
 
 @dataclass(frozen=True)
 class Chunk:
-    """
-    Consecutive setpoints and the stop after them.
+    """Consecutive setpoints and the stop after them."""
 
-    Parameters
-    ----------
-    samples : Setpoints
-        The setpoints to be executed.
-    tail : Setpoints
-        From the last of them to rest on the path; empty where that is at rest already.
-    wait : Wait
-        What the machine waits for after the last one.
-
-    """
-
-    samples: Setpoints
+    samples: Setpoints  #: The setpoints to be executed.
+    #: From the last of them to rest on the path; empty where that is at rest already.
     tail: Setpoints
-    wait: Wait
+    wait: Wait  #: What the machine waits for after the last one.
 
     @property
     def ends_approach(self) -> bool:

@@ -14,14 +14,6 @@ class ChunkCutter:
 
     The tail of a chunk follows the plan to the next setpoint with a known stop, then that stop.
     Setpoints after the last known stop are kept until a further stop is known.
-
-    Parameters
-    ----------
-    size : int
-        Most setpoints in a chunk.
-    number : int
-        Number of the plan's first setpoint.
-
     """
 
     def __init__(self, size: int, number: int):

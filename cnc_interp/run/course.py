@@ -170,24 +170,7 @@ def slowed(
     scaled: Callable[[AxisPath], FloatArray],
     way_down: PlannedPiece | None,
 ) -> AxisPath:
-    """
-    Scale the feed of a part. During a stop the feed is at least the speed of the stop.
-
-    Parameters
-    ----------
-    path : AxisPath
-        Part of the path.
-    scaled : callable
-        Returns the scaled feed of each cell of a path [m/s].
-    way_down : PlannedPiece or None
-        A stop from where planning begins; the feed may lie a little above it.
-
-    Returns
-    -------
-    AxisPath
-        The part with the scaled feed; on the way down on a finer grid.
-
-    """
+    """Scale the feed of a part. During a stop the feed is at least the speed of the stop."""
     if way_down is None or path.s[0] >= way_down.path.s[-1]:
         return replace(path, cell_feed=scaled(path))
     law = way_down.law
@@ -199,24 +182,7 @@ def slowed(
 
 
 def fastest_in_cells(time: FloatArray, way_down: PlannedPiece, s: FloatArray) -> FloatArray:
-    """
-    Return the largest speed of a stop in each cell.
-
-    Parameters
-    ----------
-    time : ndarray, shape (L,)
-        Start times of the rows of its law [s].
-    way_down : PlannedPiece
-        The stop.
-    s : ndarray, shape (N,)
-        Borders of the cells [m].
-
-    Returns
-    -------
-    ndarray, shape (N - 1,)
-        Path speed [m/s]; 0 after the end of the stop.
-
-    """
+    """Return the largest speed of a stop in each cell."""
     law = way_down.law
     instants = np.linspace(time[0], law.end_time, 20 * ENVELOPE)
     place, speed, _, _ = law.evaluate(instants)

@@ -14,29 +14,17 @@ from cnc_interp.kinematics.axis_path import evaluate_along
 
 @dataclass(frozen=True)
 class Setpoints:
-    """
-    Commanded positions and their derivatives, one row per interpolation period.
+    """Commanded positions and their derivatives, one row per interpolation period."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (K,)
-        Time since the start of the motion, whole multiples of the period [s].
-    position, velocity, acceleration, jerk : ndarray, shape (K, n_axes)
-        Commanded axes and their time derivatives [m or rad, per s, per s2, per s3].
-    block : ndarray of int, shape (K,)
-        Row of the block being executed.
-    s : ndarray, shape (K,)
-        Path position [m].
-
-    """
-
+    #: (K,): Time since the start of the motion, whole multiples of the period [s].
     time: FloatArray
+    #: (K, n_axes): Commanded axes and their time derivatives [m or rad, per s, per s2, per s3].
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
     jerk: FloatArray
-    block: IntArray
-    s: FloatArray
+    block: IntArray  #: (K,): Row of the block being executed.
+    s: FloatArray  #: (K,): Path position [m].
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -54,17 +42,7 @@ class Setpoints:
 
 
 class Interpolator:
-    """
-    Samples planned pieces as they arrive; sample k lies at k times the period.
-
-    Parameters
-    ----------
-    period : float
-        Interpolation period T [s].
-    first : int
-        Number of the first sample.
-
-    """
+    """Samples planned pieces as they arrive; sample k lies at k times the period."""
 
     def __init__(self, period: float, first: int = 0):
         self.period = period

@@ -62,23 +62,7 @@ def without_long_rows(law: MotionLaw) -> MotionLaw:
 
 
 class Leg:
-    """
-    One leg of a stream: planned, then sampled slice by slice.
-
-    Parameters
-    ----------
-    limits : AxisLimits
-        Limits of the axes.
-    period : float
-        Interpolation period [s].
-    begun : int
-        Samples of the leg, on its own time axis, that are handed out already.
-    start : tuple of float
-        s_dot and s_ddot at the last of them [m/s, m/s2]; without samples, at rest.
-    tool : ToolLimit, optional
-        Limit on the error that the drives leave at the tool.
-
-    """
+    """One leg of a stream: planned, then sampled slice by slice."""
 
     def __init__(
         self,

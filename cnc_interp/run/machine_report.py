@@ -11,46 +11,20 @@ from cnc_interp.run.run_state import State
 
 @dataclass(frozen=True)
 class MachineReport:
-    """
-    The last report of the machine.
+    """The last report of the machine."""
 
-    Parameters
-    ----------
-    run_id : RunId
-        The run that it executes or has executed last.
-    state : State
-        What it is doing.
-    plan_over : bool
-        It left the plan by a stop tail and rests; another plan must follow.
-    start_wanted : bool
-        cycle_start was asked for, and there are not enough setpoints to start with.
-    completed : bool
-        The run was executed to its end.
-    path_position : float
-        Path length executed [m].
-    stands : ndarray, shape (n_axes,)
-        Commanded axis positions [m, rad].
-    time : float
-        Time of the report by the machine's clock [s].
-    message : str
-        The reason for its state, for people.
-    must_home : tuple of str
-        Axes that must be homed before a program may start.
-    away : bool
-        The axes were moved away from a hold by hand, and are not back on the path yet.
-
-    """
-
-    run_id: RunId
-    state: State
-    plan_over: bool
+    run_id: RunId  #: The run that it executes or has executed last.
+    state: State  #: What it is doing.
+    plan_over: bool  #: It left the plan by a stop tail and rests; another plan must follow.
+    #: cycle_start was asked for, and there are not enough setpoints to start with.
     start_wanted: bool
-    completed: bool
-    path_position: float
-    stands: FloatArray
-    time: float
-    message: str
-    must_home: tuple[str, ...] = ()
+    completed: bool  #: The run was executed to its end.
+    path_position: float  #: Path length executed [m].
+    stands: FloatArray  #: (n_axes,): Commanded axis positions [m, rad].
+    time: float  #: Time of the report by the machine's clock [s].
+    message: str  #: The reason for its state, for people.
+    must_home: tuple[str, ...] = ()  #: Axes that must be homed before a program may start.
+    #: The axes were moved away from a hold by hand, and are not back on the path yet.
     away: bool = False
 
     @property

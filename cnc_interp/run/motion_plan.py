@@ -32,85 +32,32 @@ WAY_DOWN_LEEWAY = 6e-3
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    """
-    The settings of the operator that a plan depends on.
+    """The settings of the operator that a plan depends on."""
 
-    Parameters
-    ----------
-    override : float
-        Factor on the programmed feed, 0 to 1.5 [-]; 0 stops on the path and waits.
-    single_block : bool
-        Rest at the end of each source line until cycle_start.
-    rapid : float
-        Factor on the speed of rapids, up to 1 [-].
-
-    """
-
+    #: Factor on the programmed feed, 0 to 1.5 [-]; 0 stops on the path and waits.
     override: float = 1.0
-    single_block: bool = False
-    rapid: float = 1.0
+    single_block: bool = False  #: Rest at the end of each source line until cycle_start.
+    rapid: float = 1.0  #: Factor on the speed of rapids, up to 1 [-].
 
 
 @dataclass(frozen=True)
 class PlanContext:
-    """
-    The data that all plans of one run share.
+    """The data that all plans of one run share."""
 
-    Parameters
-    ----------
-    limits : AxisLimits
-        Limits of the axes.
-    table : ndarray, shape (7, n_axes, m)
-        The same limits as ``limit_table`` returns them.
-    period : float
-        Interpolation period [s].
-    chunk_size : int
-        Most setpoints in a chunk.
-    line_of : callable
-        Returns the source line of a block; single block stops where it changes.
-    course : Course
-        The path of the run.
-    pause_blocks : dict of int to Wait
-        Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
-    tool : ToolLimit, optional
-        Limit on the error that the drives leave at the tool.
-
-    """
-
-    limits: AxisLimits
-    table: FloatArray
-    period: float
-    chunk_size: int
+    limits: AxisLimits  #: Limits of the axes.
+    table: FloatArray  #: (7, n_axes, m): The same limits as ``limit_table`` returns them.
+    period: float  #: Interpolation period [s].
+    chunk_size: int  #: Most setpoints in a chunk.
+    #: Returns the source line of a block; single block stops where it changes.
     line_of: Callable[[int], int]
-    course: Course = field(default_factory=Course)
+    course: Course = field(default_factory=Course)  #: The path of the run.
+    #: Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
     pause_blocks: dict[int, Wait] = field(default_factory=dict)
-    tool: ToolLimit | None = None
+    tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
 
 
 class MotionPlan:
-    """
-    One plan of a run, from one setpoint on.
-
-    Parameters
-    ----------
-    context : PlanContext
-        What it shares with the other plans of the run.
-    settings : OperatorSettings
-        The settings that it follows.
-    todo : deque of AxisPath and LegEnd
-        The path to plan.
-    number : int
-        Number of its first setpoint.
-    leg : Leg, optional
-        The leg that it begins with, in motion; from rest by default.
-    way_down : PlannedPiece, optional
-        A stop from its first state. A feed that is lowered lies at most 2 % above it.
-    before : MotionPlan, optional
-        The plan that it follows. Its setpoints below ``number`` stay.
-    rests : Setpoints, optional
-        The setpoint at which the machine rests before this plan.
-
-    """
+    """One plan of a run, from one setpoint on."""
 
     def __init__(
         self,
@@ -285,21 +232,7 @@ class MotionPlan:
         return None
 
     def way_down(self, number: int) -> PlannedPiece | None:
-        """
-        Return a path to rest: as planned until a setpoint with a known stop, then the stop.
-
-        Parameters
-        ----------
-        number : int
-            Number of a setpoint in motion that was handed out.
-
-        Returns
-        -------
-        PlannedPiece or None
-            The way from this setpoint on the clock of its leg; None where the motion planned so
-            far has no stop.
-
-        """
+        """Return a path to rest: as planned until a setpoint with a known stop, then the stop."""
         found = self.state_at(number)
         if found is None:
             return None

@@ -48,14 +48,6 @@ class ParallelPlanner:
     Plan the motion along a path that arrives in parts, with several processes.
 
     They start when the path has a section for them.
-
-    Parameters
-    ----------
-    planning : Planning
-        How motion is planned.
-    processes : int
-        How many processes plan.
-
     """
 
     def __init__(self, planning: Planning, processes: int):

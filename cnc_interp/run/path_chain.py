@@ -38,15 +38,7 @@ BATCH = 256
 
 
 class Stopwatch:
-    """
-    Adds up the time that each stage takes.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time [s].
-
-    """
+    """Adds up the time that each stage takes."""
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter):
         self._clock = clock
@@ -69,20 +61,10 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class PathPart:
-    """
-    The part of the path that became final with some blocks.
+    """The part of the path that became final with some blocks."""
 
-    Parameters
-    ----------
-    segments : PathSegments
-        Final segments; possibly none.
-    path : AxisPath or None
-        The same in machine axes; None where there are none.
-
-    """
-
-    segments: PathSegments
-    path: AxisPath | None
+    segments: PathSegments  #: Final segments; possibly none.
+    path: AxisPath | None  #: The same in machine axes; None where there are none.
 
 
 class PathChain:

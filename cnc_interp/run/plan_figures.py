@@ -26,17 +26,7 @@ from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 
 class PlanFigures:
-    """
-    The figures of ``summary.json``, updated by every batch.
-
-    Parameters
-    ----------
-    machine : Machine
-        Gives names and limits of the axes.
-    settings : Settings
-        The user's choices.
-
-    """
+    """The figures of ``summary.json``, updated by every batch."""
 
     def __init__(self, machine: Machine, settings: Settings):
         period = settings.interpolation_period

@@ -27,20 +27,10 @@ class LostProcessError(InterpError):
 
 @dataclass(frozen=True)
 class Planning:
-    """
-    How motion is planned.
+    """How motion is planned."""
 
-    Parameters
-    ----------
-    limits : AxisLimits
-        Limits of the axes.
-    options : PlanOptions
-        Settings of the planner.
-
-    """
-
-    limits: AxisLimits
-    options: PlanOptions
+    limits: AxisLimits  #: Limits of the axes.
+    options: PlanOptions  #: Settings of the planner.
 
     @property
     def afresh_at_rests(self) -> bool:
@@ -53,15 +43,7 @@ class Planning:
 
 
 class PlannerProcess:
-    """
-    A planner in a process of its own; it plans sections in the order in which they are given.
-
-    Parameters
-    ----------
-    planning : Planning
-        How it plans.
-
-    """
+    """A planner in a process of its own; it plans sections in the order given."""
 
     def __init__(self, planning: Planning):
         context = multiprocessing.get_context('fork')

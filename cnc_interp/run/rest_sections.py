@@ -17,20 +17,10 @@ STROKE = 20
 
 @dataclass(frozen=True)
 class Section:
-    """
-    Part of a path that begins where the one before ends.
+    """Part of a path that begins where the one before ends."""
 
-    Parameters
-    ----------
-    path : AxisPath
-        The part.
-    rests : bool
-        Whether the motion rests at its end.
-
-    """
-
-    path: AxisPath
-    rests: bool
+    path: AxisPath  #: The part.
+    rests: bool  #: Whether the motion rests at its end.
 
 
 class RestSections:
@@ -38,12 +28,6 @@ class RestSections:
     Cuts a path that arrives in parts, at its exact stops if possible.
 
     Where a section ends may depend on the arrival of the parts. The motion does not.
-
-    Parameters
-    ----------
-    at_rests : bool
-        Whether sections may end at rests.
-
     """
 
     def __init__(self, at_rests: bool = True) -> None:

@@ -7,23 +7,11 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class RunId:
-    """
-    Identity of a stream of blocks, segments or setpoints.
+    """Identity of a stream of blocks, segments or setpoints."""
 
-    Parameters
-    ----------
-    program_id : str
-        The run, the same string from its start to its end; empty for no run.
-    attempt : int
-        How often the run was begun again after the loss of a node.
-    plan : int
-        Number of the plan in the attempt. Blocks and segments always have plan 0.
-
-    """
-
-    program_id: str = ''
-    attempt: int = 0
-    plan: int = 0
+    program_id: str = ''  #: The run, the same string from its start to its end; empty for no run.
+    attempt: int = 0  #: How often the run was begun again after the loss of a node.
+    plan: int = 0  #: Number of the plan in the attempt. Blocks and segments always have plan 0.
 
     def __bool__(self) -> bool:
         return bool(self.program_id)

@@ -65,20 +65,10 @@ class Code(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """
-    How a run ended.
+    """How a run ended."""
 
-    Parameters
-    ----------
-    code : Code
-        For programs.
-    message : str
-        What happened and what to do, for people.
-
-    """
-
-    code: Code
-    message: str
+    code: Code  #: For programs.
+    message: str  #: What happened and what to do, for people.
 
 
 def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:

@@ -231,23 +231,7 @@ class RunPlanner:
         return []
 
     def revise(self, number: int, settings: OperatorSettings) -> Revision | None:
-        """
-        Plan with other settings after a setpoint that was handed out; the current plan stays.
-
-        Parameters
-        ----------
-        number : int
-            Number of the last setpoint that is executed as it is.
-        settings : OperatorSettings
-            The settings that the revision follows.
-
-        Returns
-        -------
-        Revision or None
-            None where no other motion was found from there, or too little of it: ask again at a
-            later setpoint.
-
-        """
+        """Plan with other settings after a setpoint already handed out; the plan stays."""
         plan, chunks, count = self.stream.revision(number, settings), [], 0
         if plan is None:
             return None

@@ -177,35 +177,17 @@ _REFUSALS = {
 
 @dataclass(frozen=True)
 class RunState:
-    """
-    The state of the machine in its run.
+    """The state of the machine in its run."""
 
-    Parameters
-    ----------
-    state : State
-        What the machine is doing.
-    reason : Reason
-        Why.
-    detail : str
-        What the text of the reason needs: a count, or what was refused.
-    plan_over : bool
-        The machine has left its plan by a stop tail. A new plan must begin where it rests.
-    start_wanted : bool
-        cycle_start was given and the setpoints to start with are not there yet.
-    completed : bool
-        The run was executed to its end.
-    refusal : str
-        Why no further setpoints of this run come; empty while they may.
-
-    """
-
-    state: State = State.INACTIVE
-    reason: Reason = Reason.NONE
-    detail: str = ''
+    state: State = State.INACTIVE  #: What the machine is doing.
+    reason: Reason = Reason.NONE  #: Why.
+    detail: str = ''  #: What the text of the reason needs: a count, or what was refused.
+    #: The machine has left its plan by a stop tail. A new plan must begin where it rests.
     plan_over: bool = False
+    #: cycle_start was given and the setpoints to start with are not there yet.
     start_wanted: bool = False
-    completed: bool = False
-    refusal: str = ''
+    completed: bool = False  #: The run was executed to its end.
+    refusal: str = ''  #: Why no further setpoints of this run come; empty while they may.
 
     @property
     def resting(self) -> bool:

@@ -64,23 +64,11 @@ class SessionPort(Protocol):
 
 @dataclass(frozen=True)
 class Received:
-    """
-    What the machine reported about the setpoints it receives.
+    """What the machine reported about the setpoints it receives."""
 
-    Parameters
-    ----------
-    run_id : RunId
-        The plan that it receives.
-    executed : float
-        Number of the next setpoint that it executes, by now.
-    turned_away : bool
-        The plan sent last was to join where the machine has passed.
-
-    """
-
-    run_id: RunId = NO_RUN
-    executed: float = -math.inf
-    turned_away: bool = False
+    run_id: RunId = NO_RUN  #: The plan that it receives.
+    executed: float = -math.inf  #: Number of the next setpoint that it executes, by now.
+    turned_away: bool = False  #: The plan sent last was to join where the machine has passed.
 
 
 @dataclass(frozen=True)

@@ -28,26 +28,12 @@ TRIED, DIVIDED = 16, 8
 
 @dataclass(frozen=True)
 class StartPlace:
-    """
-    Where on the path a run starts.
+    """Where on the path a run starts."""
 
-    Parameters
-    ----------
-    block : StartBlock
-        The start in the program.
-    line : int
-        Line of the first motion.
-    s : float
-        Path length from the top of the program [m].
-    position : ndarray, shape (n_axes,)
-        Axis positions [m, rad].
-
-    """
-
-    block: StartBlock
-    line: int
-    s: float
-    position: FloatArray
+    block: StartBlock  #: The start in the program.
+    line: int  #: Line of the first motion.
+    s: float  #: Path length from the top of the program [m].
+    position: FloatArray  #: (n_axes,): Axis positions [m, rad].
 
     @property
     def texts(self) -> tuple[str, ...]:

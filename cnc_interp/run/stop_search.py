@@ -20,21 +20,7 @@ HASTE, HASTY_EVERY = 0.3, 0.02
 
 
 class StopSearch:
-    """
-    Find stops at the setpoints of one plan.
-
-    Parameters
-    ----------
-    course : Course
-        The path ahead.
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes as ``limit_table`` returns them.
-    period : float
-        Interpolation period [s].
-    joins_at : int, optional
-        Number of the setpoint with which the plan joins another one in motion.
-
-    """
+    """Find stops at the setpoints of one plan."""
 
     def __init__(
         self, course: Course, table: FloatArray, period: float, joins_at: int | None = None

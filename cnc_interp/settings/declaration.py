@@ -40,23 +40,11 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True)
 class Unit:
-    """
-    The unit in which people give a number.
+    """The unit in which people give a number."""
 
-    Parameters
-    ----------
-    name : str
-        Unit of the shop floor; empty for a plain number.
-    size : float
-        One unit in SI.
-    si : str
-        Name of the SI unit.
-
-    """
-
-    name: str
-    size: float
-    si: str
+    name: str  #: Unit of the shop floor; empty for a plain number.
+    size: float  #: One unit in SI.
+    si: str  #: Name of the SI unit.
 
 
 PLAIN = Unit('', 1.0, '-')
@@ -68,53 +56,23 @@ TIME = Unit('ms', MS, 's')
 
 @dataclass(frozen=True)
 class Choice:
-    """
-    One choice of the user.
+    """One choice of the user."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the field, of the ROS parameter and of the key in a goal.
-    kind : type
-        float, int, bool, str or Path.
-    default : float, int, bool, str, Path or None
-        Value where the user says nothing [SI].
-    stage : Stage
-        Stage of the chain that uses it.
-    sentence : str
-        What it means, in one plain sentence without a full stop.
-    option : str
-        Name on the command line, without the dashes.
-    unit : Unit
-        Unit on the shop floor.
-    low, high : float
-        Range of a number, ends included [SI].
-    values : tuple of str
-        The words to choose from; empty for other kinds.
-    optional : bool
-        Whether None is allowed.
-    nothing : str
-        Word for None; empty where people leave the choice out instead.
-    metavar : str
-        What stands for the value in the help.
-    for_comparison : bool
-        Whether the choice exists to compare methods; operators leave it alone.
-
-    """
-
-    name: str
-    kind: type
-    default: Value
-    stage: Stage
-    sentence: str
-    option: str
-    unit: Unit = PLAIN
+    name: str  #: Name of the field, of the ROS parameter and of the key in a goal.
+    kind: type  #: float, int, bool, str or Path.
+    default: Value  #: Value where the user says nothing [SI].
+    stage: Stage  #: Stage of the chain that uses it.
+    sentence: str  #: What it means, in one plain sentence without a full stop.
+    option: str  #: Name on the command line, without the dashes.
+    unit: Unit = PLAIN  #: Unit on the shop floor.
+    #: Range of a number, ends included [SI].
     low: float = -math.inf
     high: float = math.inf
-    values: tuple[str, ...] = ()
-    optional: bool = False
-    nothing: str = ''
-    metavar: str = ''
+    values: tuple[str, ...] = ()  #: The words to choose from; empty for other kinds.
+    optional: bool = False  #: Whether None is allowed.
+    nothing: str = ''  #: Word for None; empty where people leave the choice out instead.
+    metavar: str = ''  #: What stands for the value in the help.
+    #: Whether the choice exists to compare methods; operators leave it alone.
     for_comparison: bool = False
 
     def check(self, value: Any) -> None:
@@ -164,15 +122,7 @@ class Choice:
         return self.text(value)
 
     def from_shop(self, text: str) -> Any:
-        """
-        Read a value as people write it, in the shop's unit.
-
-        Raises
-        ------
-        SettingsError
-            If the text is no value of this choice.
-
-        """
+        """Read a value as people write it, in the shop's unit."""
         return self._read(text, self.unit.size)
 
     def text(self, value: Value) -> str:
@@ -186,15 +136,7 @@ class Choice:
         return repr(float(value)) if self.kind is float else str(value)
 
     def from_text(self, text: str) -> Any:
-        """
-        Read a value from text in SI.
-
-        Raises
-        ------
-        SettingsError
-            If the text is no value of this choice.
-
-        """
+        """Read a value from text in SI."""
         return self._read(text, 1.0)
 
     def plain(self, value: Value) -> float | int | bool | str:

@@ -36,35 +36,15 @@ from cnc_interp.smoothing.segments import (
 
 @dataclass(frozen=True)
 class Emission:
-    """
-    Rows whose vertices are classified and sized.
+    """Rows whose vertices are classified and sized."""
 
-    Parameters
-    ----------
-    rows : Rows
-        End poses of lines and curves.
-    legs : Legs
-        Geometry of the blocks between the vertices.
-    vertex : ndarray of int, shape (n,)
-        Kind of each vertex: PASS, ROUND or STOP.
-    inner : ndarray, shape (n,)
-        L1 of the corners [m].
-    outer : ndarray, shape (n, 2)
-        L2 before and after the vertices [m]; 0 without a corner.
-    style : Style
-        The construction of the corners.
-    machine : MachineTraits
-        Kinematics for blocks whose rotary axes run linearly.
-
-    """
-
-    rows: Rows
-    legs: Legs
-    vertex: IntArray
-    inner: FloatArray
-    outer: FloatArray
-    style: Style
-    machine: MachineTraits
+    rows: Rows  #: End poses of lines and curves.
+    legs: Legs  #: Geometry of the blocks between the vertices.
+    vertex: IntArray  #: (n,): Kind of each vertex: PASS, ROUND or STOP.
+    inner: FloatArray  #: (n,): L1 of the corners [m].
+    outer: FloatArray  #: (n, 2): L2 before and after the vertices [m]; 0 without a corner.
+    style: Style  #: The construction of the corners.
+    machine: MachineTraits  #: Kinematics for blocks whose rotary axes run linearly.
 
     def segments(self, last: int) -> PathSegments:
         """Build the segments of rows 1 ... last and the corners at vertices 1 ... last."""

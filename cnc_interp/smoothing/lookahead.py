@@ -43,23 +43,7 @@ ROUNDING = 1e-9
 
 
 class LookAhead:
-    """
-    Round the corners of a stream of blocks.
-
-    Parameters
-    ----------
-    settings : Settings
-        Choices of the user.
-    machine : MachineTraits
-        Properties of the machine that the smoothing needs.
-    row : int
-        Program row of the first block.
-    joined : bool
-        Whether a native spline ends at the first pose. Then the first block stays a line.
-    stops : list of int, optional
-        Receives the program rows of the corners at which a stop was found to be faster.
-
-    """
+    """Round the corners of a stream of blocks."""
 
     def __init__(
         self,

@@ -17,40 +17,27 @@ from cnc_interp.smoothing.orientation import angles_between
 
 @dataclass(frozen=True)
 class MachineTraits:
-    """
-    The properties of a machine that the smoothing needs.
+    """The properties of a machine that the smoothing needs."""
 
-    Parameters
-    ----------
-    axis_rates : callable, optional
-        Rates of the axes along a line, each over its jerk limit. They determine L2/L1 of corners
-        (``ratio.py``).
-    pole : tuple of float, optional
-        Tool direction at which a rotary axis is undefined; a turning tool stops there. None if
-        there is no such direction.
-    pole_cone : float
-        Angle around the pole within which a turning tool stops [rad].
-    sharpest_turn, sharpest_swing : float
-        Largest turn of the path that is rounded, with a fixed and with a turning tool axis [rad].
-        At larger turns the tool stops, which is faster on average.
-    geometry : AxisGeometry, optional
-        Kinematics for blocks whose rotary axes run linearly. Without it there are none.
-    max_jerk : ndarray, shape (5 + k,), optional
-        Jerk limits of X Y Z, of the rotary axes and of the extra axes.
-    motion_time : callable, optional
-        Time of the motion along a few blocks from rest to rest [s], as curves or corner by corner
-        (second argument); infinite where the machine cannot execute them. Without it nothing is
-        tried.
-
-    """
-
+    #: Rates of the axes along a line, each over its jerk limit. They determine L2/L1 of corners
+    #: (``ratio.py``).
     axis_rates: AxisRates | None = None
+    #: Tool direction at which a rotary axis is undefined; a turning tool stops there. None if
+    #: there is no such direction.
     pole: tuple[float, float, float] | None = None
+    #: Angle around the pole within which a turning tool stops [rad].
     pole_cone: float = 0.02 * DEG
+    #: Largest turn of the path that is rounded, with a fixed and with a turning tool axis [rad].
+    #: At larger turns the tool stops, which is faster on average.
     sharpest_turn: float = 178.0 * DEG
     sharpest_swing: float = 176.0 * DEG
+    #: Kinematics for blocks whose rotary axes run linearly. Without it there are none.
     geometry: AxisGeometry | None = None
+    #: (5 + k,): Jerk limits of X Y Z, of the rotary axes and of the extra axes.
     max_jerk: FloatArray | None = None
+    #: Time of the motion along a few blocks from rest to rest [s], as curves or corner by corner
+    #: (second argument); infinite where the machine cannot execute them. Without it nothing is
+    #: tried.
     motion_time: Callable[[Blocks, bool], float] | None = None
 
     def keeps_tool(self, axis: FloatArray) -> bool:

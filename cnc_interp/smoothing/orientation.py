@@ -44,20 +44,7 @@ def norm(a: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """
-    Return vector products.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (..., 3)
-        Vectors in any unit.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Vector products over the last axis.
-
-    """
+    """Return vector products."""
     return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -69,20 +56,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rotations_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """
-    Return the rotation vectors of the great circles from a to b.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (..., 3)
-        Unit tool axes, not antiparallel [-].
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Angle times unit normal k [rad]; zero if both axes are equal.
-
-    """
+    """Return the rotation vectors of the great circles from a to b."""
     normal = cross(a, b)
     sine = norm(normal)
     angle = np.arctan2(sine, dot(a, b))
@@ -116,18 +90,5 @@ def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float)
 
 
 def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """
-    Return the angles between unit vectors.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (..., 3)
-        Unit vectors [-].
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Angles in [0, pi] [rad].
-
-    """
+    """Return the angles between unit vectors."""
     return np.asarray(np.arctan2(norm(cross(a, b)), dot(a, b)))

@@ -31,26 +31,7 @@ def shares_near_pole(
     tolerance: FloatArray,
     corner: bool = False,
 ) -> FloatArray:
-    """
-    Return what corners and curves may use of the orientation tolerance beside great circles.
-
-    Parameters
-    ----------
-    pole : ndarray, shape (3,)
-        Direction at which a rotary axis is undefined; so is the opposite one.
-    axis, rotation : ndarray, shape (n, 3)
-        Unit tool axes at the start of the great circles, and their rotation vectors [rad].
-    tolerance : ndarray, shape (n,)
-        Orientation tolerance as an angle [rad].
-    corner : bool
-        Whether the great circles are legs of corners at their start.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Shares of the tolerance [-]; 1 away from the pole.
-
-    """
+    """Return what corners and curves may use of the orientation tolerance beside great circles."""
     sense = np.where(axis @ pole < 0.0, -1.0, 1.0)
     poles = sense[:, None] * pole
     turn = norm(rotation)

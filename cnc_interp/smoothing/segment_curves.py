@@ -48,22 +48,7 @@ def spline_jets(
 
 @njit(cache=True, nogil=True)
 def span_at(parametrization: FloatArray, u: float) -> tuple[int, float, float]:
-    """
-    Find the span of f that contains u.
-
-    Parameters
-    ----------
-    parametrization : ndarray, shape (spans, 8)
-        Start of each span and seven Bezier values of f on it [-].
-    u : float
-        Bottom parameter in [0, 1].
-
-    Returns
-    -------
-    number, start, length : int, float, float
-        Index, start and length of the span [-].
-
-    """
+    """Find the span of f that contains u."""
     k = parametrization.shape[0] - 1
     while k > 0 and parametrization[k, 0] > u:
         k -= 1

@@ -36,64 +36,41 @@ class PathSegments:
     as coordinates: ``rotary`` holds their control values, on the same basis as ``bottom``. With
     AXES_LINEAR ``bottom`` is X Y Z of the axes instead of the tip. There is no top curve. The path
     length counts the rotary axes at flank height, and the extra axes, too (``axis_corner.py``).
-
-    Parameters
-    ----------
-    kind : ndarray of int, shape (n,)
-        Kind of the segment: LINE, CORNER, ROTATION or SPLINE.
-    bottom, top : ndarray, shape (n, 6, 3)
-        Control points of bottom and top curve [m]. Lines use the first two (start and end),
-        corners the first five.
-    connection : ndarray, shape (n, m, 3)
-        Bezier points over [0, 1] that are added to the top curve of a corner or spline [m].
-    parametrization : ndarray, shape (n, spans, 8)
-        u_top = f(u) of corners, span by span [-]: the start of the span, then the seven Bezier
-        values of a sextic on it. No spans if f(u) = u.
-    axis : ndarray, shape (n, 3)
-        Unit tool axis at the start of the segment [-].
-    rotation : ndarray, shape (n, 3)
-        Rotation vector of the tool axis over a line or rotation [rad].
-    rotary : ndarray, shape (n, 6, 2)
-        Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only the first
-        two are used: the programmed positions at both ends of the block. NaN if there are none.
-    length : ndarray, shape (n,)
-        Length of a line; flank height times angle of a rotation; NaN for curves [m].
-    feed : ndarray, shape (n, 2)
-        Programmed ds/dt in the first and second half [m/s]; a corner lies in two blocks.
-    block : ndarray of int, shape (n, 2)
-        Program rows of the blocks executed in the first and second half.
-    line_number : ndarray of int, shape (n,)
-        Program line of the second block.
-    stop : ndarray of bool, shape (n,)
-        Whether the tool rests at the end of the segment.
-    deviation : ndarray, shape (n, 2)
-        Contour and orientation deviation of curves [m], 0 for lines and rotations.
-    extra : ndarray, shape (n, 6, k)
-        Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the
-        path. A rotation uses the first two, like a line. The default is k = 0.
-    interpolation : ndarray of int, shape (n,)
-        What runs linearly in the blocks, as in ``Blocks``. The default is POSES.
-    room : ndarray, shape (n,)
-        What ``deviation`` leaves of the orientation tolerance [m]. The default is 0.
-
     """
 
-    kind: IntArray
+    kind: IntArray  #: (n,): Kind of the segment: LINE, CORNER, ROTATION or SPLINE.
+    #: (n, 6, 3): Control points of bottom and top curve [m]. Lines use the first two (start and
+    #: end), corners the first five.
     bottom: FloatArray
     top: FloatArray
+    #: (n, m, 3): Bezier points over [0, 1] that are added to the top curve of a corner or spline
+    #: [m].
     connection: FloatArray
+    #: (n, spans, 8): u_top = f(u) of corners, span by span [-]: the start of the span, then the
+    #: seven Bezier values of a sextic on it. No spans if f(u) = u.
     parametrization: FloatArray
-    axis: FloatArray
+    axis: FloatArray  #: (n, 3): Unit tool axis at the start of the segment [-].
+    #: (n, 3): Rotation vector of the tool axis over a line or rotation [rad].
     rotation: FloatArray
+    #: (n, 6, 2): Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only
+    #: the first two are used: the programmed positions at both ends of the block. NaN if there are
+    #: none.
     rotary: FloatArray
+    #: (n,): Length of a line; flank height times angle of a rotation; NaN for curves [m].
     length: FloatArray
+    #: (n, 2): Programmed ds/dt in the first and second half [m/s]; a corner lies in two blocks.
     feed: FloatArray
-    block: IntArray
-    line_number: IntArray
-    stop: BoolArray
+    block: IntArray  #: (n, 2): Program rows of the blocks executed in the first and second half.
+    line_number: IntArray  #: (n,): Program line of the second block.
+    stop: BoolArray  #: (n,): Whether the tool rests at the end of the segment.
+    #: (n, 2): Contour and orientation deviation of curves [m], 0 for lines and rotations.
     deviation: FloatArray
+    #: (n, 6, k): Control values of k extra axes on the basis of ``bottom`` [m]: a fourth
+    #: coordinate of the path. A rotation uses the first two, like a line. The default is k = 0.
     extra: FloatArray = field(default_factory=lambda: np.zeros((0, POINTS, 0)))
+    #: (n,): What runs linearly in the blocks, as in ``Blocks``. The default is POSES.
     interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    #: (n,): What ``deviation`` leaves of the orientation tolerance [m]. The default is 0.
     room: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -123,20 +100,7 @@ class PathSegments:
 
 
 def padded(points: FloatArray) -> FloatArray:
-    """
-    Pad control points with zeros to the common number.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, k, 3)
-        Control points, k at most POINTS [m].
-
-    Returns
-    -------
-    ndarray, shape (n, POINTS, 3)
-        The same control points, then zeros [m].
-
-    """
+    """Pad control points with zeros to the common number."""
     spare = np.zeros((len(points), POINTS - points.shape[1], 3))
     return np.concatenate([points, spare], axis=1)
 

@@ -26,17 +26,7 @@ SHARE, MOST = 0.05, 0.5 * UM
 
 
 class Upright:
-    """
-    Put tool axes on the pole. The result does not depend on how the blocks arrive.
-
-    Parameters
-    ----------
-    machine : MachineTraits
-        Its pole; without one, blocks stay as they are.
-    height : float
-        Flank height, at which the orientation tolerance counts [m].
-
-    """
+    """Put tool axes on the pole. The result does not depend on how the blocks arrive."""
 
     def __init__(self, machine: MachineTraits, height: float):
         self._pole = None if machine.pole is None else np.asarray(machine.pole)

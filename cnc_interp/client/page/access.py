@@ -23,12 +23,6 @@ class Access:
     Pages are told apart by their browser tab, so a refreshed page stays in charge; when the tab is
     closed they are free. Any page with the token may take them over, and may always stop the
     machine.
-
-    Parameters
-    ----------
-    token : str
-        The token; a random one when empty.
-
     """
 
     def __init__(self, token: str = ''):

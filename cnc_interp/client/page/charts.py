@@ -24,15 +24,7 @@ HEADROOM = 1.5
 
 
 class Charts:
-    """
-    The charts of one page.
-
-    Parameters
-    ----------
-    axis_names : tuple of str
-        Axes of the machine.
-
-    """
+    """The charts of one page."""
 
     def __init__(self, axis_names: tuple[str, ...]):
         names = (('feed', FEED), ('programmed', ASKED), ('axes allow', LIMIT))

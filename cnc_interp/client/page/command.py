@@ -44,40 +44,21 @@ WATCH_NODES = 0.5
 
 @dataclass(frozen=True)
 class PanelRequest:
-    """
-    What shall be served, and where.
+    """What shall be served, and where."""
 
-    Parameters
-    ----------
-    program : Path, optional
-        Laid on the desk at start.
-    machine : str
-        Machine of the nodes that are started.
-    setup : Path, optional
-        File in which they keep offsets and tools.
-    drives : dict
-        Drives of their machine; empty: as the parameters of the nodes say.
-    attach : bool
-        Join nodes that run already instead.
-    namespace, domain
-        Where the nodes are; domain None leaves the choice to ROS_DOMAIN_ID.
-    host, port
-        See ``Served``.
-    token_file : Path, optional
-        Holds the token; without it a random one is made.
-
-    """
-
-    program: Path | None = None
-    machine: str = DEFAULT_MACHINE
-    setup: Path | None = None
+    program: Path | None = None  #: Laid on the desk at start.
+    machine: str = DEFAULT_MACHINE  #: Machine of the nodes that are started.
+    setup: Path | None = None  #: File in which they keep offsets and tools.
+    #: Drives of their machine; empty: as the parameters of the nodes say.
     drives: dict[str, str] = field(default_factory=dict)
-    attach: bool = False
+    attach: bool = False  #: Join nodes that run already instead.
+    #: Where the nodes are; domain None leaves the choice to ROS_DOMAIN_ID.
     namespace: str = '/'
     domain: int | None = None
+    #: See ``Served``.
     host: str = '127.0.0.1'
     port: int = 8650
-    token_file: Path | None = None
+    token_file: Path | None = None  #: Holds the token; without it a random one is made.
 
     @staticmethod
     def from_options(options: Namespace) -> PanelRequest:
@@ -175,15 +156,7 @@ class NodeWatch:
 
 
 def token_of(file: Path | None) -> str:
-    """
-    Read the token; it does not stand in the command line, which every user of a computer sees.
-
-    Raises
-    ------
-    InterpError
-        If the file cannot be read or holds no token.
-
-    """
+    """Read the token from a file, because every user of a computer sees the command line."""
     if file is None:
         return ''
     try:

@@ -29,15 +29,7 @@ REMEMBERED = round(2 * LATE / BEAT)
 
 
 class Contact:
-    """
-    The server's side of the connection to one page.
-
-    Parameters
-    ----------
-    on_stop : callable
-        Does one of ``STOPS``; told once for each time its key was pressed.
-
-    """
+    """The server's side of the connection to one page."""
 
     def __init__(self, on_stop: Callable[[str], Awaitable[None]]):
         self._on_stop = on_stop

@@ -54,46 +54,19 @@ class Moment:
 
 @dataclass
 class Job:
-    """
-    A program on the desk.
+    """A program on the desk."""
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    lines : list of str
-        Its text; empty where that is too long to be shown.
-    path : Path
-        File with the text.
-    settings : Settings
-        The choices that it is planned and run with.
-    number : int
-        Counts the programs of the desk, from 1.
-    plan : Preview, optional
-        Its plan, once there is one.
-    status : str
-        What is being done with it, or why it cannot be run.
-    failed : bool
-        Whether it cannot be run.
-    fault_line : int
-        Line that is wrong; 0 if none is.
-    proven : bool, optional
-        Result of the last check.
-    setup : str
-        Text of the offsets and tools that it is planned with; empty where its settings name them.
-
-    """
-
-    name: str
-    lines: list[str]
-    path: Path
-    settings: Settings
-    number: int = 0
-    plan: Preview | None = None
-    status: str = 'planning'
-    failed: bool = False
-    fault_line: int = 0
-    proven: bool | None = None
+    name: str  #: Its name.
+    lines: list[str]  #: Its text; empty where that is too long to be shown.
+    path: Path  #: File with the text.
+    settings: Settings  #: The choices that it is planned and run with.
+    number: int = 0  #: Counts the programs of the desk, from 1.
+    plan: Preview | None = None  #: Its plan, once there is one.
+    status: str = 'planning'  #: What is being done with it, or why it cannot be run.
+    failed: bool = False  #: Whether it cannot be run.
+    fault_line: int = 0  #: Line that is wrong; 0 if none is.
+    proven: bool | None = None  #: Result of the last check.
+    #: Text of the offsets and tools that it is planned with; empty where its settings name them.
     setup: str = ''
 
     def is_run(self, program: LoadedProgram, settings: Settings) -> bool:
@@ -115,17 +88,7 @@ class Job:
 
 
 class Desk:
-    """
-    The model behind all pages.
-
-    Parameters
-    ----------
-    namespace : str
-        Where the nodes live.
-    domain : int
-        Their ROS domain.
-
-    """
+    """The model behind all pages."""
 
     def __init__(self, namespace: str, domain: int):
         self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)

@@ -14,19 +14,7 @@ FORM = 1 << 16
 
 
 class Gate:
-    """
-    Lets requests through that name this computer and whose bodies are short enough.
-
-    Parameters
-    ----------
-    app
-        The ASGI application behind it.
-    host : str
-        Name under which the page is served.
-    longest : int
-        Longest file that the page takes [bytes].
-
-    """
+    """Lets requests through that name this computer and whose bodies are short enough."""
 
     def __init__(self, app: Any, host: str, longest: int):
         self._app, self._host, self._longest = app, host, longest + FORM

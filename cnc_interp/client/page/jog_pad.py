@@ -57,21 +57,7 @@ def step_of(name: str, distance: float, speed: float, axes: tuple[Axis, ...]) ->
 
 
 class JogPad:
-    """
-    The pad in one page.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its axes get a pair of keys each.
-    nodes : OperatorClient
-        Takes beats and steps.
-    may_move : callable
-        Tells whether this page commands now.
-    command : callable
-        Has a step done, or says why not.
-
-    """
+    """The pad in one page."""
 
     def __init__(
         self,

@@ -14,19 +14,7 @@ from cnc_interp.client.page.shown import act_on_shown
 
 
 class MdiField:
-    """
-    The field in one page. Enter gives the line, up and down show those before.
-
-    Parameters
-    ----------
-    history : LineHistory
-        The lines given before.
-    give : callable
-        Has a line executed; answered at its end.
-    command : callable
-        Has something done if this page may, or says why not.
-
-    """
+    """The field in one page. Enter gives the line, up and down show those before."""
 
     def __init__(
         self,

@@ -12,15 +12,7 @@ SHOWN = 30
 
 
 class Messages:
-    """
-    The messages in one page.
-
-    Parameters
-    ----------
-    alarms : AlarmList
-        The messages.
-
-    """
+    """The messages in one page."""
 
     def __init__(self, alarms: AlarmList):
         self._alarms = alarms

@@ -20,19 +20,7 @@ class HeldSlider(ui.slider):
 
 
 class OverrideSlider:
-    """
-    The feed override in one page: a slider, and keys that move it by a step or to 100 %.
-
-    Parameters
-    ----------
-    value : callable
-        Returns the override that counts [-].
-    wish : callable
-        Sets the override [-].
-    may_set : callable
-        Tells whether this page may set it now; says so where it may not.
-
-    """
+    """The feed override in one page: a slider, and keys that move it by a step or to 100 %."""
 
     def __init__(
         self,
@@ -95,15 +83,7 @@ class OverrideSlider:
 
 
 class RapidKeys:
-    """
-    The rapid override in one page: a key for each value; the one that counts is lit.
-
-    Parameters
-    ----------
-    value, wish, may_set : callable
-        As for ``OverrideSlider``, of the rapid override.
-
-    """
+    """The rapid override in one page: a key for each value; the one that counts is lit."""
 
     def __init__(
         self,

@@ -18,22 +18,7 @@ TIP, AXIS = 'XYZ', 'IJK'
 
 
 def pose_request(texts: dict[str, str], speed: float) -> MoveAxes.Request:
-    """
-    Return the request that moves the tool to a pose; an empty field stays as it is.
-
-    Parameters
-    ----------
-    texts : dict of str
-        What stands in the fields: X Y Z [mm], and the tool axis I J K [-].
-    speed : float
-        Share of the largest velocities [-].
-
-    Raises
-    ------
-    ValueError
-        If nothing is named, or a text is not a number.
-
-    """
+    """Return the request that moves the tool to a pose; an empty field stays as it is."""
     values = {name: float(text.replace(',', '.')) for name, text in texts.items() if text}
     if not values or not all(map(math.isfinite, values.values())):
         raise ValueError('write numbers')
@@ -45,19 +30,7 @@ def pose_request(texts: dict[str, str], speed: float) -> MoveAxes.Request:
 
 
 class PoseField:
-    """
-    The fields in one page.
-
-    Parameters
-    ----------
-    nodes : OperatorClient
-        Tells where the tool is, and takes the move.
-    speed : callable
-        Returns the share of the largest velocities that is chosen [-].
-    command : callable
-        Has the move done, or says why not.
-
-    """
+    """The fields in one page."""
 
     def __init__(
         self,

@@ -38,66 +38,34 @@ NICENESS = 5
 
 @dataclass(frozen=True)
 class Place:
-    """
-    What is planned at one place of the path.
+    """What is planned at one place of the path."""
 
-    Parameters
-    ----------
-    programmed_feed, feed_limit : float
-        Programmed feed and limit of the axes [m/s].
-    time : float
-        Time since the start of the program [s].
-    block_end : float
-        Path length at the end of the block [m].
-
-    """
-
+    #: Programmed feed and limit of the axes [m/s].
     programmed_feed: float
     feed_limit: float
-    time: float
-    block_end: float
+    time: float  #: Time since the start of the program [s].
+    block_end: float  #: Path length at the end of the block [m].
 
 
 @dataclass(frozen=True)
 class Preview:
-    """
-    What the page shows of a planned program.
+    """What the page shows of a planned program."""
 
-    Parameters
-    ----------
-    s : ndarray, shape (N,)
-        Path length on the planner's grid [m].
-    tip, axis : ndarray, shape (N, 3)
-        Tool tip [m] and tool axis [-] in W.
-    feed, programmed_feed, feed_limit : ndarray, shape (N,)
-        Planned and programmed feed, and the limit of the axes [m/s].
-    time : ndarray, shape (N,)
-        Time at which the point is reached [s].
-    block_end : ndarray, shape (N,)
-        Path length at the end of the block that leads to the point [m].
-    rapid : ndarray of bool, shape (N,)
-        Whether that block is a rapid.
-    cycle_time : float
-        Of the whole program [s].
-    notices : tuple of str
-        What had no effect or was simplified.
-    bound : str
-        The least time that any motion takes, in words.
-
-    """
-
-    s: FloatArray
+    s: FloatArray  #: (N,): Path length on the planner's grid [m].
+    #: (N, 3): Tool tip [m] and tool axis [-] in W.
     tip: FloatArray
     axis: FloatArray
+    #: (N,): Planned and programmed feed, and the limit of the axes [m/s].
     feed: FloatArray
     programmed_feed: FloatArray
     feed_limit: FloatArray
-    time: FloatArray
+    time: FloatArray  #: (N,): Time at which the point is reached [s].
+    #: (N,): Path length at the end of the block that leads to the point [m].
     block_end: FloatArray
-    rapid: BoolArray
-    cycle_time: float
-    notices: tuple[str, ...] = ()
-    bound: str = ''
+    rapid: BoolArray  #: (N,): Whether that block is a rapid.
+    cycle_time: float  #: Of the whole program [s].
+    notices: tuple[str, ...] = ()  #: What had no effect or was simplified.
+    bound: str = ''  #: The least time that any motion takes, in words.
 
     @property
     def length(self) -> float:
@@ -157,15 +125,7 @@ def thinned(tip: FloatArray, axis: FloatArray) -> Any:
 
 
 class Planner:
-    """
-    Plans and proves one program at a time. A new program ends the work on the one before.
-
-    Parameters
-    ----------
-    machine : str
-        Machine of the nodes.
-
-    """
+    """Plans and proves one program at a time. A new program ends the work on the one before."""
 
     def __init__(self, machine: str):
         self.machine = machine

@@ -45,15 +45,7 @@ MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
 
 
 class MachineView:
-    """
-    The 3-D view of one page.
-
-    Parameters
-    ----------
-    description : Description
-        Links, joints and shapes.
-
-    """
+    """The 3-D view of one page."""
 
     def __init__(self, description: Description):
         self._description = description

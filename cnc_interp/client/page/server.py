@@ -32,23 +32,13 @@ PORTS = range(65536)
 
 @dataclass(frozen=True)
 class Served:
-    """
-    Where the page is served, and to whom.
+    """Where the page is served, and to whom."""
 
-    Parameters
-    ----------
-    host, port
-        Address; see ``prepare``.
-    token : str
-        Needed for commands; a random one when empty.
-    name, text : str, optional
-        A program that is laid on the desk at start.
-
-    """
-
+    #: Address; see ``prepare``.
     host: str = '127.0.0.1'
     port: int = 8650
-    token: str = ''
+    token: str = ''  #: Needed for commands; a random one when empty.
+    #: A program that is laid on the desk at start.
     name: str = ''
     text: str | None = None
 

@@ -15,15 +15,7 @@ from cnc_interp.settings.form import filled_in, offered, settings_filled_in
 
 
 class SettingsDialog:
-    """
-    One field for each choice, its unit beside it.
-
-    Parameters
-    ----------
-    use : callable
-        Takes the settings when the operator presses `use`.
-
-    """
+    """One field for each choice, its unit beside it."""
 
     def __init__(self, use: Callable[[Settings], Awaitable[None]]):
         self._use = use

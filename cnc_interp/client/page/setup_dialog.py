@@ -21,17 +21,7 @@ LENGTHS = ('length', 'radius', 'corner_radius')
 
 
 class SetupDialog:
-    """
-    Offsets and tools in one page.
-
-    Parameters
-    ----------
-    setup : SetupClient
-        The table, and its services.
-    command : callable
-        Has something done, or says why not.
-
-    """
+    """Offsets and tools in one page."""
 
     def __init__(self, setup: SetupClient, command: Command):
         self._setup, self._command = setup, command

@@ -16,22 +16,7 @@ from nicegui import events, ui
 def act_on_shown(
     element: Any, kind: str, fields: Iterable[Any], act: Callable[[], Awaitable[None]]
 ) -> None:
-    """
-    Have an element act on an event, after its fields have got the texts that the page shows.
-
-    Parameters
-    ----------
-    element : ui.element
-        The key, or the field itself.
-    kind : str
-        The event: ``click``, ``keydown.enter``.
-    fields : iterable of ui.element
-        Fields with marks, those that ``act`` reads among them; looked through at each event. Only
-        text fields differ from their copies: switches and lists show what the server has.
-    act : callable
-        What is done.
-
-    """
+    """Have an element act on an event, after its fields have got the texts that the page shows."""
 
     async def acted(event: events.GenericEventArguments) -> None:
         shown = event.args if isinstance(event.args, dict) else {}

@@ -27,23 +27,11 @@ MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 
 @dataclass(frozen=True)
 class StartChoice:
-    """
-    Where the next run starts.
+    """Where the next run starts."""
 
-    Parameters
-    ----------
-    line : int
-        Line of the program; 0 for its top.
-    which : int
-        Execution of that line, from 1; 0 for the only one.
-    refused : str
-        Why there was no start there; empty before it was tried.
-
-    """
-
-    line: int = 0
-    which: int = 0
-    refused: str = ''
+    line: int = 0  #: Line of the program; 0 for its top.
+    which: int = 0  #: Execution of that line, from 1; 0 for the only one.
+    refused: str = ''  #: Why there was no start there; empty before it was tried.
 
     @property
     def text(self) -> str:
@@ -59,32 +47,15 @@ class StartChoice:
 
 @dataclass(frozen=True)
 class Way:
-    """
-    The way on which the tool comes to a place inside the program.
+    """The way on which the tool comes to a place inside the program."""
 
-    Parameters
-    ----------
-    legs : tuple of (str, ndarray)
-        Name of each part, and the tool tip on it in W, shape (k, 3) [m].
-    text : str
-        What the operator must know before it moves; empty once it moves.
-
-    """
-
+    #: Name of each part, and the tool tip on it in W, shape (k, 3) [m].
     legs: tuple[tuple[str, FloatArray], ...]
-    text: str
+    text: str  #: What the operator must know before it moves; empty once it moves.
 
 
 class WayAhead:
-    """
-    Finds the way that the machine waits to take, or takes.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-
-    """
+    """Finds the way that the machine waits to take, or takes."""
 
     def __init__(self, transform: Transform):
         self._transform = transform

@@ -12,17 +12,7 @@ from cnc_interp.client.page.shown import act_on_shown
 
 
 class StartField:
-    """
-    Line, pass, and two keys. A line of the program's text is chosen by pressing it, too.
-
-    Parameters
-    ----------
-    choose : callable
-        Takes a line and a pass; 0 and 0 for the top of the program.
-    command : callable
-        Has something done if this page may, or says why not.
-
-    """
+    """Line, pass, and two keys. A line of the program's text is chosen by pressing it, too."""
 
     def __init__(
         self,

@@ -8,19 +8,7 @@ from nicegui import ui
 
 
 class Switch:
-    """
-    The switch in one page.
-
-    Parameters
-    ----------
-    name : str
-        What it turns on.
-    is_on : callable
-        Tells whether it is on.
-    turn : callable
-        Turns it on or off.
-
-    """
+    """The switch in one page."""
 
     def __init__(
         self, name: str, is_on: Callable[[], bool], turn: Callable[[bool], Awaitable[None]]

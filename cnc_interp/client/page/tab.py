@@ -42,21 +42,7 @@ def marked(element: Any, name: str) -> Any:
 
 
 class Page:
-    """
-    One page in one browser tab.
-
-    Parameters
-    ----------
-    desk : Desk
-        The model that all pages share.
-    access : Access
-        Who may command.
-    tab : str
-        This tab of the browser; it stays the same when the page is refreshed.
-    trusted : bool
-        Whether the page was opened with the token.
-
-    """
+    """One page in one browser tab."""
 
     def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool):
         self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted

@@ -32,29 +32,7 @@ ARRAY_BUFFER, ELEMENT_BUFFER = 34962, 34963
 def tube(
     points: FloatArray, values: FloatArray, top: float, radius: float
 ) -> tuple[bytes, IntArray]:
-    """
-    Make a glTF file of a tube along points, coloured from 0 to ``top``.
-
-    Parameters
-    ----------
-    points : ndarray, shape (N, 3)
-        Course of the tube, N at least 2; the file has its unit.
-    values : ndarray, shape (N,)
-        What the colour shows.
-    top : float
-        Value at the upper end of the colour scale.
-    radius : float
-        Radius of the tube.
-
-    Returns
-    -------
-    bytes
-        The file.
-    ndarray of int
-        The points through which the tube goes, in order; between two of them it has ``FACES``
-        triangles.
-
-    """
+    """Make a glTF file of a tube along points, coloured from 0 to ``top``."""
     colours = colours_of(values, top)
     kept = thinned(np.column_stack([points / (UNSEEN * radius), colours / (255.0 * INDISTINCT)]))
     points, colours = points[kept], colours[kept]

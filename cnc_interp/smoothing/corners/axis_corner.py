@@ -41,38 +41,20 @@ _PLACES = np.linspace(0.1, 0.9, 33)
 
 @dataclass(frozen=True)
 class AxisCorners:
-    """
-    Corners between lines in coordinates, at n vertices.
+    """Corners between lines in coordinates, at n vertices."""
 
-    Parameters
-    ----------
-    row : ndarray of int, shape (n,)
-        Vertices.
-    joined : ndarray of bool, shape (n,)
-        Whether both lines can be expressed in the same coordinates. Else the tool must rest.
-    in_axes : ndarray of bool, shape (n,)
-        Whether the coordinates are machine axes.
-    point : ndarray, shape (n, 5 + k)
-        Coordinates of the corners [m, rad].
-    legs : ndarray, shape (n, 2, 5 + k)
-        What they move by per metre from the corner along the lines before and after it.
-    tolerances : ndarray, shape (n, 2)
-        Contour and orientation tolerance [m].
-    levers : ndarray, shape (n, 2, 2)
-        Distance of the tip and of the top point from both rotary axes [m]; 0 with tips.
-    height : float
-        Flank height [m].
-
-    """
-
-    row: IntArray
+    row: IntArray  #: (n,): Vertices.
+    #: (n,): Whether both lines can be expressed in the same coordinates. Else the tool must rest.
     joined: BoolArray
-    in_axes: BoolArray
-    point: FloatArray
+    in_axes: BoolArray  #: (n,): Whether the coordinates are machine axes.
+    point: FloatArray  #: (n, 5 + k): Coordinates of the corners [m, rad].
+    #: (n, 2, 5 + k): What they move by per metre from the corner along the lines before and after
+    #: it.
     legs: FloatArray
-    tolerances: FloatArray
+    tolerances: FloatArray  #: (n, 2): Contour and orientation tolerance [m].
+    #: (n, 2, 2): Distance of the tip and of the top point from both rotary axes [m]; 0 with tips.
     levers: FloatArray
-    height: float
+    height: float  #: Flank height [m].
 
     @staticmethod
     def at(
@@ -155,23 +137,7 @@ class AxisCorners:
         return size_of(self.legs.sum(axis=1), self.height)
 
     def gains(self, outer: FloatArray, way: FloatArray) -> FloatArray:
-        """
-        Bound how far tip and orientation move along directions in coordinates, shape (n, 2) [-].
-
-        Parameters
-        ----------
-        outer : ndarray, shape (n, 2)
-            L2 on both sides, within which the motion stays [m].
-        way : ndarray, shape (n, 5 + k)
-            Directions [m per m, rad per m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Movement of the tip, and of the orientation: at flank height, as movement of the top
-            point and as turn of the tool axis [m per m].
-
-        """
+        """Bound how far tip and orientation move along directions, shape (n, 2) [-]."""
         way = np.abs(way)
         reach = outer[:, :, None] * np.abs(self.legs)
         gone = (norm(reach[..., POINT]) + reach[..., EXTRA].sum(axis=-1)).max(axis=1)
@@ -209,24 +175,7 @@ class AxisCorners:
     def fit(
         self, inner: FloatArray, outer: FloatArray, ratios: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """
-        Shrink corners until both tolerances hold.
-
-        Parameters
-        ----------
-        inner, outer : ndarray, shapes (n,) and (n, 2)
-            L1 and L2 at the beginning [m].
-        ratios : ndarray, shape (n, 2), optional
-            Largest L2/L1 of a corner that shrinks [-]. Without it, L2 does not change.
-
-        Returns
-        -------
-        inner, outer : ndarray, shapes (n,) and (n, 2)
-            L1 and L2 at the end [m].
-        deviation : ndarray, shape (n, 2)
-            Bounds of contour and orientation deviation [m].
-
-        """
+        """Shrink corners until both tolerances hold."""
         while True:
             deviation, use = self.deviation(inner, outer)
             wide = use > USED_UP
@@ -240,19 +189,7 @@ class AxisCorners:
     def sizes(
         self, lengths: FloatArray, ratio: float | None, jerk: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """
-        Choose L1, shape (n,), and L2, shape (n, 2) [m].
-
-        Parameters
-        ----------
-        lengths : ndarray, shape (n, 2)
-            Length of each line that the corner may use [m].
-        ratio : float, optional
-            L2/L1; without it, the best one for the axes.
-        jerk : ndarray, shape (5 + k,)
-            Jerk limits of the axes, which compare their slopes.
-
-        """
+        """Choose L1, shape (n,), and L2, shape (n, 2) [m]."""
         if ratio is None:
             before, after = -self.legs[:, 0] / jerk, self.legs[:, 1] / jerk
             slopes = (np.abs(slope).max(axis=1) for slope in (before, after, after - before))
@@ -266,17 +203,7 @@ class AxisCorners:
         return self.fit(inner, outer, ratios)[:2]
 
     def curves(self, inner: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Build the corners for L1, shape (n,), which may shrink, and L2, shape (n, 2) [m].
-
-        Returns
-        -------
-        points : ndarray, shape (n, 5, 5 + k)
-            Control points in coordinates [m, rad].
-        deviation : ndarray, shape (n, 2)
-            Bounds of contour and orientation deviation [m].
-
-        """
+        """Build the corners for L1, shape (n,), which may shrink, and L2, shape (n, 2) [m]."""
         inner, _, deviation = self.fit(inner, outer)
         ways = [outer[:, 0], inner, np.zeros(len(inner)), inner, outer[:, 1]]
         sides = [0, 0, 0, 1, 1]

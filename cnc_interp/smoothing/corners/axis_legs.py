@@ -16,25 +16,15 @@ POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
 
 @dataclass(frozen=True)
 class AxisLegs:
-    """
-    The blocks between n + 1 vertices as lines in coordinates.
+    """The blocks between n + 1 vertices as lines in coordinates."""
 
-    Parameters
-    ----------
-    linear, in_axes : ndarray of bool, shape (n,)
-        Whether the rotary axes run linearly, and whether X Y Z do so, too.
-    start, step : ndarray, shape (n, 5 + k)
-        Coordinates at the start of linear blocks, and what they move by [m, rad].
-    length : ndarray, shape (n,)
-        Length of linear blocks [m].
-
-    """
-
+    #: (n,): Whether the rotary axes run linearly, and whether X Y Z do so, too.
     linear: BoolArray
     in_axes: BoolArray
+    #: (n, 5 + k): Coordinates at the start of linear blocks, and what they move by [m, rad].
     start: FloatArray
     step: FloatArray
-    length: FloatArray
+    length: FloatArray  #: (n,): Length of linear blocks [m].
 
     @staticmethod
     def of(blocks: Blocks, machine: AxisGeometry, height: float) -> AxisLegs:

@@ -32,23 +32,7 @@ PAPER_STEP = 0.02
 def connect(
     curves: Curves, height: float, axes: FloatArray, rates: FloatArray, method: str
 ) -> None:
-    """
-    Compute the connection E and the parametrization f of corners in place.
-
-    Parameters
-    ----------
-    curves : Curves
-        Bottom and top are input. With one span in ``parametrization``, f is a sextic on it.
-    height : float
-        Flank height h [m].
-    axes : ndarray, shape (n, 2, 3)
-        Programmed tool axis at the start and end of each corner [-].
-    rates : ndarray, shape (n, 2, 3)
-        Rotation vector per metre of path on the line before and the line after [rad/m].
-    method : {'exact', 'linear', 'paper'}
-        Method of the module docstring.
-
-    """
+    """Compute the connection E and the parametrization f of corners in place."""
     if method == 'paper':
         curves.parametrization[:] = _paper_spans(curves, axes, rates)
     if method != 'exact':
@@ -80,16 +64,6 @@ class End:
 
     On the line o_s = w k x o, o_ss = -w^2 o and o_sss = -w^2 o_s [B2013, Eq. 4]. s(u) is the arc
     length of the bottom curve.
-
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (n, 5, 3)
-        Control points, the first one at this end [m].
-    height : float
-        Flank height [m].
-    axis, rate : ndarray, shape (n, 3)
-        Tool axis here [-], and rotation vector of the line per metre towards the corner [rad/m].
-
     """
 
     def __init__(
@@ -115,35 +89,12 @@ class End:
         )
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
-        """
-        Return f' and f'' for which D' and D'' along the top curve are those of the line.
-
-        Returns
-        -------
-        f1, f2 : ndarray, shape (n,)
-            Derivatives of the top parameter by the bottom parameter [-].
-
-        """
+        """Return f' and f'' for which D' and D'' along the top curve are those of the line."""
         rho = np.full((len(self.axis), 1), self.height)
         return matching_slopes(self.b, self.c, self.axis, self.o, rho)[:2]
 
     def residuals(self, f: FloatArray, free_length: FloatArray) -> FloatArray:
-        """
-        Return the first three derivatives by u of rho o - D; D is top minus bottom curve.
-
-        Parameters
-        ----------
-        f : ndarray, shape (3, n)
-            f', f'' and f''' [-].
-        free_length : ndarray of bool, shape (n,)
-            Whether rho follows D. Otherwise rho = h.
-
-        Returns
-        -------
-        ndarray, shape (3, n, 3)
-            What E', E'' and E''' must be at this end [m].
-
-        """
+        """Return the first three derivatives by u of rho o - D; D is top minus bottom curve."""
         b, c, o, h = self.b, self.c, self.o, self.height
         f1, f2, f3 = f[:, :, None]
         d1 = c[0] * f1 - b[0]
@@ -172,23 +123,6 @@ def matching_slopes(
     D = C_top(f(u)) - C_bottom(u) shall be rho o(u) in each order [B2013, B.3-B.5]. The highest
     derivative of f acts along C_top' only. So it follows from the component e of C_top' at right
     angles to o; rho follows from the component along o. Of all f, this one leaves the least jump.
-
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (3, n, 3)
-        First three derivatives of both curves, each by its own parameter [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axis o [-].
-    turning : ndarray, shape (3, n, 3)
-        o', o'' and o''' by u that are to be continued [-].
-    rho : ndarray, shape (n, 1)
-        Distance between both curves [m].
-
-    Returns
-    -------
-    f1, f2, f3 : ndarray, shape (n,)
-        f', f'' and f'''; 1, 0 and 0 where the top curve rests [-].
-
     """
     b, c, o = bottom, top, turning
     e = c[0] - dot(c[0], axis)[:, None] * axis
@@ -225,22 +159,7 @@ def _sextic(
 
 
 def hermite(first: FloatArray, last: FloatArray, points: int) -> FloatArray:
-    """
-    Return the Bezier points of E, which is zero at both ends and has given derivatives there.
-
-    Parameters
-    ----------
-    first, last : ndarray, shape (3, n, 3)
-        E', E'' and E''' by u at u = 0, and at u = 1 counted backwards [m].
-    points : int
-        6 for the quintic (two derivatives) or 8 for the septic (three).
-
-    Returns
-    -------
-    ndarray, shape (n, points, 3)
-        Bezier points [m].
-
-    """
+    """Return the Bezier points of E: zero at both ends, with given derivatives there."""
     degree = points - 1
     found = np.zeros((first.shape[1], points, 3))
     for end, values in ((first, found), (last, found[:, ::-1])):

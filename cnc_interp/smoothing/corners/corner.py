@@ -43,32 +43,19 @@ USED_UP = 1.0 + 1e-9
 
 @dataclass(frozen=True)
 class Corners:
-    """
-    Programmed data of n corners.
+    """Programmed data of n corners."""
 
-    Parameters
-    ----------
-    tip, axis : ndarray, shape (n, 3)
-        Programmed corner points [m] and tool axes [-].
-    legs : ndarray, shape (n, 2, 3)
-        Unit vectors from the corner along the lines before and after it [-].
-    rates : ndarray, shape (n, 2, 3)
-        Rotation vector per metre of path on the lines before and after [rad/m].
-    tolerances : ndarray, shape (n, 2)
-        Contour and orientation tolerance [m].
-    extra_rates : ndarray, shape (n, 2, k)
-        What the extra axes move by per metre of path on the lines before and after [-].
-    near_pole : ndarray of bool, shape (n,)
-        Whether the tool axis may pass the pole within the tolerance.
-
-    """
-
+    #: (n, 3): Programmed corner points [m] and tool axes [-].
     tip: FloatArray
     axis: FloatArray
+    #: (n, 2, 3): Unit vectors from the corner along the lines before and after it [-].
     legs: FloatArray
+    #: (n, 2, 3): Rotation vector per metre of path on the lines before and after [rad/m].
     rates: FloatArray
-    tolerances: FloatArray
+    tolerances: FloatArray  #: (n, 2): Contour and orientation tolerance [m].
+    #: (n, 2, k): What the extra axes move by per metre of path on the lines before and after [-].
     extra_rates: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 0)))
+    #: (n,): Whether the tool axis may pass the pole within the tolerance.
     near_pole: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
@@ -82,49 +69,19 @@ class Corners:
         return Corners(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def axis_at(self, side: int, x: FloatArray) -> FloatArray:
-        """
-        Return the programmed tool axis near corners.
-
-        Parameters
-        ----------
-        side : int
-            0 for the line before the corner, 1 for the line after it.
-        x : ndarray, shape (n,)
-            Distance from the corner [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Unit tool axes [-].
-
-        """
+        """Return the programmed tool axis near corners."""
         return turned_by(self.axis, self.rates[:, side], x if side else -x)
 
 
 @dataclass(frozen=True)
 class Style:
-    """
-    The construction of corners.
+    """The construction of corners."""
 
-    Parameters
-    ----------
-    height : float
-        Flank height h [m].
-    in_step : bool
-        Whether the top polygon is divided like the bottom one (module docstring).
-    method : {'exact', 'linear', 'paper'}
-        How the orientation is connected (``connection.py``).
-    septic : bool
-        Whether the connection E is septic instead of quintic.
-    literal : bool
-        Whether the corners are those of the paper, word for word (module docstring).
-
-    """
-
-    height: float
-    in_step: bool
-    method: str
-    septic: bool
+    height: float  #: Flank height h [m].
+    in_step: bool  #: Whether the top polygon is divided like the bottom one (module docstring).
+    method: str  #: How the orientation is connected (``connection.py``).
+    septic: bool  #: Whether the connection E is septic instead of quintic.
+    #: Whether the corners are those of the paper, word for word (module docstring).
     literal: bool = False
 
     @staticmethod
@@ -145,28 +102,7 @@ class Style:
 def initial_lengths(
     corners: Corners, lengths: FloatArray, ratios: FloatArray, literal: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Compute L1 and L2 from the contour tolerance and the available lengths [B2013, Eq. 3].
-
-    Parameters
-    ----------
-    corners : Corners
-        Data of n corners.
-    lengths : ndarray, shape (n, 2)
-        Length of each line that the corner may use [m].
-    ratios : ndarray, shape (n, 2)
-        L2/L1 where the lines are long enough [-].
-    literal : bool
-        Whether L2 is the same on both sides and the ratio holds on short lines, too.
-
-    Returns
-    -------
-    inner : ndarray, shape (n,)
-        L1 [m].
-    outer : ndarray, shape (n, 2)
-        L2 before and after the corner [m].
-
-    """
+    """Compute L1 and L2 from the contour tolerance and the available lengths [B2013, Eq. 3]."""
     turn = norm(corners.rates) * lengths
     available = lengths * np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
     least = np.full(len(available), LEAST_RATIO)
@@ -186,26 +122,7 @@ def initial_lengths(
 def build(
     corners: Corners, inner: FloatArray, outer: FloatArray, reach: FloatArray, style: Style
 ) -> Curves:
-    """
-    Build the curves of corners.
-
-    Parameters
-    ----------
-    corners : Corners
-        Data of n corners.
-    inner, outer : ndarray, shapes (n,) and (n, 2)
-        L1 and both L2 [m].
-    reach : ndarray, shape (n,)
-        Deviation from which ``tolerance`` computes the inner points of the top polygon [m].
-    style : Style
-        The construction of the corners.
-
-    Returns
-    -------
-    Curves
-        The curves of n corners.
-
-    """
+    """Build the curves of corners."""
     curves = style.empty_curves(len(inner))
     bottom, top = curves.bottom, curves.top
     axes = np.stack([corners.axis_at(side, outer[:, side]) for side in (0, 1)], axis=1)
@@ -243,30 +160,7 @@ def fit(
     style: Style,
     ratios: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, Curves, FloatArray]:
-    """
-    Build corners and shrink them until both tolerances hold.
-
-    Parameters
-    ----------
-    corners : Corners
-        Data of n corners.
-    inner, outer : ndarray, shapes (n,) and (n, 2)
-        L1 and both L2 at the beginning [m].
-    style : Style
-        The construction of the corners.
-    ratios : ndarray, shape (n, 2), optional
-        Largest L2/L1 of a corner that shrinks [-]. Without it, L2 does not change.
-
-    Returns
-    -------
-    inner, outer : ndarray, shapes (n,) and (n, 2)
-        L1 and both L2 at the end [m].
-    curves : Curves
-        The curves of n corners.
-    deviation : ndarray, shape (n, 2)
-        Contour and orientation deviation [m].
-
-    """
+    """Build corners and shrink them until both tolerances hold."""
     inner, outer = inner.copy(), outer.copy()
     reach = corners.tolerances[:, 1].copy()
     curves, deviation = style.empty_curves(len(inner)), np.zeros((len(inner), 2))

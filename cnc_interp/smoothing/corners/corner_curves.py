@@ -15,24 +15,13 @@ from cnc_interp.smoothing.orientation import norm
 
 @dataclass
 class Curves:
-    """
-    The curves of n corners, with the same arrays as PathSegments.
+    """The curves of n corners, with the same arrays as PathSegments."""
 
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (n, 5, 3)
-        Control points of bottom and top curve [m].
-    connection : ndarray, shape (n, m, 3)
-        Bezier points of the connection E [m].
-    parametrization : ndarray, shape (n, spans, 8)
-        Spans of u_top = f(u); no spans if f(u) = u [-].
-
-    """
-
+    #: (n, 5, 3): Control points of bottom and top curve [m].
     bottom: FloatArray
     top: FloatArray
-    connection: FloatArray
-    parametrization: FloatArray
+    connection: FloatArray  #: (n, m, 3): Bezier points of the connection E [m].
+    parametrization: FloatArray  #: (n, spans, 8): Spans of u_top = f(u); no spans if f(u) = u [-].
 
     @staticmethod
     def empty(count: int, points: int, spans: int) -> Curves:

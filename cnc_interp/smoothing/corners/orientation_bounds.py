@@ -54,31 +54,7 @@ def orientation_bounds(
     least: FloatArray,
     both: BoolArray,
 ) -> FloatArray:
-    """
-    Compute a proven bound of the orientation deviation of corners.
-
-    Parameters
-    ----------
-    curves : Curves
-        The curves of n corners.
-    legs, rates : ndarray, shape (n, 2, 3)
-        Unit vectors from the corner along both lines [-], and their rotation vectors per metre
-        [rad/m].
-    outer : ndarray, shape (n, 2)
-        L2 before and after the corner [m].
-    height : float
-        Flank height h [m].
-    least : ndarray, shape (n,)
-        Deviation that is known to occur. Errors below it need no close bound [m].
-    both : ndarray of bool, shape (n,)
-        Whether both errors count, or only the top error, which is the tolerance of [B2013].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Bound of the orientation deviation at flank height [m].
-
-    """
+    """Compute a proven bound of the orientation deviation of corners."""
     return np.asarray(
         _bounds_of(
             curves.bottom, curves.top, curves.connection, curves.parametrization,

@@ -38,21 +38,6 @@ def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> 
 
     Without a machine, tip and top point replace the axes. The same happens where the axes are not
     defined (at the pole).
-
-    Parameters
-    ----------
-    corners : Corners
-        Data of n corners.
-    height : float
-        Flank height [m].
-    axis_rates : callable, optional
-        Axis movement per metre over the jerk limits. Rows that are not finite are unknown.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        L2/L1 before and after each corner [-].
-
     """
     steps = -corners.legs[:, 0], corners.legs[:, 1]
     swings = [height * cross(corners.rates[:, side], corners.axis) for side in (0, 1)]
@@ -77,21 +62,7 @@ def ratios_at(corners: Corners, height: float, axis_rates: AxisRates | None) -> 
 
 
 def best_ratios(before: FloatArray, after: FloatArray, change: FloatArray) -> FloatArray:
-    """
-    Return L2/L1 on both sides of corners from the three sizes.
-
-    Parameters
-    ----------
-    before, after, change : ndarray, shape (n,)
-        Largest slope of an axis over its jerk limit before and after the corner, and of the
-        difference of both.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        L2/L1 before and after each corner [-].
-
-    """
+    """Return L2/L1 on both sides of corners from the three sizes."""
     steepest = np.maximum(before, after)
     equal = np.clip(OFFSET + SLOPE * change / steepest, LEAST, MOST)
     sizes = np.maximum(np.stack([before, after], axis=1), 1e-9 * steepest[:, None])

@@ -42,26 +42,7 @@ WORTH = 5e-5
 
 
 def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
-    """
-    Tell at which vertices a rounded corner may be slower than a stop.
-
-    Parameters
-    ----------
-    rows : Rows
-        Lines and curves with n end poses.
-    legs : Legs
-        Geometry between these poses.
-    height : float
-        Flank height [m].
-    machine : MachineTraits
-        Its pole.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        False for the first and the last vertex, and beside curves.
-
-    """
+    """Tell at which vertices a rounded corner may be slower than a stop."""
     found = np.zeros(len(rows), dtype=np.bool_)
     found[1:-1] = dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
     found[1:-1] |= np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
@@ -72,26 +53,7 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
 
 
 def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
-    """
-    Tell at which inner vertices the outer rotary axis may turn fast on one side.
-
-    Parameters
-    ----------
-    blocks : Blocks
-        n end poses.
-    legs : Legs
-        Geometry between these poses.
-    height : float
-        Flank height [m].
-    machine : MachineTraits
-        Its pole.
-
-    Returns
-    -------
-    ndarray of bool, shape (n - 2,)
-        True near the pole, and where it turns faster than ``FAST``.
-
-    """
+    """Tell at which inner vertices the outer rotary axis may turn fast on one side."""
     turn = np.maximum(legs.turn[:-1], legs.turn[1:])
     rate = norm(legs.rate)
     rate = np.maximum(rate[:-1], rate[1:])
@@ -104,19 +66,7 @@ def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits
 
 
 class StopTrials:
-    """
-    Rest at corners where this is faster.
-
-    Parameters
-    ----------
-    machine : MachineTraits
-        The machine, whose ``motion_time`` plans the trials. Without it nothing is tried.
-    height : float
-        Flank height [m].
-    found : list of int
-        Receives the program rows at whose ends a stop was found to be faster.
-
-    """
+    """Rest at corners where this is faster."""
 
     def __init__(self, machine: MachineTraits, height: float, found: list[int]):
         self._machine, self._height, self._found = machine, height, found
@@ -125,26 +75,7 @@ class StopTrials:
         self._plain = np.zeros(0, dtype=np.bool_)  # which of them are lines of poses
 
     def decide(self, rows: Rows, legs: Legs, vertex: IntArray, final: bool) -> int:
-        """
-        Turn rounded corners into stops where the tool is faster so.
-
-        Parameters
-        ----------
-        rows : Rows
-            Lines and curves with n end poses, from the last one that ``keep`` was told.
-        legs : Legs
-            Geometry between these poses.
-        vertex : ndarray of int, shape (n,)
-            PASS, ROUND or STOP; changed in place.
-        final : bool
-            Whether the path ends with the last row.
-
-        Returns
-        -------
-        int
-            All vertices before this one are decided.
-
-        """
+        """Turn rounded corners into stops where the tool is faster so."""
         known = rows.blocks.corner
         vertex[(vertex == ROUND) & (known == STOP_CORNER)] = STOP
         tried = (vertex == ROUND) & (known == OPEN_CORNER)

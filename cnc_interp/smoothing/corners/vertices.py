@@ -31,41 +31,18 @@ PASS, ROUND, STOP = 0, 1, 2
 
 @dataclass
 class Legs:
-    """
-    Geometry of the n blocks between consecutive vertices.
+    """Geometry of the n blocks between consecutive vertices."""
 
-    Parameters
-    ----------
-    length : ndarray, shape (n,)
-        Length of the block [m].
-    direction : ndarray, shape (n, 3)
-        Unit direction of the tip [-].
-    rotation : ndarray, shape (n, 3)
-        Rotation vector of the tool axis over the block [rad].
-    turn : ndarray, shape (n,)
-        Angle of this rotation [rad].
-    rate : ndarray, shape (n, 3)
-        Rotation vector per metre of path [rad/m].
-    resting : ndarray of bool, shape (n,)
-        Whether the tip stands still.
-    extra_step : ndarray, shape (n, k)
-        What the extra axes move by over the block [m].
-    extra_rate : ndarray, shape (n, k)
-        The same per metre of path [-].
-    axes : AxisLegs, optional
-        Blocks whose rotary axes run linearly. Their ``length`` is that of the coordinates, the
-        tool axis does not count as turning, and nothing rests. None without such blocks.
-
-    """
-
-    length: FloatArray
-    direction: FloatArray
-    rotation: FloatArray
-    turn: FloatArray
-    rate: FloatArray
-    resting: BoolArray
-    extra_step: FloatArray
-    extra_rate: FloatArray
+    length: FloatArray  #: (n,): Length of the block [m].
+    direction: FloatArray  #: (n, 3): Unit direction of the tip [-].
+    rotation: FloatArray  #: (n, 3): Rotation vector of the tool axis over the block [rad].
+    turn: FloatArray  #: (n,): Angle of this rotation [rad].
+    rate: FloatArray  #: (n, 3): Rotation vector per metre of path [rad/m].
+    resting: BoolArray  #: (n,): Whether the tip stands still.
+    extra_step: FloatArray  #: (n, k): What the extra axes move by over the block [m].
+    extra_rate: FloatArray  #: (n, k): The same per metre of path [-].
+    #: Blocks whose rotary axes run linearly. Their ``length`` is that of the coordinates, the tool
+    #: axis does not count as turning, and nothing rests. None without such blocks.
     axes: AxisLegs | None = None
 
     @staticmethod
@@ -130,26 +107,7 @@ def refuse_reversals(rows: Rows, legs: Legs) -> None:
 
 
 def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits) -> IntArray:
-    """
-    Decide the kind of each vertex.
-
-    Parameters
-    ----------
-    rows : Rows
-        Lines and curves with n end poses.
-    legs : Legs
-        Geometry between these poses.
-    flank_height : float
-        Flank height [m].
-    machine : MachineTraits
-        Largest turn that is rounded.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        PASS, ROUND or STOP; the first and the last vertex are stops.
-
-    """
+    """Decide the kind of each vertex."""
     blocks, curve = rows.blocks, rows.count > 0
     kind = np.full(len(blocks), STOP)
     before, after = slice(None, -1), slice(1, None)
@@ -184,28 +142,7 @@ def axis_corners(
     machine: MachineTraits,
     at: IntArray | None = None,
 ) -> AxisCorners | None:
-    """
-    Collect the corners beside blocks whose rotary axes run linearly.
-
-    Parameters
-    ----------
-    rows : Rows
-        Lines and curves with n end poses.
-    legs : Legs
-        Geometry between these poses.
-    flank_height : float
-        Flank height [m].
-    machine : MachineTraits
-        Kinematics.
-    at : ndarray of int, shape (k,), optional
-        Vertices to choose from. Without it, all between two blocks.
-
-    Returns
-    -------
-    AxisCorners or None
-        None without such blocks.
-
-    """
+    """Collect the corners beside blocks whose rotary axes run linearly."""
     if legs.axes is None or machine.geometry is None:
         return None
     linear = legs.axes.linear
@@ -218,28 +155,7 @@ def axis_corners(
 def corners_at(
     blocks: Blocks, legs: Legs, rows: IntArray, machine: MachineTraits, flank_height: float
 ) -> Corners:
-    """
-    Collect the programmed data of the corners at some vertices.
-
-    Parameters
-    ----------
-    blocks : Blocks
-        The vertices.
-    legs : Legs
-        Geometry between them.
-    rows : ndarray of int, shape (n,)
-        Indices of the corner vertices.
-    machine : MachineTraits
-        Its pole: corners beside it leave a part of the orientation tolerance.
-    flank_height : float
-        Flank height [m].
-
-    Returns
-    -------
-    Corners
-        Data of n corners. The smaller tolerance of both blocks counts.
-
-    """
+    """Collect the programmed data of the corners at some vertices."""
     tolerances = [
         np.minimum(column[rows], column[rows + 1])
         for column in (blocks.contour_tolerance, blocks.orientation_tolerance)

@@ -40,21 +40,7 @@ SHORTEST_REST = 40.0
 
 
 class Compressor:
-    """
-    Convert a stream of blocks to lines and curves.
-
-    Parameters
-    ----------
-    settings : Settings
-        Choices of the user.
-    machine : MachineTraits
-        Properties of the machine that the smoothing needs.
-    row : int
-        Program row of the first block.
-    joined : bool
-        Whether a native spline ends at the first pose. Then the first block stays a line.
-
-    """
+    """Convert a stream of blocks to lines and curves."""
 
     def __init__(
         self, settings: Settings, machine: MachineTraits, row: int = 0, joined: bool = False

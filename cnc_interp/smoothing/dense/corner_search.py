@@ -9,15 +9,7 @@ from cnc_interp.smoothing.dense.skeleton import Skeleton
 
 
 class CornerSearch:
-    """
-    Find the corners of a growing skeleton.
-
-    Parameters
-    ----------
-    angle : float
-        Vertices with a larger turn are corners [rad].
-
-    """
+    """Find the corners of a growing skeleton."""
 
     def __init__(self, angle: float):
         self._angle = angle
@@ -25,17 +17,7 @@ class CornerSearch:
         self.decided = 0  # number of vertices that are known to be corners or not
 
     def decide(self, skeleton: Skeleton, final: bool) -> None:
-        """
-        Decide about the vertices that are known far enough in both directions.
-
-        Parameters
-        ----------
-        skeleton : Skeleton
-            The skeleton; its columns ``turn`` and ``corner`` are updated.
-        final : bool
-            Whether the skeleton is complete. Then all vertices are decided.
-
-        """
+        """Decide about the vertices that are known far enough in both directions."""
         n, tolerance = len(skeleton), skeleton.tolerance
         # A repeated point that arrives later may still close the last vertex.
         closed = np.flatnonzero(skeleton.closed[: n if final else n - 1])

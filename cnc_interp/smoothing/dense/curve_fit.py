@@ -33,26 +33,12 @@ ATTEMPTS = ((1, 40, 0.85, 1.0), (1, 80, 0.7, 1.0), (1, 60, 0.75, 0.5), (1, 60, 0
 
 @dataclass(frozen=True)
 class Window:
-    """
-    The result of a window.
+    """The result of a window."""
 
-    Parameters
-    ----------
-    spans : Spans or None
-        Spans to commit; None if no curve within the tolerances was found.
-    axis : ndarray, shape (3,)
-        Tool axis at the end of these spans [-].
-    last : bool
-        Whether the run ends there.
-    worst : float
-        Curve parameter at which the deviation was too large [m].
-
-    """
-
-    spans: Spans | None
-    axis: FloatArray
-    last: bool
-    worst: float
+    spans: Spans | None  #: Spans to commit; None if no curve within the tolerances was found.
+    axis: FloatArray  #: (3,): Tool axis at the end of these spans [-].
+    last: bool  #: Whether the run ends there.
+    worst: float  #: Curve parameter at which the deviation was too large [m].
 
 
 class Run:

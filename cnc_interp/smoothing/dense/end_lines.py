@@ -28,40 +28,20 @@ LEAD, LEAD_SHARE = 2.0, 0.4
 
 @dataclass(frozen=True)
 class EndLine:
-    """
-    The line on which a run starts or ends.
+    """The line on which a run starts or ends."""
 
-    Parameters
-    ----------
-    segment : int
-        Segment of the skeleton that the line replaces.
-    vertex : int
-        Skeleton vertex at the inner end of the line.
-    pose : tuple of ndarray
-        Tip [m] and tool axis [-] where line and curve meet.
-    goal : tuple of ndarray
-        Tip [m] and tool axis [-] of ``vertex``.
-    used, tolerance : ndarray, shape (2,)
-        Deviation of the line from the blocks [m].
-    feed : float
-        Smallest feed of the blocks that the line replaces [m/s].
-    cuts : ndarray, shape (m,)
-        Borders of these blocks between ``pose`` and ``goal``, from 0 to 1 in the direction of
-        motion [-].
-    pieces : ndarray of int, shape (m + 1,)
-        Segments of the skeleton between these borders.
-
-    """
-
-    segment: int
-    vertex: int
-    pose: tuple[FloatArray, FloatArray]
-    goal: tuple[FloatArray, FloatArray]
+    segment: int  #: Segment of the skeleton that the line replaces.
+    vertex: int  #: Skeleton vertex at the inner end of the line.
+    pose: tuple[FloatArray, FloatArray]  #: Tip [m] and tool axis [-] where line and curve meet.
+    goal: tuple[FloatArray, FloatArray]  #: Tip [m] and tool axis [-] of ``vertex``.
+    #: (2,): Deviation of the line from the blocks [m].
     used: FloatArray
     tolerance: FloatArray
-    feed: float
+    feed: float  #: Smallest feed of the blocks that the line replaces [m/s].
+    #: (m,): Borders of these blocks between ``pose`` and ``goal``, from 0 to 1 in the direction of
+    #: motion [-].
     cuts: FloatArray
-    pieces: IntArray
+    pieces: IntArray  #: (m + 1,): Segments of the skeleton between these borders.
 
     def shifted(self, first: int) -> EndLine:
         """Return the line after the first vertices of the skeleton were dropped."""
@@ -69,22 +49,7 @@ class EndLine:
 
 
 def longest_spacing(skeleton: Skeleton, k: int) -> float:
-    """
-    Return the longest spacing of knots at a segment.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The skeleton.
-    k : int
-        Segment of the skeleton.
-
-    Returns
-    -------
-    float
-        Spacing in the curve parameter [m].
-
-    """
+    """Return the longest spacing of knots at a segment."""
     return LONGEST * float(skeleton.tolerance[k].min())
 
 
@@ -95,25 +60,6 @@ def choose_end_line(
     Choose the line on which a run begins or ends.
 
     Next to a long block it is that block. At a corner it is a chord over the short blocks near it.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The skeleton.
-    vertex : int
-        Vertex at which the run begins or ends.
-    step : int
-        1 at the beginning of the run, -1 at its end.
-    other : int
-        Vertex at the far end of the run, as far as it is known.
-    ended : bool
-        Whether the run ends at ``other``.
-
-    Returns
-    -------
-    EndLine
-        The line.
-
     """
     tip, axis = skeleton.blocks.tip, skeleton.blocks.axis
     here = tip[vertex], axis[vertex]
@@ -186,32 +132,7 @@ def with_end_line(
     skeleton: Skeleton,
     height: float,
 ) -> tuple[Polyline, FloatArray]:
-    """
-    Extend a polyline by an end line, and return the motion at the outer end of that line.
-
-    Parameters
-    ----------
-    line : Polyline
-        Polyline to which the end line is added.
-    leg : EndLine
-        The end line.
-    pose : tuple of ndarray
-        Tip [m] and tool axis [-] at the end of the added part.
-    vertex : int
-        Skeleton vertex at that end, or -1 if the run ends there.
-    skeleton : Skeleton
-        The skeleton.
-    height : float
-        Flank height [m].
-
-    Returns
-    -------
-    line : Polyline
-        The extended polyline.
-    jet : ndarray, shape (4, 6)
-        Value and three derivatives of tip and top, divided by factorials of their order.
-
-    """
+    """Extend a polyline by an end line, and return the motion at the outer end of that line."""
     n = len(leg.pieces)
     before = line.tip[-1], line.axis[-1]
     inner = [_pose_between(*before, *pose, float(cut)) for cut in leg.cuts]

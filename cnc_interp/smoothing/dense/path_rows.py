@@ -12,33 +12,17 @@ from cnc_interp.program.blocks import Blocks
 
 @dataclass(frozen=True)
 class Spans:
-    """
-    Spans of curves in path order; each is a quintic Bezier curve over [0, 1].
+    """Spans of curves in path order; each is a quintic Bezier curve over [0, 1]."""
 
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (n, 6, 3)
-        Bezier points of the tool tip, and of a second point on the tool axis [m].
-    feed : ndarray, shape (n, 2)
-        Programmed ds/dt in the first and second half [m/s].
-    block : ndarray of int, shape (n, 2)
-        Program rows in the middle of the first and second half.
-    line_number : ndarray of int, shape (n,)
-        Program line in the middle of the second half.
-    deviation : ndarray, shape (n, 2)
-        Bounds of contour and orientation deviation from the program [m].
-    room : ndarray, shape (n,)
-        What the deviation leaves of the orientation tolerance [m].
-
-    """
-
+    #: (n, 6, 3): Bezier points of the tool tip, and of a second point on the tool axis [m].
     bottom: FloatArray
     top: FloatArray
-    feed: FloatArray
-    block: IntArray
-    line_number: IntArray
+    feed: FloatArray  #: (n, 2): Programmed ds/dt in the first and second half [m/s].
+    block: IntArray  #: (n, 2): Program rows in the middle of the first and second half.
+    line_number: IntArray  #: (n,): Program line in the middle of the second half.
+    #: (n, 2): Bounds of contour and orientation deviation from the program [m].
     deviation: FloatArray
-    room: FloatArray
+    room: FloatArray  #: (n,): What the deviation leaves of the orientation tolerance [m].
 
     def __len__(self) -> int:
         """Return the number of spans."""
@@ -64,35 +48,18 @@ class Spans:
 
 @dataclass(frozen=True)
 class Rows:
-    """
-    Lines and curves that replace the blocks. Row 0 of a program is the start pose.
+    """Lines and curves that replace the blocks. Row 0 of a program is the start pose."""
 
-    Parameters
-    ----------
-    blocks : Blocks
-        End pose and programmed data of each row. Tolerances are reduced by ``used``.
-    row : ndarray of int, shape (n,)
-        Program row in which, or at whose end, the row ends.
-    used : ndarray, shape (n, 2)
-        Contour and orientation deviation of a line from the blocks that it replaces [m].
-    smooth : ndarray of bool, shape (n,)
-        Whether a curve joins the previous row smoothly at the start of this row.
-    leads : ndarray of bool, shape (n,)
-        Whether the row is a line at whose end a curve begins smoothly.
-    count : ndarray of int, shape (n,)
-        Number of spans of the row; 0 for a line.
-    spans : Spans
-        Spans of all rows.
-
-    """
-
+    #: End pose and programmed data of each row. Tolerances are reduced by ``used``.
     blocks: Blocks
-    row: IntArray
+    row: IntArray  #: (n,): Program row in which, or at whose end, the row ends.
+    #: (n, 2): Contour and orientation deviation of a line from the blocks that it replaces [m].
     used: FloatArray
+    #: (n,): Whether a curve joins the previous row smoothly at the start of this row.
     smooth: BoolArray
-    leads: BoolArray
-    count: IntArray
-    spans: Spans
+    leads: BoolArray  #: (n,): Whether the row is a line at whose end a curve begins smoothly.
+    count: IntArray  #: (n,): Number of spans of the row; 0 for a line.
+    spans: Spans  #: Spans of all rows.
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -19,31 +19,19 @@ SAME_FEED = 1e-3
 
 @dataclass
 class Polyline:
-    """
-    A polyline of n vertices; segment k connects the vertices k and k + 1.
+    """A polyline of n vertices; segment k connects the vertices k and k + 1."""
 
-    Parameters
-    ----------
-    tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        Tip [m], tool axis [-] and curve parameter [m].
-    vertex : ndarray of int, shape (n,)
-        Index of the skeleton vertex, or -1 where a turning block was divided.
-    used, tolerance : ndarray, shape (n - 1, 2)
-        Deviation of the segments from the program, and their tolerances [m].
-    feed : ndarray, shape (n - 1,)
-        Programmed speed of the tip [m/s].
-    row, line : ndarray of int, shape (n - 1,)
-        Row and line of the program.
-
-    """
-
+    #: Tip [m], tool axis [-] and curve parameter [m].
     tip: FloatArray
     axis: FloatArray
     u: FloatArray
+    #: (n,): Index of the skeleton vertex, or -1 where a turning block was divided.
     vertex: IntArray
+    #: (n - 1, 2): Deviation of the segments from the program, and their tolerances [m].
     used: FloatArray
     tolerance: FloatArray
-    feed: FloatArray
+    feed: FloatArray  #: (n - 1,): Programmed speed of the tip [m/s].
+    #: (n - 1,): Row and line of the program.
     row: IntArray
     line: IntArray
 
@@ -83,30 +71,7 @@ class Polyline:
         line: IntArray,
         height: float,
     ) -> Polyline:
-        """
-        Return the polyline with k more vertices and the segments that end there.
-
-        Parameters
-        ----------
-        tip, axis : ndarray, shape (k, 3)
-            Tip [m] and unit tool axis [-] of the new vertices.
-        vertex : ndarray of int, shape (k,)
-            Indices of the skeleton vertices.
-        used, tolerance : ndarray, shape (k, 2)
-            Deviation of the new segments from the program, and their tolerances [m].
-        feed : ndarray, shape (k,)
-            Programmed speed of the tip [m/s].
-        row, line : ndarray of int, shape (k,)
-            Row and line of the program.
-        height : float
-            Flank height [m].
-
-        Returns
-        -------
-        Polyline
-            The longer polyline. Blocks with a large turn are divided.
-
-        """
+        """Return the polyline with k more vertices and the segments that end there."""
         begin, begin_axis = np.vstack([self.tip[-1:], tip]), np.vstack([self.axis[-1:], axis])
         rotation = rotations_between(begin_axis[:-1], begin_axis[1:])
         counts = np.maximum(np.ceil(norm(rotation) / TURN), 1.0).astype(np.int64)
@@ -152,21 +117,6 @@ class Polyline:
         Return position and derivatives of tip and top at one end of segment k.
 
         The tip moves straight. The top T = p + h o moves on an arc with o_u = w x o.
-
-        Parameters
-        ----------
-        k : int
-            Index of the segment.
-        end : bool
-            Whether the motion at the end of the segment is wanted.
-        height : float
-            Flank height [m].
-
-        Returns
-        -------
-        ndarray, shape (4, 6)
-            Value and three derivatives by u, divided by factorials of their order.
-
         """
         du = self.u[k + 1] - self.u[k]
         at = k + 1 if end else k

@@ -21,30 +21,7 @@ def line_row(
     off: FloatArray | None,
     smooth: bool,
 ) -> Rows:
-    """
-    Return the row of the line to vertex k.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The vertices.
-    k : int
-        Vertex at which the line ends.
-    leg : EndLine or None
-        The end line of a curve that this line is.
-    leads : bool
-        Whether the line ends where the curve begins.
-    off : ndarray, shape (2,), or None
-        Deviation of tip and top from the program [m]; None for that of the skeleton.
-    smooth : bool
-        Whether the line continues a curve.
-
-    Returns
-    -------
-    Rows
-        One row.
-
-    """
+    """Return the row of the line to vertex k."""
     block = replace(skeleton.blocks[k : k + 1], exact_stop=skeleton.stop[k : k + 1].copy())
     tolerance = skeleton.tolerance[k]
     if leg is not None:
@@ -67,28 +44,7 @@ def line_row(
 
 
 def curve_row(skeleton: Skeleton, k: int, found: Window, stop: bool, smooth: bool) -> Rows:
-    """
-    Return the row of the committed part of a curve.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The vertices.
-    k : int
-        Vertex whose block gives what the curve does not have.
-    found : Window
-        The spans to commit.
-    stop : bool
-        Whether the tool rests at the end.
-    smooth : bool
-        Whether the curve continues the line before it.
-
-    Returns
-    -------
-    Rows
-        One row.
-
-    """
+    """Return the row of the committed part of a curve."""
     spans = found.spans
     assert spans is not None
     block = replace(

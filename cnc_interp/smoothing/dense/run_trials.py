@@ -28,26 +28,7 @@ TINY = 15.0
 def is_tried(
     skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
 ) -> bool:
-    """
-    Tell whether a run may be slower as a curve.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The vertices.
-    start, last : int
-        First and last vertex of the run.
-    height : float
-        Flank height [m].
-    machine : MachineTraits
-        Its pole.
-
-    Returns
-    -------
-    bool
-        Whether the run is tiny, or the outer rotary axis may turn fast on it.
-
-    """
+    """Tell whether a run may be slower as a curve."""
     if last - start > MOST_BLOCKS:
         return False
     least = float(skeleton.tolerance[start + 1 : last + 1].min())
@@ -58,24 +39,7 @@ def is_tried(
 
 
 def lines_are_faster(skeleton: Skeleton, start: int, last: int, machine: MachineTraits) -> bool:
-    """
-    Plan a run with the lines beside it as a curve and as lines; tell whether lines are faster.
-
-    Parameters
-    ----------
-    skeleton : Skeleton
-        The vertices. If the tool does not rest at the end of the run, the next one is known.
-    start, last : int
-        First and last vertex of the run.
-    machine : MachineTraits
-        The machine with its ``motion_time``.
-
-    Returns
-    -------
-    bool
-        Whether lines save the part ``WORTH`` of the time.
-
-    """
+    """Plan a run and the lines beside it as a curve and as lines; tell if lines are faster."""
     assert machine.motion_time is not None
     first = start if skeleton.stop[start] else start - 1
     end = last if skeleton.stop[last] else last + 1

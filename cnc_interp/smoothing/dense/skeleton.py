@@ -26,48 +26,24 @@ LEAST_TIP = 0.02
 
 @dataclass
 class Skeleton:
-    """
-    The vertices of the skeleton, one row each. The segment of a row ends at its vertex.
+    """The vertices of the skeleton, one row each. The segment of a row ends at its vertex."""
 
-    Parameters
-    ----------
-    blocks : Blocks
-        Programmed data at the vertices; a feed is that of all rows that a line replaces.
-    top : ndarray, shape (n, 3)
-        Top points: points on the tool axis at flank height [m].
-    row : ndarray of int, shape (n,)
-        Program rows.
-    used : ndarray, shape (n, 2)
-        Contour and orientation deviation of the segment from the rows it replaces [m].
-    feed : ndarray, shape (n,)
-        Programmed speed of the tip on the segment [m/s].
-    turning : ndarray of bool, shape (n,)
-        Whether the tool turns on the segment.
-    kind : ndarray of int, shape (n,)
-        Kind of the segment: SHORT, LONG or FIXED.
-    stop, closed : ndarray of bool, shape (n,)
-        Whether the tool rests at the vertex, and whether the program ends every curve there.
-    corner : ndarray of bool, shape (n,)
-        Whether a corner ends curves there.
-    u : ndarray, shape (n,)
-        Curve parameter: distance along tip and top, root mean square of both [m].
-    turn : ndarray, shape (n,)
-        Turn of the path at the vertex, if already known [rad].
-
-    """
-
+    #: Programmed data at the vertices; a feed is that of all rows that a line replaces.
     blocks: Blocks
-    top: FloatArray
-    row: IntArray
+    top: FloatArray  #: (n, 3): Top points: points on the tool axis at flank height [m].
+    row: IntArray  #: (n,): Program rows.
+    #: (n, 2): Contour and orientation deviation of the segment from the rows it replaces [m].
     used: FloatArray
-    feed: FloatArray
-    turning: BoolArray
-    kind: IntArray
+    feed: FloatArray  #: (n,): Programmed speed of the tip on the segment [m/s].
+    turning: BoolArray  #: (n,): Whether the tool turns on the segment.
+    kind: IntArray  #: (n,): Kind of the segment: SHORT, LONG or FIXED.
+    #: (n,): Whether the tool rests at the vertex, and whether the program ends every curve there.
     stop: BoolArray
     closed: BoolArray
-    corner: BoolArray
+    corner: BoolArray  #: (n,): Whether a corner ends curves there.
+    #: (n,): Curve parameter: distance along tip and top, root mean square of both [m].
     u: FloatArray
-    turn: FloatArray
+    turn: FloatArray  #: (n,): Turn of the path at the vertex, if already known [rad].
 
     def __len__(self) -> int:
         """Return the number of vertices."""
@@ -112,19 +88,7 @@ class Skeleton:
 
 
 class SkeletonBuilder:
-    """
-    Reduce a stream of blocks to its skeleton.
-
-    Parameters
-    ----------
-    settings : Settings
-        Choices of the user.
-    row : int
-        Program row of the first block.
-    joined : bool
-        Whether the first block stays a line.
-
-    """
+    """Reduce a stream of blocks to its skeleton."""
 
     def __init__(self, settings: Settings, row: int, joined: bool):
         self._longest_block, self._height = settings.longest_block, settings.flank_height

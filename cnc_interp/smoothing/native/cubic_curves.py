@@ -31,20 +31,10 @@ MOST_INTERVALS, PROBES = 512, 8
 
 @dataclass(frozen=True)
 class CubicCurve(Portion):
-    """
-    One segment as a portion.
+    """One segment as a portion."""
 
-    Parameters
-    ----------
-    late : int
-        First row whose knot interval lies in the second half of the segment.
-    deviation : float
-        Largest distance of tip and point at flank height from the segment [m].
-
-    """
-
-    late: int
-    deviation: float
+    late: int  #: First row whose knot interval lies in the second half of the segment.
+    deviation: float  #: Largest distance of tip and point at flank height from the segment [m].
 
 
 def cubic_curve(

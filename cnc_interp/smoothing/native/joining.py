@@ -33,20 +33,10 @@ STANDSTILL = 1e-9
 
 @dataclass(frozen=True)
 class Jets:
-    """
-    Tip and tool axis at n places, with their derivatives by the arc length of the tip.
+    """Tip and tool axis at n places, with their derivatives by the arc length of the tip."""
 
-    Parameters
-    ----------
-    tip : ndarray, shape (4, n, 3)
-        p, p_s, p_ss, p_sss [m, -, 1/m, 1/m2].
-    axis : ndarray, shape (4, n, 3)
-        o, o_s, o_ss, o_sss [-, 1/m, 1/m2, 1/m3].
-
-    """
-
-    tip: FloatArray
-    axis: FloatArray
+    tip: FloatArray  #: (4, n, 3): p, p_s, p_ss, p_sss [m, -, 1/m, 1/m2].
+    axis: FloatArray  #: (4, n, 3): o, o_s, o_ss, o_sss [-, 1/m, 1/m2, 1/m3].
 
     def backwards(self) -> Jets:
         """Return the jets of the same path in the opposite direction."""
@@ -54,23 +44,7 @@ class Jets:
         return Jets(sign * self.tip, sign * self.axis)
 
     def jumps(self, other: Jets, height: float) -> FloatArray:
-        """
-        Return the differences of two sets of jets.
-
-        Parameters
-        ----------
-        other : Jets
-            Jets at the same n places.
-        height : float
-            Flank height [m].
-
-        Returns
-        -------
-        ndarray, shape (2, n)
-            Difference of first derivatives, of tip or point at flank height [-], and of second
-            derivatives [1/m].
-
-        """
+        """Return the differences of two sets of jets."""
         found = []
         for order in (1, 2):
             tip = norm(self.tip[order] - other.tip[order])
@@ -104,21 +78,7 @@ def line_jets(tip: FloatArray, direction: FloatArray, axis: FloatArray, rate: Fl
 
 
 def span_jets(bottom: FloatArray, top: FloatArray, connection: FloatArray) -> Jets:
-    """
-    Return the jets at the start of polynomial spans [B2013, Eq. 5, B.3-B.5].
-
-    Parameters
-    ----------
-    bottom, top, connection : ndarray, shape (n, k, 3)
-        Bezier points of tip, second point and connection E, of any degree each [m]. Reversed
-        points give the jets at the other end, in the opposite direction.
-
-    Returns
-    -------
-    Jets
-        Jets at the start of the n spans.
-
-    """
+    """Return the jets at the start of polynomial spans [B2013, Eq. 5, B.3-B.5]."""
     p = start_derivatives(bottom)
     d = start_derivatives(top) - start_derivatives(bottom) + start_derivatives(connection)
     s1, s2, s3 = arc_length(p)
@@ -139,20 +99,7 @@ def span_jets(bottom: FloatArray, top: FloatArray, connection: FloatArray) -> Je
 
 
 def arc_length(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """
-    Return the derivatives of the arc length by the curve parameter.
-
-    Parameters
-    ----------
-    p : ndarray, shape (3, n, 3)
-        C', C'' and C''' of n curves [m].
-
-    Returns
-    -------
-    s1, s2, s3 : ndarray, shape (n, 1)
-        s', s'' and s''' [m].
-
-    """
+    """Return the derivatives of the arc length by the curve parameter."""
     s1 = norm(p[0])[:, None]
     s2 = dot(p[0], p[1])[:, None] / s1
     s3 = (dot(p[1], p[1]) + dot(p[0], p[2]))[:, None] / s1 - s2**2 / s1
@@ -170,22 +117,12 @@ def _by_arc_length(
 
 @dataclass(frozen=True)
 class Connected:
-    """
-    Spans that begin and end with the derivatives of their neighbours.
+    """Spans that begin and end with the derivatives of their neighbours."""
 
-    Parameters
-    ----------
-    bottom : ndarray, shape (n, 6, 3)
-        Bezier points of the tip [m].
-    connection : ndarray, shape (n, points, 3)
-        Bezier points of the connection E, which is added to the top curve [m].
-    deviation : ndarray, shape (n, 2)
-        Bounds of the distance of tip and point at flank height from the given spans [m].
-
-    """
-
-    bottom: FloatArray
+    bottom: FloatArray  #: (n, 6, 3): Bezier points of the tip [m].
+    #: (n, points, 3): Bezier points of the connection E, which is added to the top curve [m].
     connection: FloatArray
+    #: (n, 2): Bounds of the distance of tip and point at flank height from the given spans [m].
     deviation: FloatArray
 
 
@@ -197,26 +134,7 @@ def connected(
     height: float,
     points: int = 6,
 ) -> Connected:
-    """
-    Change spans so that they begin and end with the derivatives of their neighbours.
-
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (n, 6, 3)
-        Quintic Bezier points of tip and second point [m].
-    first, last : Jets or None
-        Jets of the path before u = 0 and after u = 1; None where no condition is imposed.
-    height : float
-        Flank height, at which the orientation deviation is measured [m].
-    points : int
-        6 for a quintic E (tip and axis C2 in arc length), 8 for a septic E (axis C3).
-
-    Returns
-    -------
-    Connected
-        Spans with the same ends and the new derivatives, and bounds of their deviation.
-
-    """
+    """Change spans so that they begin and end with the derivatives of their neighbours."""
     n = len(bottom)
     moved = bottom.copy()
     free = np.zeros((3, n, 3))
@@ -276,22 +194,7 @@ def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
 
 
 def by_parameter(jets: Jets, p: FloatArray) -> FloatArray:
-    """
-    Convert the derivatives of the tool axis from arc length to a curve parameter.
-
-    Parameters
-    ----------
-    jets : Jets
-        Jets at n places.
-    p : ndarray, shape (3, n, 3)
-        C', C'' and C''' of the curve of the tip [m].
-
-    Returns
-    -------
-    ndarray, shape (3, n, 3)
-        o', o'' and o''' by the parameter [-].
-
-    """
+    """Convert the derivatives of the tool axis from arc length to a curve parameter."""
     s1, s2, s3 = arc_length(p)
     _, o_s, o_ss, o_sss = jets.axis
     return np.stack(
@@ -337,17 +240,6 @@ def shortest_tool(bottom: FloatArray, top: FloatArray) -> FloatArray:
 
     D lies in the hull of its Bezier points. In the direction of their mean, its component is at
     least that of the nearest Bezier point.
-
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (n, k, 3)
-        Bezier points of tip and second point [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Lower bound of |D| [m].
-
     """
     tool = top - bottom
     mean = tool.sum(axis=1)

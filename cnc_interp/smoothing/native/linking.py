@@ -40,30 +40,16 @@ MOST_PIECES = 256
 
 @dataclass(frozen=True)
 class Linked:
-    """
-    A portion with a parametrization spline.
+    """A portion with a parametrization spline."""
 
-    Parameters
-    ----------
-    portion : Portion
-        The given curves.
-    parametrization : BPoly
-        u_top = f(u_bottom) on [0, last knot], in the unit of the knots.
-    written : Portion
-        The same path with u_top = u_bottom, for controls that have one parameter: the bottom curve
-        is the given one, the top curve follows top(f(u)) with more knots.
-    source : ndarray of int, shape (m,)
-        Row of ``portion`` in whose knot interval each row of ``written`` lies.
-    deviation : float
-        Largest distance of ``written`` from top(f(u)), at flank height [m].
-
-    """
-
-    portion: Portion
-    parametrization: BPoly
+    portion: Portion  #: The given curves.
+    parametrization: BPoly  #: u_top = f(u_bottom) on [0, last knot], in the unit of the knots.
+    #: The same path with u_top = u_bottom, for controls that have one parameter: the bottom curve
+    #: is the given one, the top curve follows top(f(u)) with more knots.
     written: Portion
+    #: (m,): Row of ``portion`` in whose knot interval each row of ``written`` lies.
     source: IntArray
-    deviation: float
+    deviation: float  #: Largest distance of ``written`` from top(f(u)), at flank height [m].
 
     def poses(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """
@@ -89,32 +75,7 @@ class Linked:
 def join(
     first: Portion, second: Portion, height: float, tolerance: float = 1e-8, septic: bool = False
 ) -> Linked:
-    """
-    Join two 5-axis B-spline portions by a parametrization spline [B2013, section 2.6].
-
-    Parameters
-    ----------
-    first, second : Portion
-        The second portion begins where the first one ends: same tip, same tool axis. Its inner
-        knots are simple.
-    height : float
-        Flank height, at which deviations of the tool axis count [m].
-    tolerance : float
-        Largest distance of the written top curve from top(f(u)) [m].
-    septic : bool
-        Whether f''' is chosen, too: the least jump of o_sss (Eq. 11).
-
-    Returns
-    -------
-    Linked
-        The second portion with its parametrization.
-
-    Raises
-    ------
-    InterpError
-        If the portions do not meet, or no increasing f joins them.
-
-    """
+    """Join two 5-axis B-spline portions by a parametrization spline [B2013, section 2.6]."""
     ends, begins = first.jets(at_end=True), second.jets(at_end=False)
     if norm(ends.tip[0] - begins.tip[0])[0] > SAME_POINT:
         raise InterpError('the second portion does not begin at the tip where the first one ends')

@@ -17,21 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Portion:
-    """
-    A pair of cubic B-splines with one clamped knot vector, one row for each control point.
+    """A pair of cubic B-splines with one clamped knot vector, one row for each control point."""
 
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (n, 3)
-        Control points of tool tip and second point [m].
-    knot_interval : ndarray, shape (n,)
-        Knot interval of each control point: t_(i+3) - t_(i+2) of row i. It is 0 in the first and
-        in the last two rows.
-
-    """
-
+    #: (n, 3): Control points of tool tip and second point [m].
     bottom: FloatArray
     top: FloatArray
+    #: (n,): Knot interval of each control point: t_(i+3) - t_(i+2) of row i. It is 0 in the first
+    #: and in the last two rows.
     knot_interval: FloatArray
 
     @property

@@ -19,27 +19,14 @@ MOST_HALVINGS = 12
 
 @dataclass(frozen=True)
 class Piece:
-    """
-    One polynomial piece of the curve.
+    """One polynomial piece of the curve."""
 
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (1, 6, 3)
-        Bezier points of tip and second point [m].
-    connection : ndarray, shape (1, m, 3)
-        Bezier points of the connection E [m].
-    deviation : ndarray, shape (2,)
-        Bounds of contour and orientation deviation [m].
-    row : int
-        Number of the span in the curve.
-
-    """
-
+    #: (1, 6, 3): Bezier points of tip and second point [m].
     bottom: FloatArray
     top: FloatArray
-    connection: FloatArray
-    deviation: FloatArray
-    row: int
+    connection: FloatArray  #: (1, m, 3): Bezier points of the connection E [m].
+    deviation: FloatArray  #: (2,): Bounds of contour and orientation deviation [m].
+    row: int  #: Number of the span in the curve.
 
     def jets(self, at_end: bool) -> Jets:
         """Return the jets at the start or the end of the piece, in the direction of motion."""

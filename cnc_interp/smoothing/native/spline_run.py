@@ -33,21 +33,7 @@ SAME_POSE = 1e-9
 
 
 class SplineRun:
-    """
-    One curve of a native program.
-
-    Parameters
-    ----------
-    row : int
-        Program row of its first control point.
-    pose : Blocks
-        One row: the pose of the tool where the curve begins.
-    before : Jets or None
-        Jets of the path before the curve; None if the tool rests there.
-    style : Style
-        Flank height, and the degree of the connections.
-
-    """
+    """One curve of a native program."""
 
     def __init__(self, row: int, pose: Blocks, before: Jets | None, style: Style):
         self._first_row, self._pose, self._before = row, pose, before

@@ -15,8 +15,8 @@ import ruckig
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import plan_path
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
 
 FLANK_HEIGHT = 0.03  # [m]

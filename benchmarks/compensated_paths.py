@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.settings.choices import Settings
 

@@ -24,9 +24,9 @@ import numpy as np
 from cnc_interp.cli import main as command
 from cnc_interp.core.units import DEG, UM
 from cnc_interp.drives.tool_error import tool_error
-from cnc_interp.kinematics.axis_drives import AxisDrive
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.simulated import simulate
+from cnc_interp.machine_model.axis_drives import AxisDrive
+from cnc_interp.machine_model.machine import Machine
 
 MACHINE = 'xyzac_tired'
 EXAMPLES = Path(__file__).parents[1] / 'examples'

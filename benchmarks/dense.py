@@ -34,8 +34,8 @@ from programs import CASES, PROGRAMS, program_file
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import Chain

@@ -20,8 +20,8 @@ import numpy as np
 from programs import CASES, program_file
 
 from cnc_interp.core.progress_bar import TimeLeft
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.choices import Settings

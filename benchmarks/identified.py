@@ -19,9 +19,9 @@ import numpy as np
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_feedback import recorded_feedback
 from cnc_interp.client.session import RunRequest, run_session
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.excitation import excitation
 from cnc_interp.machine.identification import identify_axis
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.report.identified import values_of
 
 MACHINE = 'xyzac_tired'

@@ -26,7 +26,7 @@ from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_kernels import follow_all
 from cnc_interp.drives.drive_model import words_of
 from cnc_interp.drives.tool_error import tool_error
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 PROGRAMS = {
     's_path': EXAMPLES / 's_path.apt',

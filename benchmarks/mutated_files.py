@@ -35,7 +35,7 @@ from cnc_interp.cam.step_process import answer
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter
 from cnc_interp.commands.check import plan_files
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 

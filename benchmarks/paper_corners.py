@@ -25,8 +25,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import Plan, plan_program, write_plan

@@ -26,8 +26,8 @@ from pathlib import Path
 import numpy as np
 
 from cnc_interp.core.units import MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.choices import Settings

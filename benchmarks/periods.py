@@ -19,8 +19,8 @@ from rotary_words import files_of, random_program
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MS
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_program

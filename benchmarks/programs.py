@@ -29,8 +29,8 @@ from linuxcnc_oracle import judged
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
 from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.verify import verify_plan

@@ -17,8 +17,8 @@ from paths import ROOT, SHARED, blocks_of, dome, random_blocks
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
 from cnc_interp.run.chain import Chain
 from cnc_interp.settings.choices import Settings

@@ -25,8 +25,8 @@ import numpy as np
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine, machines_directory
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import verify

@@ -28,7 +28,7 @@ from tables import write_tables
 
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate.window import plan_path
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 
 def closed_form(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:

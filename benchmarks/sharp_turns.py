@@ -15,7 +15,7 @@ import numpy as np
 from paths import blocks_of
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Blocks
 from cnc_interp.run.chain import Chain
 from cnc_interp.settings.choices import Settings

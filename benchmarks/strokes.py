@@ -6,7 +6,7 @@ import numpy as np
 import ruckig
 
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 
 def line_path(length: float) -> AxisPath:

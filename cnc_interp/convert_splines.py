@@ -14,7 +14,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.corner_spline import corner_end_derivatives
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import SiemensMove
 from cnc_interp.smoothing.native.cubic_curves import CubicCurve, cubic_curve

@@ -21,8 +21,8 @@ from matplotlib import pyplot as plt
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.choices import Settings

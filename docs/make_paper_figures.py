@@ -28,10 +28,10 @@ from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import arc_length, shapes_of
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.run.chain import Plan, plan_program, summary_of
 from cnc_interp.settings.choices import Settings

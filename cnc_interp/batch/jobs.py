@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cnc_interp.batch.task import Model, Task, settings_of
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.program.files import PROGRAM_SUFFIXES, called_files
 from cnc_interp.settings.choices import Settings
 

@@ -26,7 +26,7 @@ from cnc_interp.batch.processes import Ended, Loss, Processes
 from cnc_interp.batch.task import engine
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report.series import KINDS, axis_use
 

@@ -20,8 +20,8 @@ import numpy as np
 from cnc_interp.batch.task import Cost, Model, Outcome, Row, Task, Verdict
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import parse_yaml
-from cnc_interp.kinematics.machine import Machine, from_mapping
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, from_mapping
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, open_program
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify_plan

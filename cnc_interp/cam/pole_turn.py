@@ -21,8 +21,8 @@ from cnc_interp.cam.spline_pass import SPACING, SplinePass
 from cnc_interp.cam.vectors import cross, dot, norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 #: Turns of the workpiece that are tried, in this order [deg].
 TURNS = range(1, 61)

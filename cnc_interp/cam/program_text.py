@@ -11,8 +11,8 @@ import numpy as np
 from cnc_interp.cam.spline_pass import ARM, SplinePass
 from cnc_interp.cam.tool_path import Link, ToolPath
 from cnc_interp.convert import convert
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.program.writer import ClMove, SiemensMove, cl_data, siemens
 from cnc_interp.settings.choices import Settings

@@ -18,9 +18,9 @@ from cnc_interp.convert import with_chords
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.tool_error import SETTLING
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.simulated import simulate
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
 

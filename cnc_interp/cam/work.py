@@ -41,8 +41,8 @@ from cnc_interp.cam.vectors import cross, norm, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.chain import plan_to_files

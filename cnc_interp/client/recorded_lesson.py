@@ -14,7 +14,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.compensation import Compensation, compensated_model
 from cnc_interp.drives.learning import learnt_rates, measured_error, start_of, with_hold
 from cnc_interp.drives.learnt_motion import LearntMotion, hash_of, learnt_for
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 #: States of a run that goes on without a stop.
 ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)

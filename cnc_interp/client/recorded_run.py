@@ -15,9 +15,9 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.run.chunk import rows_of

@@ -21,8 +21,8 @@ from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.tool_limit import ToolLimit
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.this_host import stay_on_this_host
 from cnc_interp.run.chunk import Wait

@@ -16,7 +16,7 @@ from cnc_interp.core.differences import excesses
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
-from cnc_interp.kinematics.axes import error_text
+from cnc_interp.machine_model.axes import error_text
 from cnc_interp.nodes.node_processes import Children, load_nodes
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.command_line import settings_from
@@ -208,7 +208,7 @@ def run_session(
     # The rest is imported, and this end of ROS made, while another process loads the nodes.
     from cnc_interp.client.operator_client import OperatorClient
     from cnc_interp.client.recorded_runs import run_recorded
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
 
     client = OperatorClient('run', namespace, domain)
     try:

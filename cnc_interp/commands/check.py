@@ -16,7 +16,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
 if TYPE_CHECKING:
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
     from cnc_interp.proof.plan_files import PlanFiles
     from cnc_interp.proof.verdict import Proof
 
@@ -63,7 +63,7 @@ def add_report_command(commands: Any) -> None:
 
 def check_command(options: Namespace) -> int:
     """Prove a plan or a recorded run."""
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
     from cnc_interp.proof.beside import with_beside
     from cnc_interp.proof.given import given_of
     from cnc_interp.proof.plan_files import read_plan
@@ -125,7 +125,7 @@ def with_tool_error(proof: Proof, plan: PlanFiles, machine: Machine) -> Proof:
 
 def report_command(options: Namespace) -> int:
     """Write the HTML page of a plan or a recorded run."""
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
     from cnc_interp.report import write_report
 
     page = options.html or options.directory / 'report.html'
@@ -157,7 +157,7 @@ def plan_files(
         return
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_run import recorded_run, write_run
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
 
     with Bag(path) as bag:
         run = recorded_run(bag)

@@ -37,8 +37,8 @@ def add_identify_commands(commands: Any) -> None:
 
 def excite_command(options: Namespace) -> int:
     """Write the program that excites all axes."""
-    from cnc_interp.kinematics.machine import Machine
     from cnc_interp.machine.excitation import excitation
+    from cnc_interp.machine_model.machine import Machine
 
     options.out.write_text(excitation(Machine.load(options.machine)), encoding='utf-8')
     return FINE
@@ -48,9 +48,9 @@ def identify_command(options: Namespace) -> int:
     """Fit the drives of a recorded run."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_feedback import recorded_feedback
-    from cnc_interp.kinematics.drive_text import with_drives
-    from cnc_interp.kinematics.machine import Machine, find_machine_file
     from cnc_interp.machine.identification import identify_axis
+    from cnc_interp.machine_model.drive_text import with_drives
+    from cnc_interp.machine_model.machine import Machine, find_machine_file
     from cnc_interp.report.identified import identified_lines, write_identified
 
     with Bag(options.bag) as bag:

@@ -24,7 +24,7 @@ from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
 
 if TYPE_CHECKING:
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
 
 #: Largest width of a drawing in text [characters].
 WIDEST = 100
@@ -63,7 +63,7 @@ def add_plan_command(commands: Any) -> None:
 def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
     from cnc_interp.core.progress_bar import ProgressBar
-    from cnc_interp.kinematics.transform import Transform
+    from cnc_interp.machine_model.transform import Transform
     from cnc_interp.program import open_program
     from cnc_interp.run.chain import plan_to_files
 
@@ -97,8 +97,8 @@ def plan_command(options: argparse.Namespace) -> int:
 
 def machine_of(options: argparse.Namespace) -> Machine:
     """Return the machine; with the workpiece elsewhere, its file is among the plan files."""
-    from cnc_interp.kinematics.machine import Machine
-    from cnc_interp.kinematics.workpiece_place import placed_machine
+    from cnc_interp.machine_model.machine import Machine
+    from cnc_interp.machine_model.workpiece_place import placed_machine
 
     shift = options.place_x, options.place_y, options.place_z
     if not all(math.isfinite(value) for value in (*shift, options.turn)):

@@ -26,7 +26,7 @@ def add_urdf_command(commands: Any) -> None:
 def urdf_command(options: argparse.Namespace) -> int:
     """Write a machine as URDF."""
     from cnc_interp.description.urdf import urdf_of
-    from cnc_interp.kinematics.machine import Machine
+    from cnc_interp.machine_model.machine import Machine
 
     text = urdf_of(Machine.load(options.machine))
     if options.out is None:

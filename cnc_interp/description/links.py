@@ -31,7 +31,7 @@ from cnc_interp.description.shapes import (
     tool_shapes,
     vector,
 )
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 BASE, TOOL_TIP, WORKPIECE = 'base_link', 'tool_tip', 'workpiece'
 

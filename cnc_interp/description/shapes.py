@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float, float]

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from cnc_interp.description.links import Description, Joint, describe_machine
 from cnc_interp.description.shapes import Shape
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 HEADER = '<?xml version="1.0"?>\n'
 #: Largest force of a joint, which URDF requires and machine files lack [N, N m].

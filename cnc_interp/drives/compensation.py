@@ -31,9 +31,9 @@ from numba import carray, cfunc, njit, types
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.native import call_drives, pointer
-from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
-from cnc_interp.kinematics.drive_loads import DriveLoad
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
+from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.machine import Machine
 
 #: Setpoints to each side of the one that is sent: time [s], and their least number.
 BESIDE, FEWEST = 8e-3, 5

@@ -30,9 +30,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.drives import drive_kernels as kernels
-from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
-from cnc_interp.kinematics.drive_loads import DriveLoad
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
+from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.machine import Machine
 
 #: Longest step where one exact step does not do [s].
 STEP = 1e-4

@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
-from cnc_interp.kinematics.drive_loads import DriveLoad
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
+from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.machine import Machine
 
 #: Terms of the series: 1, s, s^2.
 TERMS = 3

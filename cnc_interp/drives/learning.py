@@ -20,9 +20,9 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, path_and_axis_errors
-from cnc_interp.kinematics.axis_drives import IDEAL, AxisDrive
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 #: Largest cutoff of the low pass [Hz], and its largest share of the frequency of the mode.
 CUTOFF, SHARE = 40.0, 0.65

@@ -11,7 +11,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine import Machine, find_machine_file
 
 #: Arrays of the file.
 ARRAYS = ('setpoint', 'rate', 'period', 'error', 'axes', 'machine', 'model')

@@ -13,8 +13,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_kernels import follow_all
 from cnc_interp.drives.drive_model import lag_of, memory_of, words_of
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 #: Distances that differ by less are equal [m].
 SAME = 1e-6

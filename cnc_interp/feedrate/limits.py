@@ -25,7 +25,7 @@ from cnc_interp.kinematics.axis_path import (
     septic_coefficients,
     septic_value,
 )
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 #: Shortest period at which the slack of the jerk stage covers the steps between path cells [s].
 ROOMY = 1.0 * MS

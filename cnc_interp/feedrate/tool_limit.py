@@ -31,8 +31,8 @@ from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate_along
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.choices import Settings
 
 FEELER = 1e-6

@@ -24,7 +24,7 @@ from cnc_interp.kinematics.segment_axes import (
     guide_jet,
     pose_jets,
 )
-from cnc_interp.kinematics.transform_kernels import (
+from cnc_interp.machine_model.transform_kernels import (
     OUTER,
     PRIMARY,
     SECONDARY,

@@ -37,7 +37,7 @@ from cnc_interp.kinematics.segment_axes import (
     sample,
     shapes_of,
 )
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
 

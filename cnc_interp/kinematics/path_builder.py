@@ -17,7 +17,6 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.branch import branch_at, start_positions
 from cnc_interp.kinematics.path_checks import (
     OFF_WORDS,
     check_travel,
@@ -38,7 +37,8 @@ from cnc_interp.kinematics.segment_axes import (
     beside_of,
     shapes_of,
 )
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.branch import branch_at, start_positions
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import (

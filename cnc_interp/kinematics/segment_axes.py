@@ -18,7 +18,7 @@ from cnc_interp.core.bezier import quintic_jet
 from cnc_interp.core.corner_spline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.kinematics.axis_path import septic_value
-from cnc_interp.kinematics.transform_kernels import (
+from cnc_interp.machine_model.transform_kernels import (
     OUTER,
     SIZE,
     guided_jets,

@@ -17,10 +17,10 @@ from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.setpoint_checks import beyond_travel
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 #: A setpoint that asks an axis for this many times its largest velocity is an error of the sender.
 GROSS = 1.5

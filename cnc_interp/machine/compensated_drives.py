@@ -25,8 +25,8 @@ from cnc_interp.drives.compensation import (
     compensate_once,
 )
 from cnc_interp.drives.learnt_motion import LearntMotion
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.drives import CycleDrives
+from cnc_interp.machine_model.machine import Machine
 
 
 class CompensatedDrives:

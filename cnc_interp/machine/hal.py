@@ -20,7 +20,6 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.native import publish
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError
 from cnc_interp.machine.hal_library import (
@@ -30,6 +29,7 @@ from cnc_interp.machine.hal_library import (
     HalStream,
     thread_period,
 )
+from cnc_interp.machine_model.machine import Machine
 
 STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
 #: HAL's period may differ by so much from the interpolation period [-].

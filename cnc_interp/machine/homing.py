@@ -14,9 +14,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import StreamError
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.run_state import Reason, State
 
 #: Shares of the velocity limits towards the switch and back from it [-].

@@ -18,9 +18,9 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.drive_kernels import follow_all
 from cnc_interp.drives.drive_model import axis_words, place, room_of_delay
-from cnc_interp.kinematics.axis_drives import AxisDrive
-from cnc_interp.kinematics.drive_loads import DriveLoad
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.axis_drives import AxisDrive
+from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.machine import Machine
 
 #: A setpoint step below this is rest [m, rad].
 STILL = 1e-8

@@ -17,7 +17,6 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.buffer import Buffer, BufferedChunk, Rows
 from cnc_interp.machine.cycle import Cycle, Records
@@ -42,6 +41,7 @@ from cnc_interp.machine.drives import (
     Drives,
 )
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import NO_RUN, RunId

@@ -7,8 +7,8 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.differences import limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
+from cnc_interp.machine_model.machine import Machine
 
 # Differences of valid setpoints exceed a limit by rounding at most.
 ROUNDING = 1.01

@@ -20,8 +20,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.drives import AxisFeedback, AxisRows, DriveFaultError
+from cnc_interp.machine_model.machine import Machine
 
 #: Time between points; the controller interpolates between them [s].
 SPACING = 0.004

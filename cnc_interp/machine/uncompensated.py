@@ -5,9 +5,9 @@ from __future__ import annotations
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.drives.drive_kernels import follow_all
 from cnc_interp.drives.drive_model import lag_of, words_of
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.axis_motion import ContourErrors
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 
 class Uncompensated:

@@ -10,11 +10,11 @@ import numpy as np
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.learnt_motion import LearntMotion, learnt_for
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.drives import CycleDrives, Drives
 from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOptions
+from cnc_interp.machine_model.machine import Machine
 
 
 def chosen_drives(node: Any, values: dict[str, Any], machine: Machine, period: float) -> Drives:

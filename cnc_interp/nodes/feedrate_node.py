@@ -19,8 +19,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.core.units import MS
 from cnc_interp.feedrate.tool_limit import ToolLimit
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all

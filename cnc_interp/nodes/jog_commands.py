@@ -10,11 +10,11 @@ from cnc_interp_msgs.msg import Jog as JogMessage
 from cnc_interp_msgs.srv import Home, MoveAxes
 
 from cnc_interp.core.errors import BlockError, StreamError
-from cnc_interp.kinematics.pose import positions_of_pose
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.homing import Homing, SimulatedSwitches
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine_model.pose import positions_of_pose
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import BEATS
 

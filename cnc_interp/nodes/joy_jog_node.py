@@ -9,7 +9,7 @@ from cnc_interp_msgs.msg import Jog
 from rclpy.node import Node
 from sensor_msgs.msg import Joy
 
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.parameters import MACHINE, Declared

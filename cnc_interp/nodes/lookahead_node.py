@@ -9,8 +9,8 @@ from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, PathSegmentB
 from rclpy.node import Node
 
 from cnc_interp.core.errors import InterpError, Refusal
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_lookahead

@@ -11,9 +11,9 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.chosen_drives import chosen_drives
 from cnc_interp.nodes.controls import Controls

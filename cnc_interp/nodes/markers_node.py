@@ -19,8 +19,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from cnc_interp.convert import with_poses
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS

@@ -7,7 +7,7 @@ from typing import Any
 
 from cnc_interp_msgs.msg import ModalState
 
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Prepared, prepare_line
 from cnc_interp.nodes.program_run import ProgramRun, why_not

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.active_modes import ActiveModesTopic
 from cnc_interp.nodes.block_feed import BlockFeed

@@ -11,7 +11,7 @@ from cnc_interp_msgs.msg import SetupTable as SetupMessage
 from cnc_interp_msgs.srv import ReadSetup, SetOffset, SetTool, TouchOff
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program.job import ROTATION, SetupChange

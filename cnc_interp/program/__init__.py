@@ -9,14 +9,12 @@ from cnc_interp.program.reading import (
     read_program,
     read_text,
 )
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 
 __all__ = [
     'Blocks',
     'JobSetup',
     'Program',
     'ProgramStream',
-    'RotaryGeometry',
     'Tool',
     'open_program',
     'read_program',

@@ -18,13 +18,13 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.columns import NO_ARC, TargetColumns
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.refusals import Refusals
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
@@ -66,9 +66,7 @@ class _Circle:
 class ClReader:
     """A reader of CL data; ``blocks`` runs it."""
 
-    def __init__(
-        self, geometry: RotaryGeometry, settings: Settings, source: Source, notices: Notices
-    ):
+    def __init__(self, geometry: Transform, settings: Settings, source: Source, notices: Notices):
         self.settings, self.source, self.notices = settings, source, notices
         self.targets = TargetColumns(geometry, settings, source.name)
         self.used: set[str] = set()  # nothing of the setup

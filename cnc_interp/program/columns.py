@@ -18,6 +18,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cutter_radius import CutterRadius
@@ -38,7 +39,6 @@ from cnc_interp.program.moves import (
     Moves,
     merge_repeated,
 )
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
 
@@ -64,7 +64,7 @@ class ProgramChange:
 class TargetColumns:
     """Growing columns of motion targets that are converted to blocks in batches."""
 
-    def __init__(self, geometry: RotaryGeometry, settings: Settings, source: str):
+    def __init__(self, geometry: Transform, settings: Settings, source: str):
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
         self._radius: CutterRadius | None = None

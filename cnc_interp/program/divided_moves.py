@@ -14,6 +14,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import (
     GO_ON,
     OPTIONAL_STOP,
@@ -38,7 +39,6 @@ from cnc_interp.program.moves import (
     SWEEP,
     Moves,
 )
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.subdivide import MOST_PIECES, angle_between, piece_counts, ragged
 from cnc_interp.settings.choices import Settings
 
@@ -146,7 +146,7 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
     return counts
 
 
-def start_pose(here: Moves, geometry: RotaryGeometry, extra: list[int]) -> Blocks:
+def start_pose(here: Moves, geometry: Transform, extra: list[int]) -> Blocks:
     """Return row 0, the start pose. It has no motion, so no feedrate and no duration."""
     row = here.rows
     tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))

@@ -15,6 +15,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes, scan
 from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
@@ -31,7 +32,6 @@ from cnc_interp.program.motion import Mover
 from cnc_interp.program.named_words import NamedWords
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.refusals import Refusals
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.source import Source
 from cnc_interp.program.splines import Splines
@@ -49,7 +49,7 @@ class GcodeReader:
 
     def __init__(
         self,
-        geometry: RotaryGeometry,
+        geometry: Transform,
         settings: Settings,
         setup: JobSetup,
         source: Source,

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.reading import ProgramStream
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Source
 from cnc_interp.settings.choices import Settings
 
@@ -48,14 +48,14 @@ class MdiReader:
 
     Parameters
     ----------
-    geometry : RotaryGeometry
+    geometry : Transform
         Axis names and kinematics of the machine.
     settings : Settings
         Values that the lines do not give, and choices of the user.
 
     """
 
-    def __init__(self, geometry: RotaryGeometry, settings: Settings):
+    def __init__(self, geometry: Transform, settings: Settings):
         self._geometry, self._settings = geometry, settings
         self._last = self._reader('', Notices(), JobSetup())
 

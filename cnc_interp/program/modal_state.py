@@ -10,6 +10,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
 from cnc_interp.program.columns import TargetColumns
@@ -19,7 +20,6 @@ from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import WORK_OFFSETS, JobSetup, SetupChange, Tool
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.settings.choices import Settings
 
 FARTHEST = 1e5 * MM
@@ -100,7 +100,7 @@ class ModalState:
 
     Parameters
     ----------
-    geometry : RotaryGeometry
+    geometry : Transform
         Axis names and kinematics of the machine.
     settings : Settings
         Values that the program does not give, and choices of the user.
@@ -115,7 +115,7 @@ class ModalState:
 
     def __init__(
         self,
-        geometry: RotaryGeometry,
+        geometry: Transform,
         settings: Settings,
         setup: JobSetup,
         flow: Flow,

@@ -12,13 +12,13 @@ from math import nan
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs
 from cnc_interp.program.blocks import (
     AXES_LINEAR,
     POSES,
     ROTARY_LINEAR,
 )
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.subdivide import (
     angle_between,
     great_circle,
@@ -80,7 +80,7 @@ class Moves:
 
     def __init__(
         self,
-        geometry: RotaryGeometry,
+        geometry: Transform,
         zero: FloatArray,
         before: FloatArray,
         rows: FloatArray,

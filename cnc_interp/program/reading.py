@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
@@ -16,7 +17,6 @@ from cnc_interp.program.files import CL_SUFFIXES
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.rotary_geometry import RotaryGeometry
 from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
@@ -55,7 +55,7 @@ class ProgramStream:
     ----------
     source : Source
         The text of the program.
-    geometry : RotaryGeometry
+    geometry : Transform
         Axis names and kinematics of the machine.
     settings : Settings
         Values that the program does not give, and choices of the user.
@@ -74,7 +74,7 @@ class ProgramStream:
     def __init__(
         self,
         source: Source,
-        geometry: RotaryGeometry,
+        geometry: Transform,
         settings: Settings,
         setup: JobSetup | None = None,
     ):
@@ -144,14 +144,14 @@ class ProgramStream:
 
 
 def open_program(
-    path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
+    path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None
 ) -> ProgramStream:
     """Open a part program to read it batch by batch."""
     return ProgramStream(Source.of_file(path), geometry, settings, setup)
 
 
 def read_program(
-    path: Path, geometry: RotaryGeometry, settings: Settings, setup: JobSetup | None = None
+    path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None
 ) -> Program:
     """Read a part program from a file."""
     return open_program(path, geometry, settings, setup).read()
@@ -160,7 +160,7 @@ def read_program(
 def read_text(
     text: str,
     source: str,
-    geometry: RotaryGeometry,
+    geometry: Transform,
     settings: Settings,
     setup: JobSetup | None = None,
 ) -> Program:

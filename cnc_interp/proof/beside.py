@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.program_shapes import SLACK

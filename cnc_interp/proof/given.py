@@ -13,7 +13,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import MM, MS
-from cnc_interp.kinematics.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 
 #: Digits of a hash that are shown.

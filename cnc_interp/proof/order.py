@@ -22,8 +22,8 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_axes import ProgrammedAxes

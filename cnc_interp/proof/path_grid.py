@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof import columns
 from cnc_interp.proof.axis_limits import limits_at
 from cnc_interp.proof.columns import held, spans

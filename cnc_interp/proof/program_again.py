@@ -16,8 +16,8 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.linuxcnc_reader import LAST_DIGIT, LinuxCNCError, read_by_linuxcnc
 from cnc_interp.proof.plain_reader import Move, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles

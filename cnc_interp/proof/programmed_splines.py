@@ -19,8 +19,8 @@ from scipy.interpolate import BSpline
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 

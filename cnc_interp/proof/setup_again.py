@@ -11,8 +11,8 @@ import numpy as np
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, parse_yaml
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
 #: First parameters of the positions, and the unit of LinuxCNC's files [mm].

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.given import Given
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_again import Agreement

@@ -11,10 +11,10 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import ARCSEC, UM
-from cnc_interp.kinematics.axis_drives import ENTRIES, AxisDrive, key_and_unit
-from cnc_interp.kinematics.drive_loads import LINEAR_KEYS, ROTARY_KEYS
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.machine.identification import IdentifiedAxis
+from cnc_interp.machine_model.axis_drives import ENTRIES, AxisDrive, key_and_unit
+from cnc_interp.machine_model.drive_loads import LINEAR_KEYS, ROTARY_KEYS
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.report.html import STYLE, drawing, section
 from cnc_interp.report.plot_style import (
     BLUE,

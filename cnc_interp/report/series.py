@@ -10,7 +10,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.limit_table import limits_along
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import Program, measure
 from cnc_interp.proof.programmed_splines import with_chords

@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 
 from cnc_interp.core.units import ARCSEC, UM
 from cnc_interp.drives.tool_error import ToolError, tool_error
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report.html import drawing, section
 from cnc_interp.report.plot_style import BLUE, BUCKETS, ORANGE, base_layout, rounded, with_axes

@@ -19,8 +19,8 @@ from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import PlannedPiece
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Interpolator, Setpoints

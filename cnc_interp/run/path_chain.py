@@ -22,9 +22,9 @@ from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.axis_rates import traits_of
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother

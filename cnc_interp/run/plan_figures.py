@@ -15,7 +15,7 @@ from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.drives.tool_error import ToolError, ToolMotion
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.start_place import StartPlace

@@ -26,8 +26,8 @@ from cnc_interp.core.units import HOUR
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_figures import PlanFigures

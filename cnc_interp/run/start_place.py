@@ -15,7 +15,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.run.course import from_place

@@ -8,6 +8,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.smoothing.corners import corner
 from cnc_interp.smoothing.corners.axis_legs import EXTRA, POINT, TURN
@@ -20,7 +21,6 @@ from cnc_interp.smoothing.corners.vertices import (
     corners_at,
 )
 from cnc_interp.smoothing.dense.path_rows import Rows
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import norm, turned_by
 from cnc_interp.smoothing.segments import (
     CORNER,

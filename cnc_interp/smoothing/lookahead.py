@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners import corner
@@ -33,7 +34,6 @@ from cnc_interp.smoothing.corners.vertices import (
 from cnc_interp.smoothing.dense.compressor import Compressor
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.emission import Emission, no_segments
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import PathSegments
 
 #: A line shorter than this share of its block goes to the corners [-].

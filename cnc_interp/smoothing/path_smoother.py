@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.native.joining import Jets, line_between
 from cnc_interp.smoothing.native.spline_run import SplineRun
 from cnc_interp.smoothing.segments import PathSegments

@@ -18,7 +18,7 @@ import yaml
 
 from cnc_interp.cli import BAD_INPUT, FINE, main
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 
 HERE = Path(__file__).parent
 OWN, SHARED = HERE / 'inputs', HERE.parents[2] / 'shared' / 'cases'

@@ -36,8 +36,8 @@ from cnc_interp.client.page.start_choice import WayAhead
 from cnc_interp.client.page.tube import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.settings.choices import Settings
 

@@ -11,13 +11,13 @@ from tiers import examples
 
 from cnc_interp.core.errors import BlockError, InterpError
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 COUNT = examples(4, 60)

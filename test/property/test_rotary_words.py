@@ -10,8 +10,8 @@ from scipy.interpolate import BSpline
 from tiers import examples
 
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.proof.verify import verify

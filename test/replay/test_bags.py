@@ -23,7 +23,7 @@ from cnc_interp.cli import main
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.message_seal import sealed
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.interpolator import Setpoints

@@ -11,8 +11,8 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from cnc_interp.kinematics.axis_path import evaluate
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
 from cnc_interp.run import path_chain

@@ -11,7 +11,7 @@ from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.drives.tool_error import tool_error
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.settings.choices import Settings
 
 PYRAMID = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'

@@ -11,7 +11,7 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import Home, MoveAxes
 from operated import Bench, Result
 
-from cnc_interp.kinematics.machine import find_machine_file
+from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.nodes.parameters import NODES
 from cnc_interp.nodes.qos import STATE
 

@@ -12,7 +12,7 @@ from cnc_interp.cli import main
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.learnt_motion import LearntMotion
-from cnc_interp.kinematics.machine import find_machine_file
+from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.settings.choices import Settings
 
 PYRAMID = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'

@@ -16,8 +16,8 @@ from cnc_interp_msgs.msg import G1Block, SetpointChunk
 from rclpy.executors import SingleThreadedExecutor
 from visualization_msgs.msg import Marker, MarkerArray
 
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
 from cnc_interp.run.run_id import RunId

@@ -10,8 +10,8 @@ import numpy as np
 from cnc_interp_msgs.action import RunProgram
 
 from cnc_interp.core.errors import BlockError, InterpError, ProgramError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import prepare
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks

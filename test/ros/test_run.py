@@ -19,8 +19,8 @@ from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.convert import convert
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.run_id import RunId

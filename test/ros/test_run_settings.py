@@ -11,8 +11,8 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_run import recorded_run
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.replay import compute_again
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings

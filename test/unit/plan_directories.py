@@ -10,8 +10,8 @@ import numpy as np
 from ruckig import InputParameter, Ruckig, Trajectory
 
 from cnc_interp.core.units import MM, MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 PERIOD = 1e-3
 HEIGHT = 30 * MM

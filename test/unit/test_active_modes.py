@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, active_modes
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source

@@ -8,8 +8,8 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from cnc_interp_msgs.msg import G1Block
 
 from cnc_interp.core.errors import StreamError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.block_feed import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.program import JobSetup, read_text

@@ -15,8 +15,8 @@ from cnc_interp.cam.simulation import programmed
 from cnc_interp.cli import main
 from cnc_interp.command_options import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.settings.choices import Settings
 

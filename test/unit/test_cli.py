@@ -11,8 +11,8 @@ import pytest
 from cnc_interp.cli import main
 from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import BlockError
-from cnc_interp.kinematics.machine import Machine, find_machine_file
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, find_machine_file
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run import chain
 from cnc_interp.run.path_chain import segments_of

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.program.setup_requests import tool_changes
 from cnc_interp.settings.choices import Settings

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.proof import linuxcnc_reader
 from cnc_interp.settings.choices import Settings

@@ -6,10 +6,10 @@ import numpy as np
 from numba import carray, cfunc, types
 
 from cnc_interp.core.native import pointer
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.drives import AxisFeedback, DriveFaultError, Drives
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_stream import MotionStream

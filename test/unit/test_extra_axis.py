@@ -9,9 +9,9 @@ import yaml
 
 from cnc_interp.core.errors import MachineError, ProgramError, StreamError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.spool import BlockSpool
 from cnc_interp.proof.plan_files import read_plan

@@ -8,9 +8,9 @@ from test_jog import MM, Bench, T
 
 from cnc_interp.core.errors import MachineError, StreamError
 from cnc_interp.core.small_files import read_yaml
-from cnc_interp.kinematics.machine import find_machine_file, from_mapping
 from cnc_interp.machine.homing import BACK, Homing, SimulatedSwitches
 from cnc_interp.machine.jog import AHEAD
+from cnc_interp.machine_model.machine import find_machine_file, from_mapping
 from cnc_interp.run.run_state import State
 
 CONTENT = read_yaml(find_machine_file('xyzac'))

@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[2] / 'cnc_interp'
 FLOW = (
     'core',
     'settings',
+    'machine_model',
     'program',
     'smoothing',
     'kinematics',
@@ -43,8 +44,8 @@ PROOF_MAY_IMPORT = (
     'cnc_interp.core.small_files',
     'cnc_interp.core.units',
     'cnc_interp.program.blocks',
-    'cnc_interp.kinematics.machine',
-    'cnc_interp.kinematics.transform',
+    'cnc_interp.machine_model.machine',
+    'cnc_interp.machine_model.transform',
     'cnc_interp.proof',
 )
 
@@ -132,10 +133,10 @@ def test_package_itself_imports_nothing_but_the_choice_of_the_kernel_cache():
 @pytest.mark.parametrize(
     ('module', 'source'),
     [
-        ('cnc_interp.program.gcode', 'from cnc_interp.kinematics.machine import Machine'),
+        ('cnc_interp.program.gcode', 'from cnc_interp.kinematics.axis_path import AxisPath'),
         ('cnc_interp.program.gcode', 'import cnc_interp.cli'),
         ('cnc_interp.program.gcode', 'from cnc_interp import nodes'),
-        ('cnc_interp.program.gcode', 'from ..kinematics import machine'),
+        ('cnc_interp.program.gcode', 'from ..kinematics import axis_path'),
         ('cnc_interp.program.gcode', 'def read():\n    import rclpy.node'),
         ('cnc_interp.report.html', 'from cnc_interp_msgs.msg import G1Block'),
         ('cnc_interp.cli', 'from rosbags.rosbag2 import Reader'),
@@ -152,12 +153,12 @@ def test_wrong_imports_are_seen(module, source):
 @pytest.mark.parametrize(
     ('module', 'source'),
     [
-        ('cnc_interp.kinematics.machine', 'from cnc_interp.program.blocks import Blocks'),
+        ('cnc_interp.kinematics.path_builder', 'from cnc_interp.program.blocks import Blocks'),
         ('cnc_interp.nodes.program_node', 'import rclpy\nfrom cnc_interp_msgs.msg import G1Block'),
         ('cnc_interp.wire.path_messages', 'from cnc_interp_msgs.msg import G1Block'),
         ('cnc_interp.client.session', 'import rclpy'),
         ('cnc_interp.cli', 'from cnc_interp import __version__, verify'),
-        ('cnc_interp.proof.verify', 'from cnc_interp.kinematics.machine import Machine'),
+        ('cnc_interp.proof.verify', 'from cnc_interp.machine_model.machine import Machine'),
         ('cnc_interp.program.gcode', 'from .words import split_words'),
     ],
 )

@@ -15,11 +15,11 @@ from cnc_interp.drives.drive_kernels import follow_all
 from cnc_interp.drives.drive_model import words_of
 from cnc_interp.drives.learning import HELD, learnt_rates, measured_error, start_of, with_hold
 from cnc_interp.drives.learnt_motion import LearntMotion, hash_of, learnt_for
-from cnc_interp.kinematics.axis_drives import AxisDrive
-from cnc_interp.kinematics.machine import Machine, find_machine_file
 from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.simulated import SimulatedDrives, simulate
+from cnc_interp.machine_model.axis_drives import AxisDrive
+from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 

@@ -12,13 +12,13 @@ from scipy.integrate import solve_ivp
 from cnc_interp.core.errors import StreamError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.drives.drive_model import discretise
-from cnc_interp.kinematics.axis_drives import AxisDrive
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.cycle_kernels import REFUSED, REST
 from cnc_interp.machine.simulated import SimulatedDrives, simulate
+from cnc_interp.machine_model.axis_drives import AxisDrive
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 

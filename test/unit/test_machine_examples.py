@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.errors import TravelError
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings

@@ -16,8 +16,8 @@ from plan_directories import PERIOD, files, stroke, turned_tip, write
 from cnc_interp.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.kinematics.machine import Machine, machines_directory
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof import columns
 from cnc_interp.proof.verify import verify_plan

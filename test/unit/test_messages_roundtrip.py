@@ -15,8 +15,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from tiers import examples
 
 from cnc_interp.core.errors import InterpError, StreamError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Chunk, Wait, part_of

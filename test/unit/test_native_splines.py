@@ -13,8 +13,9 @@ from scipy.interpolate import BSpline
 from cnc_interp.core import jet
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import MachineTraits
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.plan_files import read_plan
@@ -22,7 +23,6 @@ from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.path_smoother import PathSmoother

@@ -15,8 +15,8 @@ from cnc_interp.core.errors import InterpError, PlanningError
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.run import rest_sections
 from cnc_interp.run.chain import plan_to_files

@@ -12,14 +12,14 @@ from programs import blocks_of, pyramid, spline_segments, zigzag
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, evaluate_along
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import MachineTraits
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run.path_chain import PathChain
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.machine_traits import MachineTraits
 
 AC = Transform.of(Machine.load('xyzac'))
 

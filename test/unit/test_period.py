@@ -7,10 +7,10 @@ import pytest
 from programs import pyramid, zigzag
 
 from cnc_interp.core.units import MM, MM_PER_MIN
-from cnc_interp.kinematics.axis_rates import traits_of
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan

@@ -12,8 +12,8 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MS
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.proof.verify import verify_plan

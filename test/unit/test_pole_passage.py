@@ -10,10 +10,10 @@ from cnc_interp.cli import main
 from cnc_interp.core.errors import BlockError, TravelError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.axis_rates import traits_of
-from cnc_interp.kinematics.machine import Machine, find_machine_file
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings

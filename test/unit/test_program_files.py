@@ -11,8 +11,8 @@ import pytest
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, read_program
 from cnc_interp.program.motion import Mover
 from cnc_interp.settings.choices import Settings

@@ -14,8 +14,8 @@ import numpy as np
 from tiers import examples
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source
 from cnc_interp.settings.choices import Settings

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.plan_files import read_plan

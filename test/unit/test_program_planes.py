@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import ProgramStream, read_text
 from cnc_interp.program.source import Source
 from cnc_interp.settings.choices import Settings

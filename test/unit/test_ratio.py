@@ -10,15 +10,14 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.feedrate.window import FeedPlanner
-from cnc_interp.kinematics.axis_rates import jerk_rates
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import cross, turned_by
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 

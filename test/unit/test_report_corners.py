@@ -13,7 +13,7 @@ from plan_directories import line_x, write
 from cnc_interp.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import write_report
 from cnc_interp.report.corner_figures import shift

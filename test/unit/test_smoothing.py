@@ -13,14 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.errors import BlockError, InterpError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.axis_rates import jerk_rates
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.vertices import SWIVEL
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.segment_curves import corner_jets, line_jets
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
 

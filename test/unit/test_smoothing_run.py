@@ -8,9 +8,9 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from cnc_interp_msgs.msg import G1Block
 from programs import zigzag
 
-from cnc_interp.kinematics.axis_rates import traits_of
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother

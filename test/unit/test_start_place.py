@@ -7,8 +7,8 @@ import pytest
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import ProgramStream, read_text
 from cnc_interp.program.source import Source
 from cnc_interp.proof.plan_files import read_plan

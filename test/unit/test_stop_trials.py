@@ -8,8 +8,8 @@ from programs import blocks_of
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.feedrate.window import plan_path
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
 from cnc_interp.run.path_chain import PathChain, motion_time, path_of, segments_of, smoother_of
 from cnc_interp.settings.choices import Settings

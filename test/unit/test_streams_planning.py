@@ -6,9 +6,9 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.kinematics.machine import Machine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import segments_of

@@ -9,11 +9,11 @@ from cnc_interp.core.errors import Refusal, StreamError, TravelError
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait, part_of
 from cnc_interp.run.interpolator import Interpolator, Setpoints

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.machine import Machine, from_mapping
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, from_mapping
+from cnc_interp.machine_model.transform import Transform
 
 BUNDLED = ('xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyza', 'xyzacw')
 LIMITS = {

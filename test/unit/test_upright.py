@@ -7,9 +7,9 @@ import pytest
 from programs import blocks_of
 
 from cnc_interp.core.units import MM, UM
-from cnc_interp.kinematics.axis_rates import traits_of
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.upright import Upright
 

@@ -10,8 +10,8 @@ import yourdfpy
 
 from cnc_interp.description.links import TOOL_TIP, WORKPIECE, describe_machine
 from cnc_interp.description.urdf import urdf_of
-from cnc_interp.kinematics.machine import Machine, machines_directory
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.machine_model.transform import Transform
 
 BUNDLED = sorted(path.stem for path in machines_directory().glob('*.yaml'))
 POSES = 50

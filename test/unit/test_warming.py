@@ -13,7 +13,7 @@ import sys
 sys.path.insert(0, {here!r})
 from numba.core.dispatcher import Dispatcher
 from cnc_interp.settings.choices import Settings
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.feedrate.window import FeedPlanner
 from cnc_interp.run.chain import Chain

@@ -20,8 +20,8 @@ from nicegui import events, ui
 
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.core.units import MM
-from cnc_interp.kinematics.axes import Axis
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.axes import Axis
+from cnc_interp.machine_model.machine import Machine
 
 #: Arrow keys of the keyboard: axis and direction.
 ARROWS = {

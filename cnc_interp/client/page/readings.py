@@ -11,7 +11,7 @@ from cnc_interp.client.page.desk import Desk
 from cnc_interp.client.page.preview import Preview
 from cnc_interp.client.setup_client import shown, work_coordinates
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.wire.machine_report import state_of
 
 NOTHING = '–'

@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.axis_geometry import AxisGeometry
 from cnc_interp.smoothing.corners.axis_legs import EXTRA, POINT, TURN, AxisLegs, positions, size_of
 from cnc_interp.smoothing.corners.corner import LARGEST_TURN, LEAST_RATIO, USED_UP
 from cnc_interp.smoothing.corners.ratio import best_ratios
@@ -62,7 +62,7 @@ class AxisCorners:
         blocks: Blocks,
         axes: AxisLegs,
         still: BoolArray,
-        machine: AxisGeometry,
+        machine: Transform,
         height: float,
     ) -> AxisCorners:
         """
@@ -78,7 +78,7 @@ class AxisCorners:
             Lines between them.
         still : ndarray of bool, shape (number of blocks,)
             Blocks of poses in which the tip moves alone. They are lines in any coordinates.
-        machine : AxisGeometry
+        machine : Transform
             The machine.
         height : float
             Flank height [m].

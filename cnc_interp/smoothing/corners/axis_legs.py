@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
-from cnc_interp.smoothing.axis_geometry import AxisGeometry
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
@@ -27,7 +27,7 @@ class AxisLegs:
     length: FloatArray  #: (n,): Length of linear blocks [m].
 
     @staticmethod
-    def of(blocks: Blocks, machine: AxisGeometry, height: float) -> AxisLegs:
+    def of(blocks: Blocks, machine: Transform, height: float) -> AxisLegs:
         """Compute the lines between the rows of blocks; the flank height is in metres."""
         kind, extra = blocks.interpolation[1:], blocks.extra
         linear, in_axes = blocks.by_rotary[1:], kind == AXES_LINEAR
@@ -45,7 +45,7 @@ class AxisLegs:
         return AxisLegs(linear, in_axes, ends[0], step, size_of(step, height))
 
 
-def positions(machine: AxisGeometry, coordinates: FloatArray) -> FloatArray:
+def positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
     """Return X Y Z for tips, rotary axes and extra axes, shape (n, 5 + k), as (n, 3) [m]."""
     stands = machine.linear(coordinates[:, POINT], coordinates[:, TURN]).reshape(-1, 3)
     return np.asarray(stands - coordinates[:, EXTRA] @ machine.extra_direction)

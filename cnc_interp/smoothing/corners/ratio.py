@@ -15,16 +15,12 @@ times of random corners; see ``docs/how_it_works/corner_rounding.md``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.machine_model.machine_traits import AxisRates
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.orientation import cross, norm
-
-#: (tip, axis, direction of tip, rotation per metre) -> q_s of each axis over its jerk limit.
-AxisRates = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
 #: Ratio for equal slopes: offset, factor of the relative change, smallest and largest value.
 OFFSET, SLOPE, LEAST, MOST = 1.35, 0.65, 1.6, 2.0

@@ -23,10 +23,10 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import angles_between, dot, norm
 
 #: Most lines before and after the corner that a trial knows.

@@ -9,13 +9,13 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import MM
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners
 from cnc_interp.smoothing.corners.axis_legs import AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import STANDSTILL
-from cnc_interp.smoothing.machine_traits import MachineTraits
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 from cnc_interp.smoothing.pole_room import shares_near_pole
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense.corner_search import CornerSearch
@@ -29,7 +30,6 @@ from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.dense.run_rows import curve_row, line_row
 from cnc_interp.smoothing.dense.run_trials import MOST_BLOCKS, is_tried, lines_are_faster
 from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
-from cnc_interp.smoothing.machine_traits import MachineTraits
 
 #: Smallest number of blocks in a run.
 FEWEST_BLOCKS = 3

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.smoothing.corners.stop_trials import WORTH, turns_fast
 from cnc_interp.smoothing.corners.vertices import Legs
 from cnc_interp.smoothing.dense.skeleton import Skeleton
-from cnc_interp.smoothing.machine_traits import MachineTraits
 
 #: Most blocks of a run that is tried.
 MOST_BLOCKS = 8

@@ -6,7 +6,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import BlockError
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 
 #: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
 ON_POLE = 1e-9

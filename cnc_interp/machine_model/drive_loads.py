@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
-from cnc_interp.kinematics.machine_entries import entries_by_axis, number, numbers
+from cnc_interp.machine_model.machine_entries import entries_by_axis, number, numbers
 
 #: Keys of a drive: inertia, largest torque, Coulomb and viscous friction, all in SI.
 LINEAR_KEYS = ('mass_kg', 'force_N', 'coulomb_N', 'viscous_N_s_per_m')

@@ -15,10 +15,10 @@ from cnc_interp.core.limit_table import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.axes import Axis
-from cnc_interp.kinematics.axis_drives import AxisDrive, axis_drives
-from cnc_interp.kinematics.drive_loads import DriveLoad, drive_loads
-from cnc_interp.kinematics.machine_entries import (
+from cnc_interp.machine_model.axes import Axis
+from cnc_interp.machine_model.axis_drives import AxisDrive, axis_drives
+from cnc_interp.machine_model.drive_loads import DriveLoad, drive_loads
+from cnc_interp.machine_model.machine_entries import (
     LOCKED_LIMITS,
     Homing,
     axis_limits,

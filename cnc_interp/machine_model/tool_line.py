@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.transform import Transform
 
 #: Smaller components of the tool's direction are rounding [-].
 NO_PART = 1e-12

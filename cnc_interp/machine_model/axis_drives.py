@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import ARCSEC, DEG, MM, UM
-from cnc_interp.kinematics.drive_loads import DriveLoad
-from cnc_interp.kinematics.machine_entries import entries_by_axis, numbers
+from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.machine_entries import entries_by_axis, numbers
 
 
 @dataclass(frozen=True)

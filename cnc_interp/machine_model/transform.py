@@ -25,8 +25,8 @@ import numpy as np
 
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.machine import Machine
-from cnc_interp.kinematics.transform_kernels import (
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform_kernels import (
     HEAD_ZERO,
     INNER_SIGN,
     ON_HEAD,

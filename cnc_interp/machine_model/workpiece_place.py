@@ -10,7 +10,7 @@ import yaml
 
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.small_files import read_yaml, write_whole
-from cnc_interp.kinematics.machine import Machine, find_machine_file
+from cnc_interp.machine_model.machine import Machine, find_machine_file
 
 #: Digits after the point of the new offset [mm].
 DIGITS = 9

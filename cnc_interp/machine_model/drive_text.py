@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cnc_interp.kinematics.axis_drives import ENTRIES, AxisDrive, key_and_unit
-from cnc_interp.kinematics.drive_loads import LINEAR_KEYS, ROTARY_KEYS, DriveLoad
-from cnc_interp.kinematics.machine import Machine
+from cnc_interp.machine_model.axis_drives import ENTRIES, AxisDrive, key_and_unit
+from cnc_interp.machine_model.drive_loads import LINEAR_KEYS, ROTARY_KEYS, DriveLoad
+from cnc_interp.machine_model.machine import Machine
 
 SECTIONS = ('loads', 'drives')
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.kinematics.branch import start_positions
-from cnc_interp.kinematics.transform import Transform
+from cnc_interp.machine_model.branch import start_positions
+from cnc_interp.machine_model.transform import Transform
 
 #: Least length of the direction of a tool axis [-], and how exactly a fixed one is met [-].
 LEAST_LENGTH, SAME_AXIS = 1e-6, 1e-9

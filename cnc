@@ -5,6 +5,7 @@
 #                             machine; without PROGRAM the bundled examples/pyramid.ngc
 #   ./cnc panel [PROGRAM]     the operator page in a browser, with a simulated machine behind it
 #   ./cnc test                the tests that every change must pass
+#   ./cnc test --share        the same, and the share of the thorough tests whose turn it is
 #   ./cnc test --all          all tests, a build with colcon and a bare system; before a release
 #   ./cnc test ARGUMENTS      arguments go to pytest: ./cnc test -x test/unit/test_cli.py
 #   ./cnc lint                ruff and mypy
@@ -106,7 +107,12 @@ main() {
       ensure "${parts[@]}"
       cd "$root"
       case " $* " in *' --all '*) try_everything_else ;; esac
-      exec "$venv/bin/python" -m pytest "$@"
+      # Side by side where nothing is named: a test alone says more, and can be debugged.
+      local word workers=(-n auto --maxprocesses 4)
+      for word in "$@"; do
+        case $word in --all | --share | -q | -x) ;; *) workers=() ;; esac
+      done
+      exec "$venv/bin/python" -m pytest "${workers[@]}" "$@"
       ;;
     lint)
       ensure "${parts[@]}" test

@@ -1,12 +1,25 @@
-"""Two tiers of tests: thorough tests run with ``--all`` and where files or names are given."""
+"""Two tiers of tests, thorough ones by turns, and what runs side by side."""
+
+import subprocess
+from pathlib import Path
 
 import pytest
 import tiers
+
+#: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
+TURNS = 7
+#: Folders of tests that start nodes or a browser: never two of them at a time.
+LIVE = ('test/ros/', 'test/page/')
 
 
 def pytest_addoption(parser):
     parser.addoption(
         '--all', action='store_true', help='run the thorough tests too, with many examples each'
+    )
+    parser.addoption(
+        '--share',
+        action='store_true',
+        help=f'run one in {TURNS} of the thorough tests too; the number of commits says which',
     )
 
 
@@ -17,11 +30,40 @@ def pytest_configure(config):
     tiers.thorough = config.getoption('--all')
 
 
+def turn():
+    """Whose turn it is at this commit."""
+    count = ['git', 'rev-list', '--count', 'HEAD']
+    return int(subprocess.check_output(count, cwd=Path(__file__).parent)) % TURNS
+
+
+def pytest_report_header(config):
+    if config.getoption('--share'):
+        return f'thorough tests: share {turn() + 1} of {TURNS}, chosen by the commit'
+
+
 def pytest_collection_modifyitems(config, items):
     """Leave thorough tests out of a run that names nothing."""
     whole = config.args_source is not pytest.Config.ArgsSource.ARGS
     named = config.option.keyword or config.option.markexpr
     if whole and not named and not tiers.thorough:
-        left_out = [item for item in items if item.get_closest_marker('thorough')]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        thorough = [item for item in items if item.get_closest_marker('thorough')]
+        left_out = set(thorough)
+        if config.getoption('--share'):
+            left_out -= set(thorough[turn() :: TURNS])
+        config.hook.pytest_deselected(items=[item for item in items if item in left_out])
+        items[:] = [item for item in items if item not in left_out]
+    items.sort(key=lambda item: not item.nodeid.startswith(LIVE))  # they take longest
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Let each file run in one process, and all live tests in the same one."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    config.option.loadscopereorder = False
+
+    class Files(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            return 'live' if nodeid.startswith(LIVE) else nodeid.split('::')[0]
+
+    return Files(config, log)

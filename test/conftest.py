@@ -9,7 +9,7 @@ import tiers
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
 TURNS = 7
 #: Folders of tests that start nodes or a browser: never two of them at a time.
-LIVE = ('test/ros/', 'test/page/')
+LIVE = ('test/ros/', 'test/page/', 'test/replay/test_bags.py')
 
 
 def pytest_addoption(parser):

@@ -260,6 +260,16 @@ def test_a_key_acts_on_what_is_shown_where_the_typing_was_lost_on_its_way(panel)
     assert tab.faults == []
 
 
+def test_a_page_that_looks_only_changes_nothing(panel):
+    tab = panel.open(token='wrong')
+    before = JobSetup.of_text(panel.told[-1].text)
+    tab.click('offsets')
+    tab.fill('G54 X', '5')
+    tab.click('set G54')
+    tab.wait(lambda: tab.run('document.body.textContent.includes("view only: press")'))
+    assert JobSetup.of_text(panel.told[-1].text) == before
+
+
 def test_the_request_of_a_pose_keeps_what_is_not_named():
     request = pose_request({'X': '', 'Z': '12,5', 'I': '', 'K': ''}, 0.2)
     assert np.array_equal(request.tip, [np.nan, np.nan, 0.0125], equal_nan=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from tiers import examples
+from tiers import examples, few_of
 
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
@@ -25,7 +25,7 @@ rotary_words = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(rotary_words)
 
 MACHINES = rotary_words.rotary_machines()
-FEW = examples(4, 60)
+COUNT = examples(1, 60)
 KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
 HEIGHT, TOLERANCE = 30 * MM, 0.02 * MM
 
@@ -60,7 +60,7 @@ def test_axes_run_on_lines_to_their_words(name):
     transform = Transform.of(machine)
     zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
     scale = np.where(machine.is_linear, 1.0, HEIGHT)
-    for seed in range(FEW):
+    for seed in range(COUNT):
         text = rotary_words.random_program(np.random.default_rng([5, seed]), machine, tcp=False)
         plan = plan_program(read_text(text, 't.ngc', transform, Settings()), machine)
         corners = vertices(text, machine, zero) * scale
@@ -87,7 +87,7 @@ def test_words_near_the_pole_are_met_with_tool_tips(name):
     transform = Transform.of(machine)
     scale = np.where(machine.is_linear, 1.0, HEIGHT)
     tip = [k for k, name in enumerate(machine.axis_names) if name in 'XYZ']
-    for seed in range(FEW):
+    for seed in range(COUNT):
         text = rotary_words.random_program(np.random.default_rng([6, seed]), machine, tcp=True)
         plan = plan_program(read_text(text, 't.ngc', transform, Settings()), machine)
         proof = verify(rotary_words.files_of(plan), machine)
@@ -104,14 +104,13 @@ def test_words_near_the_pole_are_met_with_tool_tips(name):
         assert plan.segments.stop.sum() <= 1 + (rests[:-1] | rests[1:] | backs).sum()
 
 
-@pytest.mark.parametrize('tcp', [False, True])
-@pytest.mark.parametrize('name', MACHINES)
+@pytest.mark.parametrize(('name', 'tcp'), few_of(7, MACHINES, (False, True)))
 def test_corners_in_coordinates_stay_within_their_bounds(name, tcp):
     machine = Machine.load(name)
     transform = Transform.of(machine)
     u, fine = np.linspace(0.0, 1.0, 41), np.linspace(0.0, 1.0, 4001)
     tried = 0
-    for seed in range(FEW):
+    for seed in range(max(COUNT, 4)):
         text = rotary_words.random_program(np.random.default_rng([7, seed]), machine, tcp)
         blocks = read_text(text, 't.ngc', transform, Settings()).blocks
         segments = segments_of(blocks, transform, Settings())
@@ -202,8 +201,7 @@ def other_branch(transform, q):
     return other
 
 
-@pytest.mark.parametrize('tcp', [False, True])
-@pytest.mark.parametrize('name', MACHINES)
+@pytest.mark.parametrize(('name', 'tcp'), few_of(3, MACHINES, (False, True)))
 def test_check_finds_the_wrong_branch_and_the_wrong_turn(name, tcp):
     """The poses are right at every moment; only axes and words differ."""
     machine, transform, files = planned_words(name, tcp)
@@ -220,7 +218,7 @@ def test_check_finds_the_wrong_branch_and_the_wrong_turn(name, tcp):
         assert any('rotary word missed' in failure for failure in failures), failures
 
 
-@pytest.mark.parametrize('name', MACHINES)
+@pytest.mark.parametrize('name', few_of(3, MACHINES))
 def test_check_finds_each_axis_beside_its_line(name):
     """With TCP off every axis is compared, also where the others hide it from the tool."""
     machine, _, files = planned_words(name, tcp=False)

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from programs import pyramid, zigzag
+from tiers import few_of
 
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
@@ -20,11 +21,11 @@ from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.settings.choices import Settings
 
 T = 1e-3
-#: One seed with every change, more of them now and then.
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2))]
 MACHINE = Machine.load('xyzac')
 LIMITS = (MACHINE.max_velocity, MACHINE.max_acceleration, MACHINE.max_jerk)
 PROGRAMS = {'pyramid': pyramid, 'zigzag': lambda: zigzag(0), 'fine': lambda: zigzag(3, 20, 1e-3)}
+NAMES = few_of(3, PROGRAMS)
+SEEDS = few_of(9, ('fine', 'zigzag', 'pyramid'), range(3))
 
 
 @cache
@@ -79,7 +80,7 @@ def assert_sound(samples, path, from_rest=True):
     assert not samples.velocity[-1].any() and not samples.acceleration[-1].any()
 
 
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('name', NAMES)
 def test_chunks_are_the_interpolated_plan_bit_for_bit(name):
     path, samples = path_of(name), joined(drain(stream_of(name)))
     interpolator = Interpolator(T)
@@ -91,7 +92,7 @@ def test_chunks_are_the_interpolated_plan_bit_for_bit(name):
     assert (samples.s[0], samples.s[-1]) == (0.0, path.s[-1])
 
 
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('name', NAMES)
 def test_every_chunk_can_be_stopped_behind(name):
     path, chunks = path_of(name), drain(stream_of(name))
     samples = joined(chunks)
@@ -118,8 +119,7 @@ def test_a_stop_from_all_but_rest_is_one_or_none(name, speed):
         assert (s[0], v[0], a[0]) == state and s[1] >= s[0] and max(abs(v[1]), abs(a[1])) < 1e-9
 
 
-@pytest.mark.parametrize('seed', SEEDS)
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize(('name', 'seed'), SEEDS)
 def test_stopped_anywhere_and_resumed_runs_the_whole_path(name, seed):
     rng, path, stream = np.random.default_rng(seed), path_of(name), stream_of(name)
     s = 0.0
@@ -140,7 +140,7 @@ def test_stopped_anywhere_and_resumed_runs_the_whole_path(name, seed):
         assert abs(rest[0].samples.s[0] - s) < 1e-12 and rest[-1].wait is Wait.END
 
 
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('name', NAMES)
 def test_stopped_by_the_last_tail_the_run_ends_at_the_end_of_the_path(name):
     path, stream = path_of(name), stream_of(name)
     *chunks, end = drain(stream)
@@ -156,8 +156,7 @@ def test_stopped_by_the_last_tail_the_run_ends_at_the_end_of_the_path(name):
     assert np.abs(joined(rest).position[-1] - path.cell_right[0, -1]).max() < 1e-12
 
 
-@pytest.mark.parametrize('seed', SEEDS)
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize(('name', 'seed'), SEEDS)
 def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     rng, path, stream = np.random.default_rng(100 + seed), path_of(name), stream_of(name)
     sent, queue, accepted, override = [], [], 0, 1.0
@@ -179,7 +178,7 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     assert samples.s[-1] == path.s[-1]
 
 
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('name', NAMES)
 def test_a_revision_that_is_dropped_leaves_no_trace(name):
     rng, stream, chunks, revised = np.random.default_rng(7), stream_of(name), [], 0
     while not chunks or chunks[-1].wait is not Wait.END:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiers import few_of
 
 from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine import Machine
@@ -58,9 +59,10 @@ def text_of(shape, change):
     return '\n'.join(lines)
 
 
-@pytest.mark.parametrize('compress', [True, False])
-@pytest.mark.parametrize('shape', ['arc', 'arc with turning tool', 'noise', 'corners'])
-@pytest.mark.parametrize('change', CHANGES)
+@pytest.mark.parametrize(
+    ('change', 'shape', 'compress'),
+    few_of(9, CHANGES, ('arc', 'arc with turning tool', 'noise', 'corners'), (True, False)),
+)
 def test_every_block_keeps_its_tolerance(change, shape, compress, tmp_path):
     settings = replace(Settings(), compress=compress)
     program = read_text(text_of(shape, change), 'a.ngc', Transform.of(MACHINE), settings)
@@ -70,8 +72,10 @@ def test_every_block_keeps_its_tolerance(change, shape, compress, tmp_path):
     assert proof.ok, proof.failures
 
 
-@pytest.mark.parametrize('tolerance', [1.0, 0.3, 0.1])
-@pytest.mark.parametrize('shape', ['arc', 'arc with turning tool', 'corners'])
+@pytest.mark.parametrize(
+    ('shape', 'tolerance'),
+    few_of(4, ('arc', 'arc with turning tool', 'corners'), (1.0, 0.3, 0.1)),
+)
 def test_uniform_tolerances_of_a_micrometre_and_less(shape, tolerance, tmp_path):
     text = text_of(shape, 'smaller').replace('G64 P0.1\n', f'G64 P{tolerance * 1e-3:g}\n')
     text = text.replace('G64 P0.01\n', '')
@@ -82,7 +86,7 @@ def test_uniform_tolerances_of_a_micrometre_and_less(shape, tolerance, tmp_path)
     assert proof.ok, proof.failures
 
 
-@pytest.mark.parametrize('change', CHANGES)
+@pytest.mark.parametrize('change', few_of(3, CHANGES))
 def test_segments_are_the_same_however_blocks_arrive(change):
     transform = Transform.of(MACHINE)
     text = text_of('arc with turning tool', change)

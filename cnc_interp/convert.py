@@ -7,7 +7,7 @@ A part program in another dialect: ``cnc-interp convert``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -162,7 +162,7 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
     )
     row, piece = ragged(counts)
     u, final = (piece + 1.0) / counts[row], piece + 1 == counts[row]
-    columns = {field.name: getattr(blocks, field.name)[row] for field in fields(Blocks)}
+    columns = {name: values[row] for name, values in blocks.columns().items()}
     between = np.flatnonzero(~final)
     place = np.searchsorted(linear, row[between])
     columns['tip'][between], columns['axis'][between] = poses(place, u[between])
@@ -197,8 +197,7 @@ def with_chords(blocks: Blocks, height: float) -> Blocks:
     """
     if not blocks.on_spline.any():
         return blocks
-    columns = {field.name: getattr(blocks, field.name) for field in fields(Blocks)}
-    columns['line'] = blocks.line_number
+    columns = blocks.columns() | {'line': blocks.line_number}
     parts = []
     for first, last in portions(blocks.on_spline, blocks.exact_stop):
         if blocks.on_spline[first]:

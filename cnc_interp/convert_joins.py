@@ -7,7 +7,7 @@ it continues the line or curve beside it. ``smoothing/native/linking.py`` has th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -156,7 +156,7 @@ def _line_after(blocks: Blocks, last: int) -> Jets | None:
 
 def _rows(rows: Blocks, source: IntArray, portion: Portion, kept: slice) -> Blocks:
     """Return the control points of a portion; all else comes from the rows ``source``."""
-    columns = {field.name: getattr(rows, field.name)[source] for field in fields(Blocks)}
+    columns = {name: values[source] for name, values in rows.columns().items()}
     tool = portion.top - portion.bottom
     columns['tip'], columns['top'] = portion.bottom[kept], portion.top[kept]
     columns['axis'] = (tool / norm(tool)[:, None])[kept]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -14,11 +13,9 @@ from cnc_interp.core.corner_spline import corner_end_derivatives, sum_of
 from cnc_interp.core.errors import InterpError
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import CORNER, SPLINE, PathSegments
 
 FILE = 'segments.npz'
-#: Columns that a plan may leave out.
-OPTIONAL = {'extra', 'interpolation', 'room'}
 
 
 def read_segments(directory: Path) -> PathSegments | None:
@@ -28,25 +25,9 @@ def read_segments(directory: Path) -> PathSegments | None:
         return None
     try:
         with np.load(file, allow_pickle=False) as archive:
-            # a plan of a machine without extra axes need not carry them, nor one of poses
-            names = {f.name for f in fields(PathSegments)} - (OPTIONAL - set(archive.files))
-            segments = PathSegments(**{name: archive[name] for name in names})
+            return PathSegments.of_columns(archive)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
         raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
-    count = len(segments)
-    tails = {
-        'bottom': (POINTS, 3), 'top': (POINTS, 3), 'rotation': (3,), 'axis': (3,), 'block': (2,),
-        'deviation': (2,), 'length': (), 'line_number': (), 'rotary': (POINTS, 2),
-        'interpolation': (), 'room': (),
-    }  # fmt: skip
-    for name, tail in tails.items():
-        if getattr(segments, name).shape != (count, *tail):
-            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
-    for name, dimensions, last in (('connection', 3, 3), ('parametrization', 3, 8)):
-        column = getattr(segments, name)
-        if column.ndim != dimensions or len(column) != count or column.shape[2] != last:
-            raise InterpError(f'{file}: column {name} has a wrong shape; plan again')
-    return segments
 
 
 def lengths(segments: PathSegments, height: float) -> FloatArray:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.columns import Table, column
 from cnc_interp.program.blocks import POSES
 
 LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
@@ -14,8 +13,7 @@ LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
 POINTS = 6
 
 
-@dataclass(frozen=True)
-class PathSegments:
+class PathSegments(Table):
     """
     Smooth segments in path order, one row per segment, each with a parameter u in [0, 1].
 
@@ -38,65 +36,36 @@ class PathSegments:
     length counts the rotary axes at flank height, and the extra axes, too (``axis_corner.py``).
     """
 
-    kind: IntArray  #: (n,): Kind of the segment: LINE, CORNER, ROTATION or SPLINE.
-    #: (n, 6, 3): Control points of bottom and top curve [m]. Lines use the first two (start and
-    #: end), corners the first five.
-    bottom: FloatArray
-    top: FloatArray
-    #: (n, m, 3): Bezier points over [0, 1] that are added to the top curve of a corner or spline
-    #: [m].
-    connection: FloatArray
-    #: (n, spans, 8): u_top = f(u) of corners, span by span [-]: the start of the span, then the
-    #: seven Bezier values of a sextic on it. No spans if f(u) = u.
-    parametrization: FloatArray
-    axis: FloatArray  #: (n, 3): Unit tool axis at the start of the segment [-].
-    #: (n, 3): Rotation vector of the tool axis over a line or rotation [rad].
-    rotation: FloatArray
-    #: (n, 6, 2): Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only
-    #: the first two are used: the programmed positions at both ends of the block. NaN if there are
-    #: none.
-    rotary: FloatArray
-    #: (n,): Length of a line; flank height times angle of a rotation; NaN for curves [m].
-    length: FloatArray
-    #: (n, 2): Programmed ds/dt in the first and second half [m/s]; a corner lies in two blocks.
-    feed: FloatArray
-    block: IntArray  #: (n, 2): Program rows of the blocks executed in the first and second half.
-    line_number: IntArray  #: (n,): Program line of the second block.
-    stop: BoolArray  #: (n,): Whether the tool rests at the end of the segment.
-    #: (n, 2): Contour and orientation deviation of curves [m], 0 for lines and rotations.
-    deviation: FloatArray
-    #: (n, 6, k): Control values of k extra axes on the basis of ``bottom`` [m]: a fourth
-    #: coordinate of the path. A rotation uses the first two, like a line. The default is k = 0.
-    extra: FloatArray = field(default_factory=lambda: np.zeros((0, POINTS, 0)))
-    #: (n,): What runs linearly in the blocks, as in ``Blocks``. The default is POSES.
-    interpolation: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    #: (n,): What ``deviation`` leaves of the orientation tolerance [m]. The default is 0.
-    room: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        if len(self.extra) != len(self.kind):
-            object.__setattr__(self, 'extra', np.zeros((len(self.kind), POINTS, 0)))
-        if len(self.interpolation) != len(self.kind):
-            object.__setattr__(self, 'interpolation', np.full(len(self.kind), POSES))
-        if len(self.room) != len(self.kind):
-            object.__setattr__(self, 'room', np.zeros(len(self.kind)))
-        for column in fields(self):
-            getattr(self, column.name).flags.writeable = False
-
-    def __len__(self) -> int:
-        """Return the number of segments."""
-        return len(self.kind)
-
-    def __getitem__(self, rows: slice | IntArray) -> PathSegments:
-        """Return the segments at these indices."""
-        return PathSegments(*(getattr(self, column.name)[rows] for column in fields(self)))
-
-    @staticmethod
-    def concatenate(parts: list[PathSegments]) -> PathSegments:
-        """Join batches of segments in order."""
-        parts = [part for part in parts if len(part)] or parts[:1]
-        names = [column.name for column in fields(PathSegments)]
-        return PathSegments(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+    kind: IntArray = column()  #: Kind of the segment: LINE, CORNER, ROTATION or SPLINE.
+    #: Control points of bottom and top curve [m]. Lines use the first two (start and end),
+    #: corners the first five.
+    bottom: FloatArray = column(POINTS, 3)
+    top: FloatArray = column(POINTS, 3)
+    #: Bezier points over [0, 1] that are added to the top curve of a corner or spline [m].
+    connection: FloatArray = column('m', 3)
+    #: u_top = f(u) of corners, span by span [-]: the start of the span, then the seven Bezier
+    #: values of a sextic on it. No spans if f(u) = u.
+    parametrization: FloatArray = column('spans', 8)
+    axis: FloatArray = column(3)  #: Unit tool axis at the start of the segment [-].
+    rotation: FloatArray = column(3)  #: Rotation vector of the axis over a line or rotation [rad].
+    #: Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only the first
+    #: two are used: the programmed positions at both ends of the block. NaN if there are none.
+    rotary: FloatArray = column(POINTS, 2)
+    #: Length of a line; flank height times angle of a rotation; NaN for curves [m].
+    length: FloatArray = column()
+    #: Programmed ds/dt in the first and second half [m/s]; a corner lies in two blocks.
+    feed: FloatArray = column(2)
+    block: IntArray = column(2)  #: Program rows of the blocks in the first and second half.
+    line_number: IntArray = column()  #: Program line of the second block.
+    stop: BoolArray = column()  #: Whether the tool rests at the end of the segment.
+    #: Contour and orientation deviation of curves [m], 0 for lines and rotations.
+    deviation: FloatArray = column(2)
+    #: Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the
+    #: path. A rotation uses the first two, like a line.
+    extra: FloatArray = column(POINTS, 'k', default=0.0)
+    interpolation: IntArray = column(default=POSES)  #: What runs linearly, as in ``Blocks``.
+    #: What ``deviation`` leaves of the orientation tolerance [m].
+    room: FloatArray = column(default=0.0)
 
 
 def padded(points: FloatArray) -> FloatArray:

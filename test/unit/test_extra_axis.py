@@ -13,7 +13,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.program.spool import BlockSpool
+from cnc_interp.program.blocks import BlockSpool
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_program, write_plan

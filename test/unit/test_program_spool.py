@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from programs import blocks_of
 
-from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.spool import BlockSpool
+from cnc_interp.program.blocks import Blocks, BlockSpool
 
 
 def random_blocks(n):

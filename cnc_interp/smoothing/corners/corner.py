@@ -18,11 +18,12 @@ on many corners at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.columns import Table, column
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.connection import connect
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
@@ -41,32 +42,21 @@ LARGEST_TURN = 0.7
 USED_UP = 1.0 + 1e-9
 
 
-@dataclass(frozen=True)
-class Corners:
+class Corners(Table):
     """Programmed data of n corners."""
 
-    #: (n, 3): Programmed corner points [m] and tool axes [-].
-    tip: FloatArray
-    axis: FloatArray
-    #: (n, 2, 3): Unit vectors from the corner along the lines before and after it [-].
-    legs: FloatArray
-    #: (n, 2, 3): Rotation vector per metre of path on the lines before and after [rad/m].
-    rates: FloatArray
-    tolerances: FloatArray  #: (n, 2): Contour and orientation tolerance [m].
-    #: (n, 2, k): What the extra axes move by per metre of path on the lines before and after [-].
-    extra_rates: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 0)))
-    #: (n,): Whether the tool axis may pass the pole within the tolerance.
-    near_pole: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-
-    def __post_init__(self) -> None:
-        if len(self.near_pole) != len(self.tip):
-            object.__setattr__(self, 'near_pole', np.zeros(len(self.tip), dtype=np.bool_))
-        if len(self.extra_rates) != len(self.tip):
-            object.__setattr__(self, 'extra_rates', np.zeros((len(self.tip), 2, 0)))
-
-    def __getitem__(self, rows: IntArray) -> Corners:
-        """Return the corners at these indices."""
-        return Corners(*(getattr(self, column.name)[rows] for column in fields(self)))
+    #: Programmed corner points [m] and tool axes [-].
+    tip: FloatArray = column(3)
+    axis: FloatArray = column(3)
+    #: Unit vectors from the corner along the lines before and after it [-].
+    legs: FloatArray = column(2, 3)
+    #: Rotation vector per metre of path on the lines before and after [rad/m].
+    rates: FloatArray = column(2, 3)
+    tolerances: FloatArray = column(2)  #: Contour and orientation tolerance [m].
+    #: What the extra axes move by per metre of path on the lines before and after [-].
+    extra_rates: FloatArray = column(2, 'k', default=0.0)
+    #: Whether the tool axis may pass the pole within the tolerance.
+    near_pole: BoolArray = column(default=False)
 
     def axis_at(self, side: int, x: FloatArray) -> FloatArray:
         """Return the programmed tool axis near corners."""

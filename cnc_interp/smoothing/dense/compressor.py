@@ -107,7 +107,7 @@ class Compressor:
             self._send()
             self._forget()
         rows, self._rows = self._rows, []
-        return Rows.concatenate(rows) if rows else Rows.none()
+        return Rows.concatenate(rows) if rows else Rows.plain(Blocks.none(), 0)
 
     @property
     def _skeleton(self) -> Skeleton:

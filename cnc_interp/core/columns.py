@@ -1,0 +1,143 @@
+"""
+Tables: columns with one row per element, each declared once at its field.
+
+A field says all that is known of a column. ``column`` gives the shape of a row and the default,
+the annotation gives the dtype, the comment gives the meaning and the unit. Slices, joins, checks
+of shapes, files and messages come from these declarations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self, dataclass_transform
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cnc_interp.core.arrays import BoolArray, IntArray
+
+#: Dtypes by the annotation of the field.
+KINDS = {'FloatArray': np.float64, 'IntArray': np.int64, 'BoolArray': np.bool_}
+
+
+@dataclass(frozen=True)
+class Column:
+    """The declaration of one column."""
+
+    tail: tuple[int | str, ...] = ()  #: Shape of a row; a name stands for any number, 0 at least.
+    kind: type[Any] = np.float64  #: Dtype.
+    default: Any = None  #: Value of all rows if the column is left out; None: it is needed.
+
+    def filled(self, rows: int) -> NDArray[Any]:
+        """Return the column with its default in all rows; where any number fits, with none."""
+        tail = (0 if isinstance(count, str) else count for count in self.tail)
+        return np.full((rows, *tail), self.default or 0, self.kind)
+
+    def fits(self, shape: tuple[int, ...], rows: int) -> bool:
+        """Tell whether an array of this shape is such a column with so many rows."""
+        return len(shape) == 1 + len(self.tail) and shape[0] == rows and all(
+            isinstance(count, str) or count == found
+            for count, found in zip(self.tail, shape[1:], strict=True)
+        )  # fmt: skip
+
+    def shape_text(self, rows: int) -> str:
+        """Return the shape with so many rows for a message."""
+        return f'({", ".join(map(str, (rows, *self.tail)))}{"" if self.tail else ","})'
+
+
+def column(*tail: int | str, default: Any = None) -> Any:
+    """
+    Declare a column of a table at its field.
+
+    Parameters
+    ----------
+    *tail : int or str
+        Shape of a row; a name stands for any number.
+    default : number, optional
+        Value of all rows if the column is left out. Without a default it is needed.
+
+    """
+    optional: dict[str, Any] = {} if default is None else {'default': None}
+    return field(**optional, metadata={'tail': tail, 'default': default})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(column,))
+class Table:
+    """
+    Base of tables: a frozen dataclass of columns of equal length, read-only.
+
+    A field without ``column`` is a table itself.
+
+    Raises
+    ------
+    ValueError
+        If the shape of a column is not the declared one.
+
+    """
+
+    declared: ClassVar[Mapping[str, Column]]  #: The columns by name, in order.
+    _names: ClassVar[tuple[str, ...]]  # of all fields
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
+        found = fields(cls)  # type: ignore[arg-type]
+        cls._names = tuple(f.name for f in found)
+        cls.declared = {
+            f.name: Column(f.metadata['tail'], KINDS[str(f.type)], f.metadata['default'])
+            for f in found
+            if f.metadata
+        }
+
+    def __post_init__(self) -> None:
+        rows = len(self)
+        for name, declared in self.declared.items():
+            values = getattr(self, name)
+            if values is None:
+                values = declared.filled(rows)
+                object.__setattr__(self, name, values)
+            elif not declared.fits(values.shape, rows):
+                raise ValueError(
+                    f'column {name} has shape {values.shape}, expected {declared.shape_text(rows)}'
+                )
+            values.flags.writeable = False
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(getattr(self, self._names[0]))
+
+    def __getitem__(self, rows: slice | IntArray | BoolArray) -> Self:
+        """Return some rows."""
+        return type(self)(*(getattr(self, name)[rows] for name in self._names))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns by name."""
+        return {name: getattr(self, name) for name in self.declared}
+
+    @classmethod
+    def of_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Self:
+        """Return a table of columns by name, such as an archive; KeyError if one is missing."""
+        return cls(**{
+            name: columns[name]
+            for name, declared in cls.declared.items()
+            if declared.default is None or name in columns
+        })  # fmt: skip
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return a table without rows."""
+        return cls(**{name: declared.filled(0) for name, declared in cls.declared.items()})
+
+    @classmethod
+    def concatenate(cls, parts: Iterable[Self]) -> Self:
+        """Join tables in order; those without rows may have columns of any width."""
+        parts = list(parts)
+        full = [part for part in parts if len(part)] or parts[:1]
+        return cls(*(_joined([getattr(part, name) for part in full]) for name in cls._names))
+
+
+def _joined(parts: list[Any]) -> Any:
+    """Join arrays, or tables of one kind."""
+    if isinstance(parts[0], Table):
+        return type(parts[0]).concatenate(parts)
+    return np.concatenate(parts)

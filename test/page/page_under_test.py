@@ -1,6 +1,5 @@
 """The operator page as a process of its own beside real nodes, and a browser that shows it."""
 
-import os
 import re
 import subprocess
 import sys
@@ -9,7 +8,7 @@ from pathlib import Path
 
 from browser import Browser
 from cnc_interp_msgs.msg import MachineState
-from nodes_under_test import NodesUnderTest
+from nodes_under_test import NodesUnderTest, clean_environment
 from std_msgs.msg import Float64
 
 from cnc_interp.client.page.tab import INTERRUPTED
@@ -18,11 +17,6 @@ from cnc_interp.nodes import qos
 TOKEN = 'a test knows it'
 #: True while the page says that a key did nothing because the connection was interrupted.
 REFUSED = f'document.body.textContent.includes("{INTERRUPTED}")'
-
-
-def clean_environment():
-    """Environment without the variables of pytest, which change how NiceGUI starts."""
-    return {k: v for k, v in os.environ.items() if not k.startswith('PYTEST')}
 
 
 class PageUnderTest:

@@ -13,20 +13,13 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 pytest.importorskip(
     'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
 )
-pytest.importorskip('websockets', reason='needs requirements/panel.txt')
 
-from page_under_test import clean_environment
+from nodes_under_test import clean_environment, hear_ctrl_c
 
 PATIENCE = 300.0  # [s]; a bound, not a timing
 PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y10\nM30\n'
 
 
-def hear_ctrl_c():
-    """As in a terminal: what is started in the background does not hear it."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@pytest.mark.thorough
 def test_a_run_with_the_page_beside_it(tmp_path):
     program = tmp_path / 'short.ngc'
     program.write_text(PROGRAM)

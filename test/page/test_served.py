@@ -12,7 +12,7 @@ pytest.importorskip(
     'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
 )
 
-from page_under_test import clean_environment
+from nodes_under_test import clean_environment
 
 from cnc_interp.client.page.access import TRIES
 

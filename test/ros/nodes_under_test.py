@@ -28,6 +28,11 @@ def hear_ctrl_c():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def clean_environment():
+    """Environment without the variables of pytest, which change how NiceGUI starts."""
+    return {k: v for k, v in os.environ.items() if not k.startswith('PYTEST')}
+
+
 class NodesUnderTest:
     """Start the nodes, talk to them, end them."""
 

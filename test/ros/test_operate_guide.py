@@ -1,6 +1,5 @@
 """The commands of docs/operate.md, in their order, do what the page says."""
 
-import os
 import re
 import signal
 import subprocess
@@ -12,7 +11,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from nodes_under_test import PATIENCE, hear_ctrl_c
+from nodes_under_test import PATIENCE, clean_environment, hear_ctrl_c
 
 ROOT = Path(__file__).parents[2]
 
@@ -23,11 +22,6 @@ def command_lines():
     return [line.split()[1:] for fence in fences for line in fence.splitlines() if line]
 
 
-def environment():
-    """Return the environment without what would tell NiceGUI that a test runs."""
-    return {k: v for k, v in os.environ.items() if not k.startswith('PYTEST')}
-
-
 @pytest.mark.thorough
 def test_the_commands_lead_to_a_proven_part(tmp_path):
     (tmp_path / 'examples').symlink_to(ROOT / 'examples')
@@ -35,7 +29,7 @@ def test_the_commands_lead_to_a_proven_part(tmp_path):
     assert [panel[0], *(line[0] for line in others)] == ['panel', 'run', 'check', 'report']
     cnc = [sys.executable, '-m', 'cnc_interp']
     page = subprocess.Popen(
-        [*cnc, *panel], cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=environment(),
+        [*cnc, *panel], cwd=tmp_path, stdout=subprocess.PIPE, text=True, env=clean_environment(),
         preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     try:
@@ -67,7 +61,7 @@ def test_a_page_whose_nodes_cannot_work_ends_with_their_last_words(tmp_path):
     setup = tmp_path / 'file' / 'setup.yaml'
     command = [sys.executable, '-m', 'cnc_interp', 'panel', '--port', '0', '--setup', setup]
     done = subprocess.run(
-        command, env=environment(), capture_output=True, text=True, timeout=PATIENCE
+        command, env=clean_environment(), capture_output=True, text=True, timeout=PATIENCE
     )
     assert done.returncode == 2
     said = done.stderr.splitlines()[-1]

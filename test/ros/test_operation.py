@@ -19,8 +19,6 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_id_messages import run_id_of
 
-pytestmark = pytest.mark.thorough
-
 Result = RunProgram.Result
 
 
@@ -31,6 +29,7 @@ def bench():
     running.close()
 
 
+@pytest.mark.thorough
 def test_hold_and_resume(bench):
     handle = bench.begin()
     for length in (0.01, 0.05, 0.09):
@@ -47,6 +46,7 @@ def test_hold_and_resume(bench):
     bench.finish(handle)
 
 
+@pytest.mark.thorough
 def test_override_up_and_down_and_zero(bench):
     handle = bench.begin()
     for length, value in ((0.01, 0.3), (0.02, 1.5), (0.04, 0.0)):
@@ -67,6 +67,7 @@ def test_override_up_and_down_and_zero(bench):
     bench.finish(handle)
 
 
+@pytest.mark.thorough
 def test_rapids_follow_their_override_and_cutting_does_not(bench):
     rapid = bench.node.create_publisher(Float64, 'rapid_override', qos.OVERRIDE)
     bench.spin_until(lambda: rapid.get_subscription_count() > 0)
@@ -83,6 +84,7 @@ def test_rapids_follow_their_override_and_cutting_does_not(bench):
     assert cutting.max() == pytest.approx(50e-3, rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_restarted_feedrate_node_knows_the_override(bench):
     bench.override.publish(Float64(data=0.5))
     bench.spin_until(lambda: bench.state.feed_override == 0.5)
@@ -95,6 +97,7 @@ def test_a_restarted_feedrate_node_knows_the_override(bench):
     assert abs(np.diff(s[s >= 0.0]).max() / 0.001 - 0.5 * 50e-3) < 50e-6
 
 
+@pytest.mark.thorough
 def test_single_block_rests_behind_every_block(bench):
     handle = bench.begin()
     bench.until_at(0.03)
@@ -110,6 +113,7 @@ def test_single_block_rests_behind_every_block(bench):
     bench.finish(handle)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(('optional', 'expected'), [(False, [6]), (True, [6, 10])])
 def test_program_stops_wait_for_cycle_start(bench, optional, expected):
     lines = PROGRAM.splitlines()
@@ -147,6 +151,7 @@ def test_emergency_stop_ends_on_the_path_and_reset_allows_the_next_run(bench):
     bench.finish(bench.begin())
 
 
+@pytest.mark.thorough
 def test_cancelling_holds_on_the_path_and_gives_the_run_up(bench):
     handle = bench.begin()
     bench.until_at(0.03)
@@ -158,6 +163,7 @@ def test_cancelling_holds_on_the_path_and_gives_the_run_up(bench):
     bench.finish(bench.begin())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('node', ['feedrate_node', 'lookahead_node', 'program_node'])
 def test_a_frozen_node_leaves_the_machine_on_the_path_and_goes_on(bench, node):
     handle = bench.begin()
@@ -175,7 +181,9 @@ def test_a_frozen_node_leaves_the_machine_on_the_path_and_goes_on(bench, node):
     bench.finish(handle)
 
 
-@pytest.mark.parametrize('node', ['feedrate_node', 'lookahead_node'])
+@pytest.mark.parametrize(
+    'node', ['feedrate_node', pytest.param('lookahead_node', marks=pytest.mark.thorough)]
+)
 def test_a_killed_node_is_restarted_and_cycle_start_goes_on_from_the_stopped_point(bench, node):
     handle = bench.begin()
     bench.until_at(0.01)
@@ -200,6 +208,7 @@ def lose(bench, node):
     bench.diagnostics.clear()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('node', ['feedrate_node', 'lookahead_node'])
 def test_a_node_lost_while_the_machine_waits_needs_no_cycle_start(bench, node):
     """Nobody has stopped the machine: it stands at override 0, before the motion and in it."""
@@ -220,6 +229,7 @@ def test_a_node_lost_while_the_machine_waits_needs_no_cycle_start(bench, node):
     assert not result.starvations
 
 
+@pytest.mark.thorough
 def test_a_planner_lost_on_the_approach_needs_no_cycle_start(bench):
     """What is buffered ends where the approach does, and the machine waits for the path."""
     handle = bench.begin()
@@ -228,6 +238,7 @@ def test_a_planner_lost_on_the_approach_needs_no_cycle_start(bench):
     bench.finish(handle)
 
 
+@pytest.mark.thorough
 def test_one_cycle_start_is_enough_where_the_planner_still_had_something_to_execute():
     """The motion goes on with what is at hand, rests where that ends, and goes on by itself."""
     bench = Bench({'feedrate_node': {'segment_window': 24, 'plan_ahead': 2.0}})
@@ -249,6 +260,7 @@ def test_one_cycle_start_is_enough_where_the_planner_still_had_something_to_exec
         bench.close()
 
 
+@pytest.mark.thorough
 def test_what_a_killed_program_node_has_sent_is_executed(bench):
     bench.begin()
     bench.until_at(0.01)
@@ -258,6 +270,7 @@ def test_what_a_killed_program_node_has_sent_is_executed(bench):
     assert abs(s[-1] - path_of(PROGRAM).s[-1]) < 1e-12
 
 
+@pytest.mark.thorough
 def test_a_goal_sent_at_once_to_a_restarted_program_node_runs_when_the_machine_rests(bench):
     bench.begin()
     bench.until_at(0.01)
@@ -268,6 +281,7 @@ def test_a_goal_sent_at_once_to_a_restarted_program_node_runs_when_the_machine_r
     assert bench.state.program_id != first
 
 
+@pytest.mark.thorough
 def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
     bench.begin(waves(300))  # more blocks than any window holds
     bench.until_at(0.01)
@@ -281,6 +295,7 @@ def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
     bench.finish(bench.begin())
 
 
+@pytest.mark.thorough
 def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
     for message in block_messages(blocks_of(PROGRAM)[:3], RunId('stranger'), 0, 0.03, end=False):
         bench.blocks.publish(message)
@@ -293,6 +308,7 @@ def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
     bench.finish(bench.begin())
 
 
+@pytest.mark.thorough
 def test_only_a_node_that_is_lost_is_called_so_and_no_longer_than_it_is():
     patience = {'peer_timeout': 0.5}
     bench = Bench(dict.fromkeys(('lookahead_node', 'feedrate_node'), patience))
@@ -322,6 +338,7 @@ def test_only_a_node_that_is_lost_is_called_so_and_no_longer_than_it_is():
         bench.close()
 
 
+@pytest.mark.thorough
 def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):
     handle = bench.begin()
     bench.until_at(0.01)
@@ -335,6 +352,7 @@ def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):
     bench.finish(bench.begin())
 
 
+@pytest.mark.thorough
 def test_a_run_that_nobody_knows_any_more_asks_for_reset(bench):
     bench.begin(waves(60))  # not over before both are dead
     bench.until_at(0.01)

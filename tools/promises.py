@@ -1,0 +1,92 @@
+#!/usr/bin/env python3
+"""Writes docs/promises.md: what README and docs promise, beside the tests that hold it."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / 'docs' / 'promises.md'
+HEAD = """# What holds the promises
+
+`tools/promises.py` makes this page of `test/promises.yaml`. Each promise stands on the page
+linked, with these words. Tests in italics are thorough: CI runs them by turns. All others run with
+every change.
+"""
+
+
+def promises() -> list[dict[str, Any]]:
+    """Return the rows of the table."""
+    rows: list[dict[str, Any]] = yaml.safe_load((ROOT / 'test' / 'promises.yaml').read_text())
+    return rows
+
+
+def tiers(file: str) -> dict[str, bool]:
+    """Return the tests of a file, and whether all runs of each are thorough."""
+    module = ast.parse((ROOT / 'test' / file).read_text())
+
+    def marks(node: ast.expr) -> bool:
+        return ast.unparse(node).endswith('mark.thorough')
+
+    whole = False
+    for node in module.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == 'pytestmark':
+            values = node.value.elts if isinstance(node.value, ast.List) else [node.value]
+            whole = any(map(marks, values))
+    return {
+        node.name: whole or any(map(marks, node.decorator_list))
+        for node in module.body
+        if isinstance(node, ast.FunctionDef) and node.name.startswith('test_')
+    }
+
+
+def faults() -> list[str]:
+    """Return what is wrong with the table: words that stand nowhere, tests that do not exist."""
+    found = []
+    for row in promises():
+        page = ROOT / row['page']
+        text = ' '.join(page.read_text().split()).lower() if page.is_file() else ''
+        if row['words'].lower() not in text:
+            found.append(f'{row["page"]}: does not say {row["words"]!r} any more')
+        for test in row['tests']:
+            file, _, name = test.partition('::')
+            if not (ROOT / 'test' / file).is_file() or (name and name not in tiers(file)):
+                found.append(f'{test}: no such test')
+    readme = (ROOT / 'README.md').read_text()
+    kept = ' '.join(row['words'] for row in promises())
+    for command in sorted(set(re.findall(r'^\| `cnc-interp ([a-z]+)', readme, re.M))):
+        if not re.search(rf'(cnc-interp|\./cnc) {command}\b', kept):
+            found.append(f'README.md: cnc-interp {command} has no row')
+    return found
+
+
+def shown(test: str) -> str:
+    """Return a link to a test; in italics where it runs by turns only."""
+    file, _, name = test.partition('::')
+    found = tiers(file)
+    by_turns = found[name] if name else all(found.values())
+    link = f'[{name or file.rpartition("/")[2]}](../test/{file})'
+    return f'*{link}*' if by_turns else link
+
+
+def page() -> str:
+    """Return the text of the page."""
+    rows = ['| promise | stands in | tests |', '|---|---|---|']
+    for row in promises():
+        tests = '<br>'.join(map(shown, row['tests']))
+        link = row['page'].removeprefix('docs/') if row['page'] != 'README.md' else '../README.md'
+        words = row['words'].replace('|', '\\|')
+        rows.append(f'| {row["means"]} | [{row["page"]}]({link}): {words} | {tests} |')
+    return '\n'.join([HEAD, *rows, ''])
+
+
+if __name__ == '__main__':
+    wrong = faults()
+    if wrong:
+        raise SystemExit('\n'.join(wrong))
+    PAGE.write_text(page())

@@ -28,7 +28,7 @@ import math
 import numpy as np
 from numba import carray, cfunc, njit, types
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
@@ -51,7 +51,8 @@ STILL, SLOW = 1e-12, 1e-7
 
 #: Time in which the learnt part fades [s].
 FADE = 15e-3
-#: Words before the rows of the axes: inner step, its memory, words of an axis, setpoints known.
+#: Whole numbers before the rows of the axes: inner step, its memory, words of an axis, setpoints
+#: known.
 STEP, MEMORY, COUNT, KNOWN = 0, 1, 2, 3
 #: Then those of what is learnt: its rows, 0 for none; addresses of setpoints and feed-forwards;
 #: periods of a fade; the row that is played, 0 for none; periods left, all of them while the
@@ -99,22 +100,22 @@ def compensate(words: FloatArray, known: int, setpoint: float) -> tuple[float, f
 
 
 @njit(cache=True, nogil=True)
-def find_row(head: FloatArray, setpoints: FloatArray, wanted: FloatArray) -> float:
+def find_row(head: IntArray, setpoints: FloatArray, wanted: FloatArray) -> float:
     """Find the learnt row of the next setpoint, which is ``head[ROW]`` then."""
-    row, left, fading = int(head[ROW]), head[LEFT], head[FADING]
+    row, left, fading = head[ROW], head[LEFT], head[FADING]
     if row > 0:
         row += 1
         if row == len(setpoints):
             row = 0
         elif left < fading or not _same(setpoints[row], wanted):
-            left -= 1.0
-            if left <= 0.0:
+            left -= 1
+            if left <= 0:
                 row = 0
     if row == 0:
         left = fading
-        if head[READY] > 0.0 and _same(setpoints[1], wanted):
+        if head[READY] and _same(setpoints[1], wanted):
             row = 1
-    head[READY] = 1.0 if _same(setpoints[0], wanted) else 0.0
+    head[READY] = _same(setpoints[0], wanted)
     head[ROW], head[LEFT] = row, left
     return 0.5 - 0.5 * math.cos(math.pi * left / fading)
 
@@ -131,18 +132,18 @@ def _same(first: FloatArray, second: FloatArray) -> bool:
 @cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
 def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
     """Compensate all axes, then step the drives; see ``drives.CycleDrives``."""
-    head = carray(pointer(memory), HEAD)
-    count, known = int(head[COUNT]), int(head[KNOWN])
+    head = carray(pointer(memory), (HEAD,)).view(np.int64)
+    count, known = head[COUNT], head[KNOWN]
     words = carray(pointer(memory + 8 * HEAD), (n, count))
     told = carray(pointer(memory + 8 * (HEAD + n * count)), (2, n))
     wanted = carray(pointer(setpoint), (2, n))
     for j in range(n):
         told[0, j], told[1, j] = compensate(words[j], known, wanted[0, j])
-    if head[ROWS] > 0.0:
-        shape = (int(head[ROWS]), n)
+    if head[ROWS] > 0:
+        shape = (head[ROWS], n)
         weight = find_row(head, carray(pointer(np.uintp(head[SETPOINTS])), shape), wanted[0])
-        if head[ROW] > 0.0:
-            rates = carray(pointer(np.uintp(head[RATES])), shape)[int(head[ROW])]
+        if head[ROW] > 0:
+            rates = carray(pointer(np.uintp(head[RATES])), shape)[head[ROW]]
             for j in range(n):
                 told[1, j] += weight * rates[j]
     fault: int = call_drives(

@@ -56,7 +56,7 @@ class CompensatedDrives:
         compensation = Compensation(model, period, inner.position)
         self._inner, self._shape = inner, compensation.words.shape
         self.lag, self.step = compensation.lead, int(compensate_once.address)
-        head, told = np.zeros(HEAD), np.zeros(2 * self._shape[0])
+        head, told = np.zeros(HEAD, dtype=np.int64), np.zeros(2 * self._shape[0])
         head[[STEP, MEMORY]] = inner.step, inner.memory.ctypes.data
         head[[COUNT, KNOWN]] = self._shape[1], compensation.known
         self._learnt = learnt  # its arrays must stay where they are
@@ -64,7 +64,7 @@ class CompensatedDrives:
             head[ROWS] = len(learnt.setpoint)
             head[[SETPOINTS, RATES]] = learnt.setpoint.ctypes.data, learnt.rate.ctypes.data
             head[[FADING, LEFT]] = math.ceil(FADE / period - 1e-9)
-        self.memory = np.concatenate([head, compensation.words.ravel(), told])
+        self.memory = np.concatenate([head.view(float), compensation.words.ravel(), told])
         self._newest = HEAD + FIRST + STATE * compensation.known
 
     @property

@@ -240,6 +240,11 @@ class Playback:
         self.least_buffered = np.inf
 
     @property
+    def busy(self) -> bool:
+        """Tell whether the cycle must be read often: setpoints wait or move."""
+        return bool(not self.state.resting or self.buffer.count or self._delayed is not None)
+
+    @property
     def left(self) -> bool:
         """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
         return self._on_tail or self.state.plan_over

@@ -14,8 +14,14 @@ from cnc_interp.machine.playback import Playback
 class Controls:
     """Services that act on the playback at once, without the other nodes."""
 
-    def __init__(self, node: Any, playback: Playback, give_up: Callable[[str], None]):
-        self._playback, self._give_up = playback, give_up
+    def __init__(
+        self,
+        node: Any,
+        playback: Playback,
+        give_up: Callable[[str], None],
+        wake: Callable[[], None],
+    ):
+        self._playback, self._give_up, self._wake = playback, give_up, wake
         for name, act, gives_up in (
             ('feed_hold', playback.hold, ''),
             ('cycle_start', playback.start, ''),
@@ -35,6 +41,7 @@ class Controls:
         """Make a service of an action; an action that is not possible raises."""
 
         def serve(_request: Any, response: Any) -> Any:
+            self._wake()
             try:
                 act()
                 state = self._playback.state.state.value

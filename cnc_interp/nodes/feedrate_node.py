@@ -26,6 +26,7 @@ from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.operator_settings import OperatorInputs
+from cnc_interp.nodes.pace import Pace
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.planning_thread import PlanningThread
 from cnc_interp.nodes.qos import SETPOINTS, STATE
@@ -93,7 +94,7 @@ class FeedrateNode(LifecycleNode):
         )  # fmt: skip
         self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
         self._inputs = OperatorInputs(self)
-        self.create_timer(WORK_PERIOD, self._work)
+        self._pace = Pace(self, WORK_PERIOD, self._work)
         self.create_timer(DIAGNOSTICS_PERIOD, self._tell_planning)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
@@ -125,12 +126,13 @@ class FeedrateNode(LifecycleNode):
 
     def _take(self, segment: PathSegment) -> None:
         """Queue a valid segment. The first one begins a run."""
+        self._pace.wake()
         if segment.sequence == 0:
             self._session.begin(run_id_of(segment), segment.continue_at)
         self._session.take(segment, segment.end_of_program)
         self._watch.hear()
 
-    def _work(self) -> None:
+    def _work(self) -> bool:
         """Send what the window allows, then give the planning thread the most urgent task."""
         session, outlet = self._session, self._outlet
         session.settings = self._inputs.settings
@@ -144,6 +146,8 @@ class FeedrateNode(LifecycleNode):
             self._thread.submit(task)
         outlet.pump()
         self._watch.look(session.wants_segments and self._inlet.receiver.active)
+        self._inlet.tick()
+        return not self._idle
 
     def _received(self) -> Received:
         """Return which plan the machine receives, and the setpoint that it executes now."""
@@ -155,12 +159,15 @@ class FeedrateNode(LifecycleNode):
         executed = peer.next_sequence - left / self._values['interpolation_period']
         return Received(run_id_of(peer), executed, outlet.turned_away)
 
+    @property
+    def _idle(self) -> bool:
+        return self._session.activity in (Activity.NONE, Activity.ENDED)
+
     def _tell_planning(self) -> None:
         """Report how much planned motion waits to be sent, and how long tasks take."""
         session, sender = self._session, self._outlet.sender
-        idle = session.activity in (Activity.NONE, Activity.ENDED)
         self._diagnostics.say(
-            'planning', OK, 'no program' if idle else 'at work',
+            'planning', OK, 'no program' if self._idle else 'at work',
             planned_ahead_s=round(session.ready, 2),
             longest_step_ms=round(self._thread.longest / MS, 1),
             setpoints_sent=session.sent_before + sender.sent,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,14 @@ from cnc_interp.nodes.qos import BEATS
 class JogCommands:
     """Takes the operator's commands for motion by hand."""
 
-    def __init__(self, node: Any, playback: Playback, diagnostics: Diagnostics):
-        self._jog, self._diagnostics = Jog(playback), diagnostics
+    def __init__(
+        self,
+        node: Any,
+        playback: Playback,
+        diagnostics: Diagnostics,
+        wake: Callable[[], None],
+    ):
+        self._jog, self._diagnostics, self._wake = Jog(playback), diagnostics, wake
         self._transform = Transform.of(playback.axes.machine)
         switches = SimulatedSwitches(playback.axes.machine)
         self.homing = Homing(playback, self._jog, switches.pressed, switches.towards)
@@ -34,6 +41,7 @@ class JogCommands:
 
     def _beat(self, message: JogMessage) -> None:
         """Take a beat, or name on the diagnostics why not."""
+        self._wake()
         try:
             shares = _pairs(message.axes, message.shares)
             if self.homing.active and not (any(shares.values()) or message.tool):
@@ -46,6 +54,7 @@ class JogCommands:
 
     def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> Any:
         """Answer ``move_axes``."""
+        self._wake()
         try:
             self._refuse_beside_homing()
             values, relative = _pairs(request.axes, request.values), request.relative
@@ -74,6 +83,7 @@ class JogCommands:
 
     def _home(self, request: Home.Request, response: Home.Response) -> Any:
         """Answer ``home``."""
+        self._wake()
         try:
             axes = self.homing.begin(list(request.axes), time.monotonic())
             response.success, response.message = True, f'homing {" ".join(axes)}'

@@ -15,6 +15,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_lookahead
 from cnc_interp.nodes.node_main import run_node
+from cnc_interp.nodes.pace import Pace
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
@@ -25,6 +26,8 @@ from cnc_interp.wire.settings_messages import settings_of_block
 from cnc_interp.wire.smoothing_run import BATCH, SmoothingRun
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
+#: Time between two looks for work while blocks or segments are under way [s].
+WORK_PERIOD = 0.01
 #: Segments that may wait for the planner before smoothing goes on.
 MOST_WAITING = 1024
 #: Most segments in one message.
@@ -55,10 +58,11 @@ class LookaheadNode(Node):
             {'blocks': G1Block, 'block_batches': G1BlockBatch}, check,
             self._take, self._end, self._diagnostics, gate=blocks_of,
         )  # fmt: skip
-        self.create_timer(0.01, self._work)
+        self._pace = Pace(self, WORK_PERIOD, self._work)
 
     def _take(self, block: G1Block) -> None:
         """Queue a valid block. The first one begins a run."""
+        self._pace.wake()
         if block.sequence == 0:
             settings = settings_of_block(block, self._settings)
             self._run = SmoothingRun(block, smoother_of(self._transform, settings))
@@ -70,7 +74,7 @@ class LookaheadNode(Node):
         if len(self._run.blocks) >= BATCH:
             self._work()
 
-    def _work(self) -> None:
+    def _work(self) -> bool:
         """Smooth a batch if few segments wait, and send as much as the window allows."""
         run, receiver, outlet = self._run, self._inlet.receiver, self._outlet
         outlet.pump()
@@ -80,6 +84,8 @@ class LookaheadNode(Node):
         self._watch.look(receiver.active and waits)
         if run is not None and run.can_smooth and outlet.sender.unsent <= MOST_WAITING:
             self._smooth(run)
+        self._inlet.tick()
+        return receiver.active or not outlet.sender.all_acknowledged
 
     def _smooth(self, run: SmoothingRun) -> None:
         """Smooth the next batch."""

@@ -24,6 +24,7 @@ from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
 from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
 from cnc_interp.nodes.overrides import Overrides
+from cnc_interp.nodes.pace import Pace
 from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.run.chunk import Chunk
 from cnc_interp.run.run_planner import JOIN_RESERVE
@@ -34,6 +35,8 @@ from cnc_interp.wire.message_checks import check_chunk
 from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
+#: Time between two looks at what was played, while something is under way [s].
+WORK_PERIOD = 0.005
 #: Time between reports about the clock [s].
 CLOCK_PERIOD = 1.0
 #: States in which setpoints are refused.
@@ -74,16 +77,16 @@ class MachineNode(LifecycleNode):
         self._inlet = Inlet(
             self, WindowedReceiver('setpoints', window), {'setpoints': SetpointChunk},
             self._check, self._take, self._see_refusal, self._diagnostics,
-            status_period=0.01, gate=self._pass,
+            gate=self._pass,
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
         self._overrides = Overrides(self, self._diagnostics)
-        self._jog = JogCommands(self, self._playback, self._diagnostics)
+        self._pace = Pace(self, WORK_PERIOD, self._work)
+        self._jog = JogCommands(self, self._playback, self._diagnostics, self._pace.wake)
         self._reports = MachineReports(
             self, self._playback, values, self._overrides, self._jog.homing, self._diagnostics
         )
-        self._controls = Controls(self, self._playback, self._give_up)
-        self.create_timer(0.005, self._work)
+        self._controls = Controls(self, self._playback, self._give_up, self._pace.wake)
         self.create_timer(CLOCK_PERIOD, self._report_clock)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
@@ -104,6 +107,7 @@ class MachineNode(LifecycleNode):
 
     def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
         """Keep the first chunks of a plan that joins until there are enough."""
+        self._pace.wake()
         receiver = self._inlet.receiver
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
 
@@ -155,7 +159,7 @@ class MachineNode(LifecycleNode):
         if receiver.run_id and not receiver.refused:
             self._inlet.refuse(receiver.run_id, kind, reason)
 
-    def _work(self) -> None:
+    def _work(self) -> bool:
         """Open the window by the setpoints played; publish a change of the state at once."""
         playback, receiver = self._playback, self._inlet.receiver
         playback.read()
@@ -176,6 +180,8 @@ class MachineNode(LifecycleNode):
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._reports.publish_state()
         self._jog.work(override)  # what was reached before is published
+        self._inlet.tick()
+        return self._jog.homing.active or playback.busy
 
     def _report_clock(self) -> None:
         """Report how late the drives are stepped in this run, and what compensation does."""
@@ -187,6 +193,7 @@ class MachineNode(LifecycleNode):
 
     def publish_rest(self) -> None:
         """Publish the executed setpoints that are not published yet."""
+        self._playback.read()
         self._reports.publish_executed()
 
     def _stop_clock(self) -> None:
@@ -196,7 +203,7 @@ class MachineNode(LifecycleNode):
     def close(self) -> None:
         """Stop the clock and let the drives go."""
         if self._clock_of_drives is not None:
-            self._clock_of_drives.stop()
+            self._stop_clock()
             self._clock_of_drives = None
             self._playback.close()
 

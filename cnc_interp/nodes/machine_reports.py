@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,6 +22,23 @@ from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, ma
 
 #: Time between reports of what was executed [s].
 EXECUTED_PERIOD = 0.1
+#: Time between two messages of a topic while nothing moves [s]; changes of the state are told at
+#: once.
+REST_PERIOD = 0.25
+
+
+class Rate:
+    """Publishes at the rate of a parameter while the machine moves, and rarely at rest."""
+
+    def __init__(self, node: Any, rate: float, playback: Playback, publish: Callable[[], None]):
+        self._playback, self._publish, self._told = playback, publish, -math.inf
+        node.create_timer(1.0 / rate, self._call)
+
+    def _call(self) -> None:
+        now = time.monotonic()
+        if self._playback.busy or now - self._told >= REST_PERIOD:
+            self._told = now
+            self._publish()
 
 
 class MachineReports:
@@ -47,8 +67,8 @@ class MachineReports:
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
         node.create_timer(EXECUTED_PERIOD, self.publish_executed)
-        node.create_timer(1.0 / values['joint_state_rate'], self._publish_joints)
-        node.create_timer(1.0 / values['machine_state_rate'], self.publish_state)
+        Rate(node, values['joint_state_rate'], playback, self._publish_joints)
+        Rate(node, values['machine_state_rate'], playback, self.publish_state)
 
     def _now(self) -> Any:
         return self._node.get_clock().now().to_msg()
@@ -72,7 +92,6 @@ class MachineReports:
 
     def publish_executed(self) -> None:
         """Publish the setpoints executed since the last call, and where the axes were."""
-        self._playback.read()
         for setpoints, feedback in executed_setpoints(self._playback, self._period):
             self._feedback.publish(feedback)
             self._executed.publish(setpoints)

@@ -24,6 +24,7 @@ from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.mdi import Mdi
 from cnc_interp.nodes.node_main import run_node
+from cnc_interp.nodes.pace import Pace
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Prepared, prepare
 from cnc_interp.nodes.program_queue import ProgramQueue, answer
@@ -36,6 +37,8 @@ from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
 from cnc_interp.wire.run_messages import add_executed, run_feedback
 
 Result = RunProgram.Result
+#: Time between two steps of a run [s].
+WORK_PERIOD = 0.02
 #: Time between feedbacks [s].
 FEEDBACK = 0.1
 #: Time between repeated calls of a service of the machine [s].
@@ -84,11 +87,12 @@ class ProgramNode(Node):
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )  # fmt: skip
-        self.create_timer(0.02, self._work)
+        self._pace = Pace(self, WORK_PERIOD, self._work)
         self._diagnostics.say('program', OK, 'no program')
 
     def _accept(self, handle: Any) -> None:
         """Begin to read the program of a goal and queue it. The timer does the rest."""
+        self._pace.wake()
         run = ProgramRun(handle.request)
         if handle.request.mdi:
             missing = self._peers.missing(time.monotonic(), self._values['peer_timeout'])
@@ -113,7 +117,7 @@ class ProgramNode(Node):
             lambda: self._table.setup,
         )
 
-    def _work(self) -> None:
+    def _work(self) -> bool:
         """Advance the run by one step."""
         now = time.monotonic()
         if self._run is None and (following := self._queue.next()) is not None:
@@ -124,7 +128,7 @@ class ProgramNode(Node):
         run = self._run
         if run is None:
             self._see_unknown_run()
-            return
+            return bool(self._queue.names)
         if now - self._worked_at > FROZEN:
             self._peers.trust(now)
         self._worked_at = now
@@ -158,6 +162,7 @@ class ProgramNode(Node):
             self._finish(run, outcome)
         elif run.phase in SENDING:
             self._help(run, now)
+        return True
 
     def _begin(self, run: ProgramRun) -> None:
         """Send the blocks of a run from the first one on."""

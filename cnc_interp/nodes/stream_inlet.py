@@ -21,6 +21,8 @@ from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Time between acknowledgements when nothing happens [s].
 HEARTBEAT = 0.1
+#: Shortest time between two of them [s].
+STATUS_PERIOD = 0.01
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
@@ -48,7 +50,6 @@ class Inlet:
         on_message: Callable[[Any], None],
         on_refusal: Callable[[], None],
         diagnostics: Diagnostics,
-        status_period: float = 0.02,
         gate: Callable[[Any], list[Any]] = lambda message: [message],
     ):
         self.receiver = receiver
@@ -67,7 +68,6 @@ class Inlet:
             node.create_subscription(kind, topic, partial(self._receive, kind), STREAM, raw=True)
             for topic, kind in kinds.items()
         ]
-        self._timer = node.create_timer(status_period, self._tick)
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
     def _receive(self, kind: Any, data: bytes) -> None:
@@ -186,9 +186,10 @@ class Inlet:
         receiver = self.receiver
         return receiver.run_id, receiver.next_number, receiver.limit, receiver.refused
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
         """Acknowledge when something has changed, else at intervals."""
-        if self._news() != self._told or time.monotonic() - self._told_at > HEARTBEAT:
+        silent = time.monotonic() - self._told_at
+        if silent > HEARTBEAT or (silent > STATUS_PERIOD and self._news() != self._told):
             self.tell()
 
     def tell(self) -> None:

@@ -80,7 +80,7 @@ def played(model, q, periods, learnt=None):
     weights = []
     for _ in range(periods):
         cycle.step()
-        weights.append((drives.memory[ROW], drives.memory[LEFT]))
+        weights.append((drives.memory.view(np.int64)[ROW], drives.memory.view(np.int64)[LEFT]))
     return cycle.read().position[10:], np.array(weights), drives
 
 

@@ -34,7 +34,7 @@ setup(
     package_data={
         f'{NAME}.client.page': ['*.css', '*.js'],
         f'{NAME}.cam': ['*.html', '*.js'],
-        f'{NAME}.nodes': ['*.xml'],
+        f'{NAME}.processes': ['*.xml'],
     },
     data_files=shared_files(),
     python_requires='>=3.11,<3.13',

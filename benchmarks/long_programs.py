@@ -30,7 +30,7 @@ from rclpy.node import Node
 
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.this_host import stay_on_this_host
+from cnc_interp.processes.this_host import stay_on_this_host
 
 LENGTHS = (250_000, 1_000_000)
 #: Rows of the raster: so many lines of 0.4 mm, to and fro over a wave.

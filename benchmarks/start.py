@@ -34,7 +34,7 @@ def look(
 ) -> None:
     """Be a node from a time on; report when it and all others see each other's topics."""
     time.sleep(max(0.0, begin - time.monotonic()))
-    from cnc_interp.nodes.this_host import stay_on_this_host
+    from cnc_interp.processes.this_host import stay_on_this_host
 
     stay_on_this_host()
     import rclpy

@@ -15,7 +15,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from cnc_interp.nodes.this_host import variables_of_this_host
+from cnc_interp.processes.this_host import variables_of_this_host
 
 NODES = ('lookahead_node', 'feedrate_node', 'machine_node', 'program_node')
 

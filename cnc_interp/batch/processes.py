@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.fork_server import begin_loading
+from cnc_interp.processes.fork_server import begin_loading
 
 #: What the fork server loads for programs, and for tiles of needles.
-PRELOADED = ('cnc_interp.batch.preloaded',)
-TILES_PRELOADED = ('cnc_interp.cam.preloaded',)
+PRELOADED = ('cnc_interp.batch.preload_tasks',)
+TILES_PRELOADED = ('cnc_interp.cam.preload_tiles',)
 #: Name of a working process in ``ps`` and ``top``.
 PROCESS_NAME = 'cnc_batch'
 #: Time between looks whether all shall end [s].

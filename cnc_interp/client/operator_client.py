@@ -27,12 +27,12 @@ from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.question import AGAIN, Question
 from cnc_interp.client.shared_value import SharedValue
-from cnc_interp.client.stop_signals import stops_later
 from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE, STATE
-from cnc_interp.nodes.this_host import stay_on_this_host
+from cnc_interp.processes.stop_signals import stops_later
+from cnc_interp.processes.this_host import stay_on_this_host
 
 __all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 

@@ -15,7 +15,7 @@ from cnc_interp.client.recorder import NEEDED, Recorder
 from cnc_interp.client.run_console import RunConsole
 from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.nodes.node_processes import Children
+from cnc_interp.processes.node_processes import Children
 
 
 def run_recorded(

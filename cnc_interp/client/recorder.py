@@ -28,9 +28,9 @@ from std_srvs.srv import Trigger
 from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.question import Question
-from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
+from cnc_interp.processes.stop_signals import stop_signals
 
 #: Topics from which plan files are written.
 NEEDED = (

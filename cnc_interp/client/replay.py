@@ -18,13 +18,13 @@ from rosgraph_msgs.msg import Clock
 
 from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
-from cnc_interp.client.stop_signals import stop_signals
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.this_host import stay_on_this_host
+from cnc_interp.processes.stop_signals import stop_signals
+from cnc_interp.processes.this_host import stay_on_this_host
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import OperatorSettings

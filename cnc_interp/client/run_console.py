@@ -23,7 +23,7 @@ from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.nodes.node_processes import Children
+from cnc_interp.processes.node_processes import Children
 from cnc_interp.wire.settings_messages import goal_of
 
 Result = RunProgram.Result

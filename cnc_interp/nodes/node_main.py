@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.nodes.this_host import stay_on_this_host
+from cnc_interp.processes.this_host import stay_on_this_host
 
 #: Timeout of the events executor [s]. Signals are noticed after it at the latest.
 SPIN_TIMEOUT = 0.1

@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from cnc_interp.nodes.node_main import come_first
-from cnc_interp.nodes.this_host import stay_on_this_host
+from cnc_interp.processes.this_host import stay_on_this_host
 
 #: Joints in an order of their own, and the axes of the machine that they are.
 JOINTS = ('table_c', 'table_a', 'slide_z', 'slide_y', 'slide_x')

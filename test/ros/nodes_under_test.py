@@ -17,8 +17,8 @@ from std_srvs.srv import Trigger
 from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.node_processes import Children
 from cnc_interp.nodes.peers import Peers
+from cnc_interp.processes.node_processes import Children
 
 START, PATIENCE = 300.0, 120.0  # [s]; the first start compiles; bounds, not timings
 

@@ -39,8 +39,8 @@ def reached(domain):
     from cnc_interp_msgs.msg import LoadedProgram
     from rclpy.action import ActionClient
 
-    from cnc_interp.nodes.node_processes import NODES
     from cnc_interp.nodes.qos import LOADED
+    from cnc_interp.processes.node_processes import NODES
 
     rclpy.init(domain_id=domain)
     node = rclpy.create_node('stranger')

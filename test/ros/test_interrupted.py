@@ -22,7 +22,7 @@ IMPORT = b'import time:'
     'module',
     [
         'numpy.core.multiarray', 'numba', 'cnc_interp.cli', 'rclpy', 'cnc_interp.client.session',
-        'cnc_interp.client.operator_client', 'cnc_interp.nodes.preloaded',
+        'cnc_interp.client.operator_client', 'cnc_interp.nodes.preload_nodes',
     ],
 )  # fmt: skip
 @pytest.mark.thorough

@@ -16,7 +16,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from nodes_under_test import PATIENCE
 
-from cnc_interp.nodes.shared_memory import FIRST_OF_DOMAINS
+from cnc_interp.processes.shared_memory import FIRST_OF_DOMAINS
 
 PROGRAM = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX100\nM2\n'
 #: Participants of a run: four nodes and the run itself.

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from nodes_under_test import NodesUnderTest
 from rclpy.node import NodeNameNonExistentError
 
-from cnc_interp.nodes.node_processes import NODES
+from cnc_interp.processes.node_processes import NODES
 
 pytestmark = pytest.mark.thorough
 

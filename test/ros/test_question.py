@@ -14,7 +14,7 @@ from rclpy.experimental import EventsExecutor
 from std_srvs.srv import Trigger
 
 from cnc_interp.client.question import Question
-from cnc_interp.nodes.this_host import stay_on_this_host
+from cnc_interp.processes.this_host import stay_on_this_host
 
 
 class LosesAnswers:

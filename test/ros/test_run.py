@@ -48,7 +48,7 @@ NO_NUMBER = PROGRAM.replace('10.0,8.0', '10.0,eight')
 
 RUN_FOR_EVER = """
 import time
-from cnc_interp.nodes.node_processes import Children
+from cnc_interp.processes.node_processes import Children
 from cnc_interp.client.session import nodes_file
 with Children('/killed', 99, {}, nodes_file()) as nodes:
     print(*nodes.process_ids.values(), flush=True)

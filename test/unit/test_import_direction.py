@@ -10,6 +10,7 @@ PACKAGE = Path(__file__).parents[2] / 'cnc_interp'
 # Upstream first: a room imports only itself and rooms above it.
 FLOW = (
     'core',
+    'processes',
     'settings',
     'machine_model',
     'program',

@@ -4,7 +4,10 @@ import subprocess
 import sys
 import time
 
-ASK = 'import time; time.sleep(0.3)\nfrom cnc_interp.core.process_start import process_start as s'
+ASK = (
+    'import time; time.sleep(0.3)\n'
+    'from cnc_interp.processes.process_start import process_start as s'
+)
 
 
 def test_it_is_the_moment_of_the_command():

@@ -5,7 +5,7 @@ import multiprocessing
 
 import pytest
 
-from cnc_interp.nodes.shared_memory import (
+from cnc_interp.processes.shared_memory import (
     FOLDER,
     files_in_use,
     opening_locked,

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from cnc_interp.client.stop_signals import STOPS, stop_signals, stops_later
+from cnc_interp.processes.stop_signals import STOPS, stop_signals, stops_later
 
 
 @pytest.fixture(autouse=True)

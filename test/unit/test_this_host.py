@@ -8,7 +8,13 @@ from types import ModuleType
 
 import pytest
 
-from cnc_interp.nodes.this_host import PEERS, PROFILE, RANGE, TRANSPORTS, variables_of_this_host
+from cnc_interp.processes.this_host import (
+    PEERS,
+    PROFILE,
+    RANGE,
+    TRANSPORTS,
+    variables_of_this_host,
+)
 
 LAUNCH = Path(__file__).parents[2] / 'launch' / 'cnc_launch.py'
 ALONE = {RANGE: 'LOCALHOST', TRANSPORTS[0]: str(PROFILE)}

@@ -26,7 +26,7 @@ from cnc_interp.client.session import (
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.nodes.node_processes import Children
+from cnc_interp.processes.node_processes import Children
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 
 if TYPE_CHECKING:

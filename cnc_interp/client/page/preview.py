@@ -23,7 +23,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.temporary_folder import TemporaryFolder
+from cnc_interp.processes.temporary_folder import TemporaryFolder
 from cnc_interp.run.plan_figures import bound_text
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import command_words

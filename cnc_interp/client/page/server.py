@@ -19,8 +19,8 @@ from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.client.page.gate import Gate
 from cnc_interp.client.page.scripts import scripts
 from cnc_interp.client.page.tab import Page
-from cnc_interp.client.stop_signals import stops_later
 from cnc_interp.core.errors import InterpError
+from cnc_interp.processes.stop_signals import stops_later
 
 STYLE = Path(__file__).with_name('style.css')
 #: How often the desk looks after programs and the machine's name [s].

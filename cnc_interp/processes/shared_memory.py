@@ -16,7 +16,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from cnc_interp.core.temporary_folder import is_unlocked
+from cnc_interp.processes.temporary_folder import is_unlocked
 
 FOLDER = Path('/dev/shm')
 SEGMENT = re.compile(r'(fastrtps_[0-9a-f]{16})_el')

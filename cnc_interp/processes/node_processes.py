@@ -19,13 +19,13 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.fork_server import begin_loading
-from cnc_interp.core.temporary_folder import TemporaryFolder, remove_dead_folders
-from cnc_interp.nodes.shared_memory import remove_dead_segments
+from cnc_interp.processes.fork_server import begin_loading
+from cnc_interp.processes.shared_memory import remove_dead_segments
+from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 #: What the fork server loads before it forks.
-PRELOADED = ['cnc_interp.nodes.preloaded']
+PRELOADED = ['cnc_interp.nodes.preload_nodes']
 #: Loading takes longer than this only if the kernels must be compiled first [s].
 SLOW_START = 15.0
 COMPILING = 'compiling the kernels, once; takes a minute or two'

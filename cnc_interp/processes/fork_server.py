@@ -16,7 +16,7 @@ from multiprocessing import forkserver, resource_tracker, util
 from multiprocessing.context import ForkServerContext
 from typing import Any
 
-from cnc_interp.core.temporary_folder import TemporaryFolder
+from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 #: What every child needs: multiprocessing imports the command in it.
 COMMAND = 'cnc_interp.cli'

@@ -8,7 +8,7 @@ are in memory afterwards, and no thread of ours runs, so that a fork is safe.
 import gc
 from importlib import import_module
 
-from cnc_interp.nodes.node_processes import NODES
+from cnc_interp.processes.node_processes import NODES
 
 gc.disable()  # nothing is thrown away here; to look for it would take a tenth of the time
 for node in NODES:

@@ -1,10 +1,9 @@
 """cnc_interp: a 5-axis CNC interpolator whose every emitted setpoint is proven."""
 
 import os
-from pathlib import Path
 
 from cnc_interp.core import kernel_cache
 
 __version__ = '0.1.0'
 
-kernel_cache.choose(Path(__file__).resolve().parent, os.environ)
+kernel_cache.register(os.environ)

@@ -1,50 +1,95 @@
 """
-The folder of compiled kernels; each version of the sources has its own folder.
+Where compiled kernels are kept, and when they are compiled again.
 
-numba compares only the file of a kernel with its cache, not the files of the kernels it calls.
-Without separate folders, a change in one file would leave callers with the old code.
+Machine code holds what a kernel calls, and the constants that it reads. numba by itself compares
+only the file of the kernel. Here a kernel is current while no file changes that its own file
+imports from this package, directly or through others.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-import shutil
-from collections.abc import Mapping, MutableMapping
+import re
+from collections.abc import Callable, MutableMapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-PREFIX = 'kernels-'
-
-
-def fingerprint(package: Path) -> str:
-    """Return a short hash of all source files in the package that contain kernels."""
-    digest = hashlib.sha256()
-    for source in sorted(package.rglob('*.py')):
-        text = source.read_bytes()
-        if b'njit' in text:
-            digest.update(text)
-    return digest.hexdigest()[:16]
+PACKAGE = Path(__file__).resolve().parents[1]
+#: The variables by which numba finds this module, and by which a user chooses another folder.
+LOCATORS, FOLDER = 'NUMBA_CACHE_LOCATOR_CLASSES', 'NUMBA_CACHE_DIR'
+IMPORT = re.compile(rf'^\s*(?:from|import) {PACKAGE.name}\.([\w.]+)(?: import ([\w, ]+))?', re.M)
 
 
-def base_folder(package: Path, environment: Mapping[str, str]) -> Path:
-    """Return a writable folder: next to the sources if possible, else in the user's cache."""
-    if os.access(package, os.W_OK):
-        return package / '__pycache__'
-    cache = environment.get('XDG_CACHE_HOME') or str(Path.home() / '.cache')
-    return Path(cache) / 'cnc_interp'
+@cache
+def sources(file: Path) -> frozenset[Path]:
+    """Return a file and all files of the package that it imports, directly or through others."""
+    found, waiting = set[Path](), [file]
+    while waiting:
+        source = waiting.pop()
+        if source not in found:
+            found.add(source)
+            waiting += _imported(source)
+    return frozenset(found)
 
 
-def choose(package: Path, environment: MutableMapping[str, str]) -> None:
-    """
-    Set numba's cache folder for these sources, unless the user has set one.
+@cache
+def _imported(source: Path) -> list[Path]:
+    names = IMPORT.findall(source.read_text(encoding='utf-8'))
+    dotted = {name for name, _ in names}
+    dotted |= {f'{name}.{inner.strip()}' for name, all_ in names for inner in all_.split(',')}
+    files = [PACKAGE.joinpath(*name.split('.')).with_suffix('.py') for name in dotted]
+    return [file for file in files if file.is_file()]
 
-    Folders of older sources are removed.
-    """
-    if 'NUMBA_CACHE_DIR' in environment:
-        return
-    base = base_folder(package, environment)
-    folder = base / (PREFIX + fingerprint(package))
-    if not folder.is_dir():
-        for old in base.glob(PREFIX + '*'):
-            shutil.rmtree(old, ignore_errors=True)
-    environment['NUMBA_CACHE_DIR'] = str(folder)
+
+@cache
+def _digest(file: Path) -> bytes:
+    return hashlib.sha256(file.read_bytes()).digest()
+
+
+def folder() -> Path:
+    """Return the folder of compiled kernels: beside the sources if possible, else the user's."""
+    if FOLDER in os.environ:
+        return Path(os.environ[FOLDER])
+    if os.access(PACKAGE, os.W_OK):
+        return PACKAGE / '__pycache__' / 'kernels'
+    cache_home = os.environ.get('XDG_CACHE_HOME') or str(Path.home() / '.cache')
+    return Path(cache_home) / PACKAGE.name / 'kernels'
+
+
+class KernelLocator:
+    """Tells numba where the code of a kernel is kept, and whether it is current."""
+
+    def __init__(self, file: Path):
+        self._py_file = file  # numba names it in warnings
+        self._folder = folder() / file.relative_to(PACKAGE).parent
+
+    @classmethod
+    def from_function(cls, _function: Callable[..., Any], file: str) -> KernelLocator | None:
+        """Return the locator of a function, None if it belongs to another package."""
+        path = Path(file).resolve()
+        return cls(path) if path.is_relative_to(PACKAGE) else None
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """Return the folder of the kernels of a room."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return a hash of all that the kernels of the file depend on."""
+        digests = b''.join(_digest(file) for file in sorted(sources(self._py_file)))
+        return hashlib.sha256(digests).hexdigest()
+
+    def get_disambiguator(self) -> str:
+        """Return what tells functions of one name apart; a name stands once in a file here."""
+        return PACKAGE.name
+
+
+def register(environment: MutableMapping[str, str]) -> None:
+    """Let numba ask this module first; other packages keep numba's own way."""
+    ours = f'{__name__}.{KernelLocator.__name__}'
+    environment.setdefault(LOCATORS, f'{ours},InTreeCacheLocator,UserWideCacheLocator')

@@ -1,61 +1,84 @@
-"""Compiled kernels never outlive a change of any kernel they call."""
+"""Compiled kernels never outlive a change of what they call or read, and outlive all others."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from cnc_interp.core import kernel_cache
 
-INNER = 'from numba import njit\n\n@njit(cache=True)\ndef inner():\n    return {value}\n'
+CONSTANT = 'VALUE = {value}\n'
+INNER = (
+    'from numba import njit\nfrom pack.limits import VALUE\n\n'
+    '@njit(cache=True)\ndef inner():\n    return VALUE\n'
+)
 OUTER = (
     'from numba import njit\nfrom pack.inner import inner\n\n'
     '@njit(cache=True)\ndef outer():\n    return inner()\n'
 )
-START = (
-    'import os\nfrom pathlib import Path\nfrom cnc_interp import kernel_cache\n'
-    "os.environ.pop('NUMBA_CACHE_DIR', None)\n"
-    'kernel_cache.choose(Path(__file__).parent, os.environ)\n'
-)
+START = 'import os\nfrom pack.core import kernel_cache\nkernel_cache.register(os.environ)\n'
+ASK = 'from pack.outer import outer; print(outer(), sum(outer.stats.cache_hits.values()))'
 
 
-def result(folder):
-    """What the outer kernel says in a fresh process."""
-    code = 'from pack.outer import outer; print(outer())'
-    here = str(Path(kernel_cache.__file__).parents[1])
+@pytest.fixture
+def package(tmp_path):
+    """A package with our cache: one kernel calls another, which reads a constant."""
+    folder = tmp_path / 'pack'
+    (folder / 'core').mkdir(parents=True)
+    shutil.copy(kernel_cache.__file__, folder / 'core')
+    for name, text in (
+        ('__init__', START), ('limits', CONSTANT.format(value=1)),
+        ('inner', INNER), ('outer', OUTER), ('plain', 'x = 1\n'),
+    ):  # fmt: skip
+        (folder / f'{name}.py').write_text(text)
+    return folder
+
+
+def outer(package):
+    """What the outer kernel says in a fresh process, and whether its code was there."""
     environment = {
         **os.environ,
-        'PYTHONPATH': os.pathsep.join([str(folder), here]),
+        'PYTHONPATH': str(package.parent),
         'PYTHONDONTWRITEBYTECODE': '1',  # Python itself misses a change within the same second
     }
+    for name in (kernel_cache.LOCATORS, kernel_cache.FOLDER):
+        environment.pop(name, None)
     done = subprocess.run(
-        [sys.executable, '-c', code], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, '-c', ASK], env=environment, capture_output=True, text=True, check=True
     )
-    return int(done.stdout)
+    said, found = done.stdout.split()
+    return int(said), found == '1'
 
 
-def test_a_change_in_a_called_kernel_reaches_its_caller(tmp_path):
-    package = tmp_path / 'pack'
-    package.mkdir()
-    (package / '__init__.py').write_text(START)
-    (package / 'outer.py').write_text(OUTER)
-    for value in (1, 2):
-        (package / 'inner.py').write_text(INNER.format(value=value))
-        assert result(tmp_path) == value
-    folders = list((package / '__pycache__').glob(kernel_cache.PREFIX + '*'))
-    assert len(folders) == 1, 'kernels of older sources are removed'
+def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package):
+    assert outer(package) == (1, False)
+    (package / 'plain.py').write_text('x = 2\n')
+    assert outer(package) == (1, True)
+    (package / 'limits.py').write_text(CONSTANT.format(value=2))  # has no kernel, is not imported
+    assert outer(package) == (2, False)
+    (package / 'inner.py').write_text(INNER.replace('return VALUE', 'return 10 * VALUE'))
+    assert outer(package) == (20, False)
+    assert outer(package) == (20, True)
 
 
-def test_the_users_choice_wins(tmp_path):
-    environment = {'NUMBA_CACHE_DIR': 'mine'}
-    kernel_cache.choose(tmp_path, environment)
-    assert environment == {'NUMBA_CACHE_DIR': 'mine'}
+def test_every_kernel_of_the_package_is_told_apart():
+    names = {}
+    for file in sorted(kernel_cache.PACKAGE.rglob('*.py')):
+        kernels = [
+            line for line in file.read_text().split('\n@') if 'cache=True' in line.split('\n')[0]
+        ]
+        for kernel in kernels:
+            name = (file, kernel.split('def ')[1].split('(')[0])
+            assert name not in names, f'{name[1]} stands twice in {file}'
+            names[name] = kernel
+    assert len(names) > 100
 
 
-def test_other_sources_do_not_matter(tmp_path):
-    (tmp_path / 'kernel.py').write_text(INNER.format(value=1))
-    before = kernel_cache.fingerprint(tmp_path)
-    (tmp_path / 'plain.py').write_text('x = 1\n')
-    assert kernel_cache.fingerprint(tmp_path) == before
-    (tmp_path / 'kernel.py').write_text(INNER.format(value=2))
-    assert kernel_cache.fingerprint(tmp_path) != before
+def test_the_users_folder_wins(monkeypatch):
+    monkeypatch.setenv(kernel_cache.FOLDER, 'mine')
+    locator = kernel_cache.KernelLocator(kernel_cache.PACKAGE / 'core' / 'jet.py')
+    assert Path(locator.get_cache_path()) == Path('mine/core')
+    assert kernel_cache.KernelLocator.from_function(test_the_users_folder_wins, __file__) is None

@@ -81,14 +81,14 @@ def assert_sound(piece: PlannedPiece, path: AxisPath, limits: Limits) -> None:
     assert abs(piece.law.evaluate(np.array([np.inf]))[0][0] - path.s[-1]) < 1e-12
 
 
-@tried(60, 500)
+@tried(25, 500)
 @given(problems())
 def test_samples_keep_every_limit(problem):
     path, limits, _ = problem
     assert_sound(plan_path(path, limits), path, limits)
 
 
-@tried(30, 250)
+@tried(15, 250)
 @given(problems(), st.integers(8, 200))
 def test_samples_keep_every_limit_in_short_windows(problem, cells):
     """Windows far shorter than a stop: every plan begins in motion, much is driven as planned."""
@@ -129,7 +129,7 @@ def test_going_on_from_a_state_of_motion():
     """
     planned, refused = Counter(), Counter()
 
-    @tried(100, 400)
+    @tried(40, 400)
     @given(problems(), st.floats(0.001, 0.999))
     def goes_on(problem, share):
         path, limits, _ = problem
@@ -155,7 +155,7 @@ def test_going_on_from_a_state_of_motion():
     assert refused[1.0] <= 0.03 * (planned[1.0] + refused[1.0])
 
 
-@tried(30, 250)
+@tried(15, 250)
 @given(problems(4), st.integers(0, 2), st.integers(0, 4), st.floats(1.0, 4.0))
 def test_relaxing_any_one_limit_never_costs_time(problem, order, axis, factor):
     path, limits, _ = problem

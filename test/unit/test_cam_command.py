@@ -109,6 +109,7 @@ def rates_about_the_pole(program):
     return turned[moves] / (way[moves] / (50 * MM)) / machine.max_velocity[4]
 
 
+@pytest.mark.thorough
 def test_passes_beside_the_pole_are_told_with_the_turn_that_avoids_it(tmp_path, capsys):
     """The face of examples/bumps.json lies flat here; then it is turned as told."""
     face = json.loads((EXAMPLES / 'bumps.json').read_text())

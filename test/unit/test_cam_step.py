@@ -6,6 +6,7 @@ import signal
 
 import numpy as np
 import pytest
+from tiers import few_of
 
 from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
 from cnc_interp.cam.surface import SurfaceError
@@ -218,6 +219,7 @@ def test_rational_spline_is_a_cylinder(tmp_path):
     assert_same(found, RationalSurface(knots, 20 * MM * QUARTER, QUARTER_WEIGHTS, (2, 2)))
 
 
+@pytest.mark.thorough
 def test_straight_direction_of_degree_1_is_raised(tmp_path):
     knots, points, _ = wavy()
     straight = points[:, [0, 3]]
@@ -342,6 +344,7 @@ def test_round_faces_are_those_of_the_standard(kind, u, v, sense, tmp_path):
     np.testing.assert_allclose(point.normal, outward, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_disc_is_round(tmp_path):
     part = Part()
     frame = part.frame((5, 0, 1), (0, 0, -1), (0.6, 0.8, 0))
@@ -418,7 +421,7 @@ def turned_line(part):
     part.face(surface, border_about_z(part, 10.0, 13.0))
 
 
-@pytest.mark.parametrize('make', [cone, extruded_circle, turned_line])
+@pytest.mark.parametrize('make', few_of(3, (cone, extruded_circle, turned_line)))
 def test_other_surfaces_become_exact_rational_patches(make, tmp_path):
     part = Part()
     make(part)
@@ -532,11 +535,14 @@ def whole_cylinder(part):
     ('make', 'says'),
     [
         (offset_plane, 'offset surface is not supported'),
-        (face_of("PLANE('',{})", SQUARE[:2]), 'spans no rectangle'),
-        (whole_cylinder, 'goes all the way round'),
-        (
+        pytest.param(
+            face_of("PLANE('',{})", SQUARE[:2]), 'spans no rectangle', marks=pytest.mark.thorough
+        ),
+        pytest.param(whole_cylinder, 'goes all the way round', marks=pytest.mark.thorough),
+        pytest.param(
             lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")),
             'way round',
+            marks=pytest.mark.thorough,
         ),
     ],
 )
@@ -548,6 +554,7 @@ def test_faces_that_cannot_be_used_are_named(make, says, tmp_path):
     assert str(fault.value).startswith(str(tmp_path / 'a.step: face 1: '))
 
 
+@pytest.mark.thorough
 def test_oblique_cut_of_a_cylinder_spans_its_highest_and_lowest_point(tmp_path):
     part = Part()
     ends = [part.vertex(p) for p in ((5, 0, 0), (0, 5, 0), (0, 5, 8), (5, 0, 3))]
@@ -682,8 +689,16 @@ def test_several_faces_in_one_program_spare_each_other(tmp_path, capsys):
     ('words', 'says'),
     [
         (['--face', '1', '1'], 'face 1 is named twice'),
-        (['--face', '1', '4'], 'there is no face 4; the faces are numbered from 1 to 3'),
-        (['--face', '1', '3', '--corner-radius', '6.5'], 'face 1: the strip of a ball mill'),
+        pytest.param(
+            ['--face', '1', '4'],
+            'there is no face 4; the faces are numbered from 1 to 3',
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(
+            ['--face', '1', '3', '--corner-radius', '6.5'],
+            'face 1: the strip of a ball mill',
+            marks=pytest.mark.thorough,
+        ),
     ],
 )
 def test_choices_of_faces_that_do_not_fit_get_one_line(words, says, tmp_path, capsys):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.units import DEG
+from cnc_interp.program import codes
 from cnc_interp.program.job import MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
@@ -72,6 +73,12 @@ class AxisCodes:
     def _write_setup(self, words: BlockWords) -> None:
         """Process G10: L2 and L20 set a work offset, L1, L10 and L11 a tool."""
         kind, index = words.values.pop('L', 0.0), words.values.pop('P', 0.0)
+        if self._mover.incremental and kind != 20.0:
+            raise self.fault(codes.G10_CONFLICTS['incremental'], f'G10 L{kind:g}')
+        if kind == 2.0 and index == 0.0:
+            raise self.fault(codes.G10_CONFLICTS['L2 P0'], 'G10 L2 P0')
+        if kind in (10.0, 11.0) and 'R' in words.values and 'Z' not in words.values:
+            raise self.fault(codes.G10_CONFLICTS['tool R'], f'G10 L{kind:g} R')
         if kind in (1.0, 10.0, 11.0):
             self._write_tool(int(kind), index, words)
             return

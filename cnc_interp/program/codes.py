@@ -36,6 +36,8 @@ TCP_OFF = {'M429', 'M129', 'G49', 'TRAFOOF', '#TRAFO OFF'}
 # Tool-tip modes that are a kind of tool length; a plain tool length (G43) ends them.
 TCP_BY_LENGTH = {'G43.4', 'G43.5', 'G234'}
 LENGTH = {'G43', 'G44', 'G43.1', 'G49'}
+#: Codes whose H is a tool length.
+LENGTH_CODES = LENGTH | TCP_BY_LENGTH
 TCP_ON_WORDS = 'M428, M128, G43.4, G43.5, G234, TRAORI or #TRAFO ON'
 
 WORK_OFFSETS = set(job.WORK_OFFSETS)
@@ -58,6 +60,22 @@ HARMLESS_G: dict[str, str] = {
     'G601': 'every exact stop is exact',
     'G602': 'every exact stop is exact',
     'G603': 'every exact stop is exact',
+}
+
+#: Harmless codes with words that give them another meaning, by code: the letters, and the reason.
+_AXES = 'XYZABCUVW'
+OTHER_MEANING: dict[str, tuple[str, str]] = {
+    'G15': ('H', 'with H it is the work offset of Okuma; write G54 to G59'),
+    'G50': (_AXES, 'with axis words it presets coordinates on lathes; write G50 alone, or G92'),
+    'G255': ('H', 'with H it is not known; write G255 alone'),
+}
+#: Work offsets with H: a tool length on Okuma, two words without relation elsewhere.
+OKUMA_LENGTH = 'with H it is a tool length of Okuma; write G43 H, or H in another block'
+#: G10 that controls read differently: what is done with it.
+G10_CONFLICTS = {
+    'incremental': 'with G91 Fanuc adds to the value, LinuxCNC sets it; write G90 before',
+    'L2 P0': 'P0 is the active work offset on LinuxCNC, the external one on Fanuc; write P1 to P9',
+    'tool R': 'R is the radius on LinuxCNC, the value (length) on Fanuc; write L1 with Z and R',
 }
 
 #: What moves the program coordinates or the tool beside the contour: not with G41 and G42.
@@ -100,6 +118,9 @@ DWELL = 'exact stop; the dwell time is not kept'
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}
 END_M = {'M2', 'M30'}
+#: Ends of a subprogram, and all M codes that call one or return.
+RETURN_M = {'M17', 'M99'}
+FLOW_M = RETURN_M | {'M61', 'M98'}
 #: Outputs of the machine that M codes switch, each with the code that holds afterwards.
 OUTPUTS: dict[str, dict[str, str]] = {
     **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},
@@ -157,6 +178,22 @@ HARMLESS_KEYS = {
     'COMPSURF', 'DYNNORM', 'DYNROUGH', 'DYNSEMIFIN', 'DYNFINISH', 'DYNPOS', 'UPATH', 'SPATH',
     'FGROUP', 'WALIMON', 'WALIMOF', 'ORIEULER', 'ORIRPY', 'ORISOF', 'ORISON',
 }  # fmt: skip
+#: Names of Siemens that are set in a block and do not move the tool; so are S1= and M1=.
+HARMLESS_NAMES = {'SPOS', 'SPOSA', 'LIMS', 'ADIS', 'ADISPOS', 'STOLF', 'DISCL', 'FGREF'}
+#: Names of Siemens that change path or feed, with what to do.
+REFUSED_NAMES: dict[str, str] = {
+    **dict.fromkeys(('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'),
+                    'this word is not supported; give the end point and I, J, K'),
+    **dict.fromkeys(('RND', 'RNDM', 'CHR', 'CHF'),
+                    'rounding and chamfers are not supported; post the corner as moves'),
+    'ANG': 'a line by its angle is not supported; give the end point',
+    'LEAD': 'lead and tilt are not supported; give the tool axis as A3= B3= C3=',
+    'TILT': 'lead and tilt are not supported; give the tool axis as A3= B3= C3=',
+    **dict.fromkeys(('FRC', 'FRCM', 'FB', 'OVR', 'OVRRAP'),
+                    'this feed is not supported; write the feed as F'),
+}  # fmt: skip
+UNKNOWN_NAME = 'no such word; correct it, or set the variable in a block of its own'
+NO_SUCH_AXIS = 'no axis has this name; write the axis as a letter'
 # On linear blocks ORICURVE turns from one direction to the other like ORIVECT.
 INTERPOLATION_KEYS = {
     'ORIVECT': True, 'ORIPLANE': True, 'ORICURVE': True, 'ORIAXES': False, 'ORIMKS': False,

@@ -263,11 +263,15 @@ class GcodeReader:
         for letter in ('N', 'O'):
             values.pop(letter, None)
         self._named.execute(words)
-        if 'T' in values:
-            self._chosen_tool = round(min(abs(values['T']), 1e6))
-        if 'M6' in words.m or not self._tool:
+        changes = bool({'M6', 'M61'} & set(words.m))
+        if 'M61' in words.m and 'Q' not in values:
+            raise self.fault('give the number of the tool as Q', 'M61')
+        tool = values.pop('Q') if 'M61' in words.m else values.get('T')
+        if tool is not None:
+            self._chosen_tool = round(min(abs(tool), 1e6))
+        if changes or not self._tool:
             self._tool = self._chosen_tool
-        if 'M6' in words.m:
+        if changes:
             mover.change(SetupChange('tool', self._tool))
         if 'S' in values:
             mover.spindle_speed = values['S']
@@ -303,8 +307,8 @@ class GcodeReader:
             self.flow.ended = self.finished = True
         elif calling:
             self.flow.call_number(*calling)
-        elif 'M99' in words.m:
-            self._return()
+        elif returning := codes.RETURN_M & set(words.m):
+            self._return(min(returning))
 
     def _settings(self, words: BlockWords) -> None:
         """Apply the G codes of a block that are settings."""
@@ -330,6 +334,8 @@ class GcodeReader:
                     self._cycle = None
                     self.splines.end()
             elif code in codes.WORK_OFFSETS:
+                if 'H' in words.values and not codes.LENGTH_CODES & set(words.g):
+                    raise self.fault(codes.OKUMA_LENGTH, code)
                 self._modes.choose_work_offset(code)
             elif code in codes.LENGTH or code in codes.TCP_ON or code in codes.TCP_OFF:
                 self._modes.tool_length(code, words, self._tool)
@@ -348,6 +354,9 @@ class GcodeReader:
             elif code == 'G69':
                 self._plane.cancel()
             elif code in codes.HARMLESS_G:
+                letters, why = codes.OTHER_MEANING.get(code, ('', ''))
+                if found := set(letters) & words.values.keys():
+                    raise self.fault(why, f'{code} {words.texts[min(found)]}')
                 self.notice(code, codes.HARMLESS_G[code])
             elif code not in codes.TAKE_AXES and code != 'G53':
                 raise self.fault('this G code is not supported; post without it', code)
@@ -366,7 +375,7 @@ class GcodeReader:
             self._modes.switch_tcp(code)
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
-        elif code not in (codes.END_M | codes.STOP_M.keys() | {'M98', 'M99'}):
+        elif code not in (codes.END_M | codes.STOP_M.keys() | codes.FLOW_M):
             self._outputs |= codes.OUTPUTS.get(code, {})
             self.notice(code, 'no effect, it does not move the tool')
 
@@ -392,6 +401,9 @@ class GcodeReader:
         elif self._cycle is None and not self.splines.take(words, feed_given):
             mover.move(words, feed_given, machine)
         for letter in list(values):
+            if letter == 'H' and mover.frames.length:
+                raise self.fault('on Fanuc it changes the tool length; write G43 with it, or '
+                                 'leave it out', words.texts['H'])  # fmt: skip
             if letter in 'STDHE':
                 self.notice(letter, 'no effect, it does not move the tool')
             elif letter in 'ABCUVW':
@@ -415,10 +427,10 @@ class GcodeReader:
 
     # --- subprograms ---------------------------------------------------------------------------
 
-    def _return(self) -> None:
-        """Process M99: return from a subprogram; in the main program, end it."""
+    def _return(self, code: str) -> None:
+        """Process M99 and M17: return from a subprogram; in the main program, end it."""
         if self.flow.in_subprogram:
             self.flow.leave()
         else:
-            self.notice('M99', 'in the main program: its end')
+            self.notice(code, 'in the main program: its end')
             self.flow.ended = True

@@ -158,6 +158,7 @@ class Modes:
         q = words.values.pop('Q', None)  # ignored: the compressor stays within P in any case
         if q is not None and (tolerance is None or not q >= 0.0):
             raise self.fault('write G64 P Q: P is the tolerance, Q not below 0', words.texts['Q'])
+        tolerance = tolerance or None  # P0 is no tolerance of its own, as in LinuxCNC
         if tolerance is not None and not 0.0 < tolerance * self._mover.unit < FARTHEST:
             raise self.fault('the tolerance must be greater than zero', words.texts['P'])
         self.tolerances('G64 P', tolerance, tolerance)

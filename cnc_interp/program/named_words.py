@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.contact_normal import NORMAL_WORDS
@@ -81,6 +83,7 @@ class NamedWords:
     def _assign(self, words: BlockWords) -> None:
         """Execute the assignments of a block; some names are words with a meaning."""
         mover = self._mover
+        others = bool(words.values or words.g or words.m or words.keys)
         for name, value in words.sets:
             if name in ('A3', 'B3', 'C3', 'RPL', *CURVE_WORDS, *NORMAL_WORDS):
                 continue
@@ -97,13 +100,24 @@ class NamedWords:
                     mover.contour = value * mover.unit
                 else:  # OTOL is an angle; convert it to the deviation at flank height
                     mover.orientation = min(value, 90.0) * DEG * mover.settings.flank_height
-            elif name in ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'):
-                raise self.fault('this word is not supported; give the end point and I, J, K',
-                                 str(name))  # fmt: skip
             elif isinstance(name, int):
                 try:
                     self._variables.set_number(name, value)
                 except ExpressionError as problem:
                     raise self.fault(str(problem), f'#{name}') from None
             else:
-                self._variables.set_name(name, value)
+                self._set_name(name, value, others)
+
+    def _set_name(self, name: str, value: float, others: bool) -> None:
+        """Set a variable; beside other words only if the program has declared or set it."""
+        if not self._variables.exists(name) and not name.startswith('<'):
+            if why := codes.REFUSED_NAMES.get(name):
+                raise self.fault(why, name)
+            if name in codes.HARMLESS_NAMES or re.fullmatch(r'[SM]\d', name):
+                self.notice(name, 'no effect, it does not move the tool')
+                return
+            if re.fullmatch(r'[A-QS-Z]\d+', name):
+                raise self.fault(codes.NO_SUCH_AXIS, name)
+            if others and not re.fullmatch(r'R\d+', name):
+                raise self.fault(codes.UNKNOWN_NAME, name)
+        self._variables.set_name(name, value)

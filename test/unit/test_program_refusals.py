@@ -35,7 +35,7 @@ SYNTAX = [
     ('G0 B5', 'B5', 'no axis B'),
     ('G1 X1 F0', 'F0', 'greater than zero'),
     ('G1 X1 F-5', 'F-5', 'greater than zero'),
-    ('G64 P0', 'P0', 'greater than zero'),
+    ('G64 P-1', 'P-1', 'greater than zero'),
     ('G64 P-0.1', 'P-0.1', 'greater than zero'),
     ('G1 X1', '', 'no feedrate'),
     ('G93\nG1 X1', '', 'G93'),
@@ -93,6 +93,10 @@ ARCS = [
 ]
 OFFSETS_AND_CYCLES = [
     ('G28 G92 X0', 'same block'),
+    ('G91 G10 L1 P1 Z5', 'Fanuc adds to the value'),
+    ('RNDM=2', 'rounding and chamfers'),
+    ('G1 X5 NAME=2 F60', 'no such word'),
+    ('G43.1 Z5\nG0 X1 H2', 'changes the tool length'),
     ('G81 X1 R2 F60', 'depth'),
     ('G81 X1 Z-2 F60', 'retract plane'),
     ('G81 X1 Z-2 R-3 F60', 'below the depth'),

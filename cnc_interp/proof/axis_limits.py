@@ -1,8 +1,8 @@
 """
 The limits of the axes where they are, and the torques of their drives, for the proof.
 
-A limit that depends on the position is linear between the positions of the machine file. This
-module reads them from there again and shares no code with the planner.
+A limit that depends on the position is linear between the positions of the machine file. The file
+is read and checked by `Machine`, as for the planner. What is computed here shares no code with it.
 """
 
 from __future__ import annotations

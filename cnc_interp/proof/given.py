@@ -16,6 +16,8 @@ from cnc_interp.core.units import MM, MS
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 
+#: Figures of a plan that only the planner knows.
+UNPROVEN = 'largest errors, tolerances used, time bound, windows, segments, curves, tool error'
 #: Digits of a hash that are shown.
 DIGITS = 12
 
@@ -80,9 +82,10 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
     if override != 1.0:
         rows.append(Given('feed override', f'up to {override:.1%}', of_summary))
     if (source / 'segments.npz').is_file():
-        rows.append(
-            Given('not checked', 'segments.npz, which only the report draws', 'its folder')
-        )
+        rows += [
+            Given('not checked', 'segments.npz, which only the report draws', 'its folder'),
+            Given('not checked', UNPROVEN, 'summary.json'),
+        ]
     return tuple(rows)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,10 @@ IDLE_G = frozenset((
     '644',
 ))  # fmt: skip
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
+# Exact stops and their end; what rests at the end of the motion before; codes with their own P.
+EXACT, CONTINUOUS = ('G60', 'G61', 'G61.1'), ('G64', 'G641', 'G642', 'G643', 'G644')
+REFUSED_M = ('M17', 'M61', 'M98', 'M99', 'M198')
+RESTS, TAKE_P = {'M0', 'M1', 'M60'}, {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}
 # Words of G-code after which a number follows and that move nothing.
 IDLE_LETTERS = frozenset('NMSTDHPQLE')
 PLANES = {'17': (0, 1, 2), '18': (2, 0, 1), '19': (1, 2, 0)}
@@ -62,6 +66,9 @@ class Move:
     unsure: float = 0.0  #: Share of feed or duration up to which the reader knows it [-].
     #: Programmed contour tolerance [m]; NaN for that of the settings.
     tolerance: float = float('nan')
+    orientation: float = float('nan')  #: Programmed orientation tolerance [m]; NaN likewise.
+    stop: bool = False  #: Whether the text demands a rest at its end.
+    worded: bool = False  #: Whether the text has named a rotary axis so far.
     #: (3,): Normal of the part, where ``end`` is the point at which the cutter touches it.
     normal: FloatArray | None = None
     #: Radius of the cutter beyond its corner, and radius of the corner [m].
@@ -75,9 +82,10 @@ def read_plainly(
     feed: float | None,
     skip: bool,
     tools: Mapping[int, tuple[float, float]] | None = None,
+    height: float = float('nan'),
 ) -> list[Move]:
-    """Read a program."""
-    state = _State(name, axis_names, feed, tools or {})
+    """Read a program; an angle of tolerance (OTOL) counts at the flank height [m]."""
+    state = _State(name, axis_names, feed, tools or {}, height)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
     for number, line in enumerate(text.splitlines(), start=1):
         state.line = number
@@ -99,7 +107,10 @@ class _State:
         axis_names: tuple[str, ...],
         feed: float | None,
         tools: Mapping[int, tuple[float, float]],
+        height: float,
     ):
+        self.height, self.turns = height, 1
+        self.rests = self.rests_once = self.worded = False
         self.tools, self.cutter = tools, (0.0, 0.0)
         self.by_normals, self.normal = False, np.zeros(3)
         self.name, self.names, self.line = name, axis_names, 0
@@ -110,7 +121,7 @@ class _State:
         self.absolute, self.inverse, self.tcp = True, False, False
         self.feed = float('nan') if feed is None else feed
         self.ended = False
-        self.tolerance = float('nan')
+        self.tolerance = self.orientation = float('nan')
         # Where the tool tip is in the words that hold after a switch, only the first reader knows.
         self.unknown: set[str] = set()
 
@@ -127,6 +138,7 @@ class _State:
         if line in ('', '%') or re.fullmatch(r'O\d+', line):
             return
         words: dict[str, float] = {}
+        idle: dict[str, float] = {}
         codes, rest = [], line.lstrip('/')
         while rest:
             named, word = _NAMED.match(rest), _WORD.match(rest)
@@ -134,6 +146,8 @@ class _State:
                 codes.append(re.split(r'[\s=]', named[1])[0])
                 if codes[-1] == 'CTOL':
                     self.tolerance = float(named[1].split('=')[1]) * self.unit
+                elif codes[-1] == 'OTOL':
+                    self.orientation = float(named[1].split('=')[1]) * DEG * self.height
             elif word:
                 letter, value = word[1], float(word[2])
                 if letter == 'G' or letter == 'M':
@@ -142,19 +156,23 @@ class _State:
                     if letter in words:
                         raise self.refuse(f'{letter} twice')
                     words[letter] = value
-                elif letter not in IDLE_LETTERS:
+                elif letter in IDLE_LETTERS:
+                    idle[letter] = value
+                else:
                     raise self.refuse(f'{letter}{word[2]}')
             else:
                 raise self.refuse(rest.split()[0])
             rest = rest[(named or word).end() :]  # type: ignore[union-attr]
         self.codes(codes)
         if 'G4' in codes:
+            self.rest()
             return
         if 'G5.1' in codes:
             words.pop('R', None)  # a grade of smoothing
         if 'G64' in codes:
             found = re.search(r'P\s*(\d*\.?\d*)', line)
-            self.tolerance = float(found[1]) * self.unit if found else float('nan')
+            self.tolerance = float(found[1]) * self.unit if found else 0.0
+            self.tolerance = self.orientation = self.tolerance or float('nan')
         if 'G40' in codes:
             self.by_normals = False
         if {'G41.2', 'G42.2'} & set(codes):
@@ -164,8 +182,20 @@ class _State:
             self.normal = given / np.linalg.norm(given)
         if 'F' in words:
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
+        self.turns = 1
+        if not TAKE_P & set(codes):
+            self.turns = int(idle.get('P', 1.0))
+        self.worded = self.worded or not {'A', 'B', 'C'}.isdisjoint(words)
         if words:
             self.move(words)
+        self.rests_once = False
+        if RESTS & set(codes):
+            self.rest()
+
+    def rest(self) -> None:
+        """Demand a rest at the end of the last motion."""
+        if self.moves:
+            self.moves[-1] = replace(self.moves[-1], stop=True)
 
     def take_cutter(self, line: str, words: dict[str, float]) -> None:
         """Take the cutter of a block with G41.2: D R, less that of the program: Q P."""
@@ -190,8 +220,11 @@ class _State:
                 self.plane = PLANES[digits]
             elif code in ('G20', 'G21', 'G70', 'G71'):
                 self.unit = 25.4 * MM if code in ('G20', 'G70') else MM
-            elif code in ('M98', 'M99', 'M198') or (code[0] == 'G' and digits not in IDLE_G):
+            elif code in REFUSED_M or (code[0] == 'G' and digits not in IDLE_G):
                 raise self.refuse(code)
+            if code in EXACT or code in CONTINUOUS:
+                self.rests = code in EXACT
+            self.rests_once = self.rests_once or code == 'G9'
             if code in ('G90', 'G91'):
                 self.absolute = code == 'G90'
             if code in ('G93', 'G94'):
@@ -210,8 +243,10 @@ class _State:
                 k = self.names.index(letter)
                 size = DEG if letter in 'ABC' else self.unit
                 end[k] = value * size + (0.0 if self.absolute else start[k])
-        if self.unknown and not (self.absolute and self.unknown <= set(words)):
-            raise self.refuse('X Y Z not named after a switch of the tool-tip control')
+        arc = self.motion in ('2', '3')
+        if self.unknown and (arc or not (self.absolute and self.unknown <= set(words))):
+            what = 'an arc' if arc else 'X Y Z not named'
+            raise self.refuse(f'{what} after a switch of the tool-tip control')
         self.unknown = set()
         if not self.motion:
             raise self.refuse('axis words before G0 or G1')
@@ -275,6 +310,7 @@ class _State:
             self.line, rapid, self.here[:3].copy(), self.here[3 : 3 + rotary].copy(), tool,
             self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
             60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,
-            self.plane, centre, sweep, tolerance=self.tolerance,
+            self.plane, centre, sweep, self.turns if sweep else 1, tolerance=self.tolerance,
+            orientation=self.orientation, stop=self.rests or self.rests_once, worded=self.worded,
             normal=self.normal if self.by_normals else None, cutter=self.cutter,
         ))  # fmt: skip

@@ -189,6 +189,8 @@ def _nonsense(blocks: Columns) -> str:
         'the orientation tolerance must be positive': blocks['orientation_tolerance'] <= 0.0,
         'the tool axis must be a unit vector': np.abs(size - 1.0) > UNIT,
         'interpolation must be 0, 1 or 2': ~np.isin(blocks['interpolation'], (0, 1, 2)),
+        'linear rotary axes need positions at both ends': (blocks['interpolation'] != 0)
+        & ~np.isfinite(np.hstack([blocks['rotary'], blocks['rotary_from']])).all(axis=1),
     }
     for text, where in faults.items():
         if text.startswith(('the feed', 'only', 'the duration')):

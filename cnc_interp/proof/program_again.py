@@ -7,7 +7,7 @@ One of them is enough.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +31,8 @@ SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
 CHORD = 0.11
 # Sine of the angle up to which a normal is parallel to the tool.
 PARALLEL = 1e-6
+# Contour and orientation tolerance of settings that are not known [m].
+UNKNOWN = (float('nan'), float('nan'))
 # Longest program that is read [bytes].
 LONGEST = 64 << 20
 
@@ -95,13 +97,13 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         raise InterpError(f'{program}: longer than {LONGEST >> 20} MB; cannot be compared')
     feed, skip = settings.get('feedrate'), bool(settings.get('skip_blocks'))
     names = machine.axis_names
-    tolerance = settings.get('contour_tolerance')
-    tolerance = float(tolerance) if isinstance(tolerance, int | float) else float('nan')
+    given = (settings.get(f'{name}_tolerance') for name in ('contour', 'orientation'))
+    tolerances = [float(t) if isinstance(t, int | float) else float('nan') for t in given]
     forced = bool(settings.get('force_tolerances'))
     found, readers = [], []
     try:
         moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']), setup)
-        found.append(compare_places(plan.blocks, machine, _tolerated(moves, forced), tolerance))
+        found.append(compare_places(plan.blocks, machine, _tolerated(moves, forced), tolerances))
         readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
         readers.append(str(reason))
@@ -110,9 +112,9 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         if tools is None:
             raise ProgramError('the reader of plain words knows no offsets and tool lengths')
         default = float(feed) if isinstance(feed, int | float) else None
-        moves = read_plainly(text, str(program), names, default, skip, tools)
+        moves = read_plainly(text, str(program), names, default, skip, tools, plan.flank_height)
         found.append(
-            _Comparison(plan.blocks, machine, tolerance).follow(_tolerated(moves, forced))
+            _Comparison(plan.blocks, machine, tolerances).follow(_tolerated(moves, forced))
         )
         readers.append('read by the second reader of plain words')
     except ProgramError as reason:
@@ -127,21 +129,22 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
 
 def _tolerated(moves: Iterable[Move], forced: bool) -> Iterable[Move]:
     """Return motions without the tolerances of the text where those of the settings rule."""
-    return (replace(move, tolerance=float('nan')) for move in moves) if forced else moves
+    nan = float('nan')
+    return (replace(m, tolerance=nan, orientation=nan) for m in moves) if forced else moves
 
 
 def compare_places(
-    blocks: Columns, machine: Machine, moves: Iterable[Move], tolerance: float = float('nan')
+    blocks: Columns, machine: Machine, moves: Iterable[Move], tolerances: Sequence[float] = UNKNOWN
 ) -> Agreement:
     """Compare rows with motions whose lines are not known."""
-    return _FollowPlaces(blocks, machine, tolerance).follow(moves)
+    return _FollowPlaces(blocks, machine, tolerances).follow(moves)
 
 
 class _Comparison:
     """Follows the rows of a plan with the motions of its text, by the numbers of the lines."""
 
-    def __init__(self, blocks: Columns, machine: Machine, tolerance: float = float('nan')):
-        self.blocks, self.machine, self.tolerance = blocks, machine, tolerance
+    def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float] = UNKNOWN):
+        self.blocks, self.machine, self.tolerances = blocks, machine, tolerances
         self.transform = Transform.of(machine)
         self.faults: list[str] = []
         self.row = self.motions = self.arcs = 0  # row: the first one that is not compared yet
@@ -185,7 +188,8 @@ class _Comparison:
             return move.end, axis
         q = self.zero.copy()
         q[0, :3] += move.end
-        q[0, 3:5] = move.rotary
+        q[0, 3 : 3 + len(move.rotary)] = move.rotary
+        q[0, 3 + len(move.rotary) :] = move.extra
         tip, axes = self.transform.forward(q)
         return tip[0], axes[0]
 
@@ -201,6 +205,8 @@ class _Comparison:
             self.unmoved(move, before, tip, axis)
             return True
         end = rows[-1]
+        if move.stop and before is not None and not self.blocks['exact_stop'][end]:
+            self.fault(move, f'rests at its end, its row {end} does not')
         off = float(np.linalg.norm(self.blocks['tip'][end] - tip))
         if off > near:
             self.fault(move, f'ends {off / MM:.4g} mm from the end of its row {end}')
@@ -208,6 +214,8 @@ class _Comparison:
         if turned > angle:
             self.fault(move, f'its tool axis is {turned:.3g} rad from that of its row {end}')
         rotary = self.blocks['rotary'][end, : len(move.rotary)]
+        if move.worded and np.isnan(rotary).any():
+            self.fault(move, f'has rotary words, its row {end} has none')
         if len(move.rotary) and np.isfinite(rotary).all() and move.axis is None:
             away = float(np.abs(rotary - move.rotary).max())
             if away > angle:
@@ -262,7 +270,7 @@ class _Comparison:
 
     def kept(self, move: Move, rows: IntArray, chord_error: float) -> None:
         """Demand that the rows leave room in the programmed tolerance for their arc."""
-        wanted = self.tolerance if np.isnan(move.tolerance) else move.tolerance
+        wanted = self.tolerances[0] if np.isnan(move.tolerance) else move.tolerance
         used = float(self.blocks['contour_tolerance'][rows].max()) + chord_error
         if used > wanted * (1.0 + SAME_FEED) + SAME_PLACE:
             chords = f', and its arc {chord_error / MM:.4g} mm' if chord_error else ''
@@ -270,6 +278,14 @@ class _Comparison:
                 move,
                 f'has a tolerance of {wanted / MM:.6g} mm, its rows may use '
                 f'{(used - chord_error) / MM:.6g} mm{chords}',
+            )
+        wanted = self.tolerances[1] if np.isnan(move.orientation) else move.orientation
+        used = float(self.blocks['orientation_tolerance'][rows].max())
+        if used > wanted * (1.0 + SAME_FEED) + SAME_PLACE:
+            self.fault(
+                move,
+                f'has an orientation tolerance of {wanted / MM:.6g} mm, its rows may use '
+                f'{used / MM:.6g} mm',
             )
 
     def chord_error(self, move: Move, rows: IntArray) -> float:
@@ -345,8 +361,8 @@ class _Comparison:
 class _FollowPlaces(_Comparison):
     """Follows the rows by their places, with motions whose lines are not known."""
 
-    def __init__(self, blocks: Columns, machine: Machine, tolerance: float = float('nan')):
-        super().__init__(blocks, machine, tolerance)
+    def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float] = UNKNOWN):
+        super().__init__(blocks, machine, tolerances)
         self.tiny = 0  # motions shorter than the last digit, which may have rows
         # The row after those of the same line, for each row.
         count = len(blocks['line'])

@@ -27,6 +27,9 @@ SAME = 1e-9
 SMALL_USE = 0.02
 # Golden section: number of steps, and the share of the bracket that each one keeps.
 STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
+# Way from a row whose rotary axes run linearly up to which rows are compared in its coordinates:
+# short ones are joined to one line, so that a corner reaches over several of them [m].
+JOINED = 5e-3
 # Half the bracket around the nearest point, in tolerances.
 BRACKET = 8.0
 
@@ -59,17 +62,23 @@ class ProgrammedAxes:
             return None
         tip, axis, transform = blocks['tip'], blocks['axis'], Transform.of(machine)
         before = np.r_[0, np.arange(len(tip) - 1)]
-        after = np.r_[np.arange(1, len(tip)), len(tip) - 1]
         turned = np.abs(axis - axis[before]).max(axis=1)
         still = ~linear & (turned < SAME) & (np.linalg.norm(tip - tip[before], axis=1) > SAME)
         extra = blocks['extra_axes']
         still &= (extra == extra[before]).all(axis=1)
-        leads, follows = still & linear[after], still & linear[before]
         first = np.array(blocks['rotary_from'], dtype=float)
         last = np.array(blocks['rotary'], dtype=float)
-        for rows, at, place in ((follows, before, last.copy()), (leads, after, first.copy())):
-            first[rows] = last[rows] = place[at[rows]]
-            kind = np.where(rows, kind[at], kind)
+        rows, length = np.arange(len(tip)), np.linalg.norm(tip - tip[before], axis=1)
+        way = np.cumsum(length)
+        # The nearest row before and after that is not like this, and the way to it.
+        at_start = np.maximum.accumulate(np.where(still, 0, rows))
+        at_end = np.minimum.accumulate(np.where(still, len(tip) - 1, rows)[::-1])[::-1]
+        follows = still & linear[at_start] & (way - length - way[at_start] <= JOINED)
+        leads = still & linear[at_end] & (way[at_end] - length[at_end] - way <= JOINED)
+        places = (follows, at_start, last.copy()), (leads, at_end, first.copy())
+        for some, at, place in places:
+            first[some] = last[some] = place[at[some]]
+            kind = np.where(some, kind[at], kind)
         known, in_axes = linear | leads | follows, kind == AXES_LINEAR
         ends = []
         for rows, rotary in ((before, first), (np.arange(len(tip)), last)):

@@ -1,8 +1,8 @@
 """
 The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
 
-It starts from the plan files alone. The only code shared with the planner is the forward
-kinematics of the machine.
+It starts from the plan files alone. The only code shared with the planner reads the machine file
+and computes the forward kinematics.
 
 - Limits: first, second and third differences of the positions at the interpolation period. The
   axes are at rest before the first and after the last sample.
@@ -187,6 +187,10 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
         worst, late = max((worst, late), (float(uneven[at]), a + at), key=_size)
         if not back:
             back = [a + int(k) for k in np.flatnonzero(np.diff(block[a : b + 1]) < 0)[:1]]
+    ledger.require(
+        not plan.path or abs(time[0]) <= 1e-6 * plan.period,
+        f'time begins at {time[0]:.9g} s, not at 0',
+    )
     ledger.require(
         worst <= 1e-6 * plan.period + 1e-12 * abs(time[-1]),
         f'time is not uniform: sample {late} at {time[late]:.9g} s, period {plan.period:g} s',

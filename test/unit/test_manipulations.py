@@ -120,6 +120,9 @@ for j, axis in enumerate(MACHINE.axis_names):
                    lambda c, j=j, order=order, by=by: c + by * np.eye(5)[j]
                    * (np.arange(4) == order)[:, None, None]
                    * (np.arange(c.shape[1]) == c.shape[1] // 2)[:, None])  # fmt: skip
+column('time begins at 1 s', CAUGHT, 'setpoints', 'time', lambda time: time + 1.0)
+column('a row with linear rotary axes that names no start', CAUGHT, 'blocks', 'interpolation',
+       lambda kind: np.r_[kind[:2], 1, kind[3:]])  # fmt: skip
 manipulation(
     'one setpoint of three axes moved along the tool by 1 um', CAUGHT,
     lambda content: at(0.5, 1e-6, slice(0, 3))(content['setpoints']['position']),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.cli import main
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.proof import linuxcnc_reader
 from cnc_interp.proof.linuxcnc_reader import interpreter
@@ -20,6 +21,8 @@ PROGRAMS = {
     'kept.ngc': 'G64 P0.02\nG0 X0\nG1 X5 F900\nG64 P0.05\nG2 X5.2 Y-0.1 R0.5\nG1 X9\n',
     'timed.ngc': 'G0 X0\nG93 G1 X10 F30\nY10 F60\nG94 X0 F500\n',
     'tcp.ngc': 'TRAORI\nG0 X0 A10 C0\nG64 P0.02\nG1 X20 A15 C30 F3000\nC60\nY5\n',
+    'turns.ngc': 'G0 X0 Y0\nG3 X10 Y0 I5 J0 P2 F1000\nG1 X20\n',
+    'stops.ngc': 'G0 X0\nG61\nG1 X5 Y5 F900\nX9\nG64\nX12\nG9 Y9\nY12\nM0\nX0\nG4 P1\nY0\n',
     'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
     'path.apt': (
         'PARTNO A\nUNITS/MM\nMULTAX\nFEDRAT/2000\nGOTO/0,0,0,0,0,1\nGOTO/10,0,0,0,0.28,0.96\n'
@@ -29,7 +32,8 @@ PROGRAMS = {
 #: Motions and arcs of each.
 MOTIONS = {
     'lines.ngc': (4, 0), 'inch.ngc': (5, 0), 'arcs.ngc': (6, 5), 'timed.ngc': (4, 0),
-    'tcp.ngc': (4, 0), 'axes.ngc': (4, 0), 'path.apt': (3, 0), 'kept.ngc': (4, 1),
+    'turns.ngc': (3, 1), 'stops.ngc': (8, 0), 'tcp.ngc': (4, 0), 'axes.ngc': (4, 0),
+    'path.apt': (3, 0), 'kept.ngc': (4, 1),
 }  # fmt: skip
 #: One word of a program changed: what the comparison must say.
 CHANGED = [
@@ -46,6 +50,11 @@ CHANGED = [
     ('arcs.ngc', 'I-5 J0 Z3', 'I-6 J0 Z3', 'line 4 of the program: its rows are not on the arc'),
     ('kept.ngc', 'P0.02', 'P0.01', 'line 3 of the program: has a tolerance of 0.01 mm'),
     ('kept.ngc', 'P0.05', 'P0.047', 'may use 0.045 mm, and its arc 0.003'),
+    ('kept.ngc', 'G64 P0.05', 'G61', 'line 5 of the program: rests at its end, its row'),
+    ('stops.ngc', 'G64', '', 'line 6 of the program: rests at its end, its row 3 does not'),
+    ('stops.ngc', 'G64\nX12', 'G64\nX12\nM0', 'line 6 of the program: rests at its end'),
+    ('turns.ngc', 'P2', 'P3', 'line 2 of the program: turns by 900 deg, its rows by 540 deg'),
+    ('tcp.ngc', 'G1 X20', 'OTOL=0.001 G1 X20', 'line 4 of the program: has an orientation tol'),
     ('timed.ngc', 'F60', 'F59', 'line 3 of the program: lasts'),
     ('tcp.ngc', 'A15', 'A15.001', 'line 4 of the program: its tool axis'),
     ('tcp.ngc', 'C60', 'C420', 'line 5 of the program: its rotary words'),
@@ -103,6 +112,34 @@ def test_changed_rows_are_found(tmp_path, capsys):
     assert main(['check', str(plan), '--program', str(program)]) == 1
     said = capsys.readouterr().out
     assert 'line 3 of the program: has F 3000 mm/min' in said and 'ends 3e-05 mm' in said
+
+
+def test_extra_axes_with_tool_tip_programming_off(tmp_path, capsys):
+    program = tmp_path / 'w.ngc'
+    program.write_text('G0 X0 Y0 Z0 A0 C0 W0\nG1 X5 A20 C5 W3 F900\nW5\n')
+    plan = ['plan', str(program), '--machine', 'xyzacw', '--out', str(tmp_path / 'plan')]
+    assert main(plan) == 0
+    assert main(['check', str(tmp_path / 'plan'), '--program', str(program)]) == 0
+    program.write_text(program.read_text().replace('W3', 'W3.001'))
+    capsys.readouterr()
+    assert main(['check', str(tmp_path / 'plan'), '--program', str(program)]) == 1
+    assert 'line 2 of the program: its extra axes' in capsys.readouterr().out
+
+
+def test_rows_without_the_rotary_words_of_the_text_are_found(tmp_path, capsys):
+    program, plan = planned('tcp.ngc', PROGRAMS['tcp.ngc'], tmp_path)
+    columns = dict(read_plan(plan).blocks)
+    columns['rotary'] = np.full_like(columns['rotary'], np.nan)
+    np.savez(plan / 'blocks.npz', **columns)
+    capsys.readouterr()
+    assert main(['check', str(plan), '--program', str(program)]) == 1
+    assert 'line 2 of the program: has rotary words, its row 0 has none' in capsys.readouterr().out
+
+
+def test_an_arc_after_a_switch_is_not_compared(tmp_path, capsys):
+    text = 'G0 X0 Y0 Z0 A10 C0\nTRAORI\nG3 X5 Y0 Z0 I2.5 J0 F900\n'
+    with pytest.raises(ProgramError, match='an arc after a switch'):
+        read_plainly(text, 'a.ngc', ('X', 'Y', 'Z', 'A', 'C'), None, skip=False)
 
 
 @pytest.mark.parametrize('text', ['#1=5', 'G81 Z-2 R1', 'X[1+2]', 'M98 P5', 'G41 D1', 'G10 L2 P1'])

@@ -1,6 +1,7 @@
 """What the operator page is made of: keys, read-outs, the path as a mesh, the plan beside it."""
 
 import io
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,13 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState
 from diagnostic_msgs.msg import DiagnosticStatus
+from nodes_under_test import hear_ctrl_c
 
 from cnc_interp.cli import main
 from cnc_interp.client import page
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.operator_client import SWITCHES
+from cnc_interp.client.page import server
 from cnc_interp.client.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
 from cnc_interp.client.page.desk import Job
 from cnc_interp.client.page.jog_pad import ARROWS, beat_of, step_of
@@ -353,3 +356,20 @@ def test_a_late_echo_of_an_older_wish_does_not_count():
     override.wish(0.7, now=20.0)  # never heard: theirs came behind it
     override.hear(1.1)
     assert (override.at(29.0), override.at(31.0)) == (0.7, 1.1)
+
+
+def test_ctrl_c_while_the_desk_is_made_closes_it(monkeypatch):
+    closed = []
+
+    class Interrupted:
+        def __init__(self, *_):
+            signal.raise_signal(signal.SIGINT)
+
+        def close(self):
+            closed.append(self)
+
+    hear_ctrl_c()
+    monkeypatch.setattr(server, 'Desk', Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        server.serve(server.Served(), '/', 1)
+    assert closed

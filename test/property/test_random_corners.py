@@ -19,7 +19,7 @@ from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
 
 HEIGHT = 30 * MM
-COUNT = examples(10_000, 50_000)
+COUNT = examples(4_000, 50_000)
 KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
 #: Sum of the weights that points have in each term of a cubic's power series.
 WEIGHTS = (1, 12, 48, 64)

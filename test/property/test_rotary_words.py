@@ -54,7 +54,7 @@ def distances(points, start, end):
     return np.linalg.norm(points[:, None] - start - share[..., None] * way, axis=2)
 
 
-@pytest.mark.parametrize('name', MACHINES)
+@pytest.mark.parametrize('name', few_of(2, MACHINES))
 def test_axes_run_on_lines_to_their_words(name):
     machine = Machine.load(name)
     transform = Transform.of(machine)
@@ -81,7 +81,7 @@ def test_axes_run_on_lines_to_their_words(name):
         assert plan.segments.stop.sum() == 1 + reversals.sum()
 
 
-@pytest.mark.parametrize('name', MACHINES)
+@pytest.mark.parametrize('name', few_of(3, MACHINES))
 def test_words_near_the_pole_are_met_with_tool_tips(name):
     machine = Machine.load(name)
     transform = Transform.of(machine)

@@ -6,6 +6,7 @@ import asyncio
 import os
 import socket
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -60,12 +61,11 @@ class Served:
 def serve(served: Served, namespace: str, domain: int) -> None:
     """Serve the page until the process is asked to end."""
     access = Access(served.token)
-    with stops_later():  # half a desk could not be closed
-        desk = Desk(namespace, domain)
-    try:
+    with ExitStack() as closing:
+        with stops_later():  # half a desk could not be closed, nor one that nobody knows yet
+            desk = Desk(namespace, domain)
+            closing.callback(desk.close)
         _serve(served, access, desk)
-    finally:
-        desk.close()
 
 
 def _serve(served: Served, access: Access, desk: Desk) -> None:

@@ -66,6 +66,7 @@ def test_plane_that_touches_the_surface_is_refused_with_the_place():
         GuidingPlanes(steep_beyond(14.0), 1.5 * MM, Y, 2 * MM)
 
 
+@pytest.mark.thorough
 def test_yaw_and_tilt_together_where_each_alone_does_not_fit(monkeypatch):
     """A bump beside the pass: the yaw turns the heel away from it, the tilt lifts the rest."""
     surface = Bumps((16 * MM, 20 * MM), [(0.0, 6 * MM, 1 * MM, 3 * MM)])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core.differences import BEFORE, limit_shares
-from cnc_interp.core.limit_table import constant_table
+from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
+from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, constant_table
 
 T = 2e-3
 LIMITS = np.array([[0.5, 2.0], [3.0, 5.0], [40.0, 80.0]])
@@ -29,3 +29,17 @@ def test_a_jump_is_seen_in_the_row_at_which_it_ends():
     assert first == [2, 2, 2]
     assert shares[0, 2, 1] == pytest.approx(1e-3 / T / LIMITS[0, 1])
     assert shares[2, 2, 1] == pytest.approx(1e-3 / T**3 / LIMITS[2, 1])
+
+
+def test_the_torque_is_that_of_inertia_and_both_frictions():
+    table = constant_table(LIMITS)
+    table[DRIVE, 0], table[COULOMB, 0], table[VISCOUS, 0] = 10.0, 0.5, 4.0
+    time = np.arange(20) * T
+    speed, push = -0.3, -2.0  # faster and faster backwards
+    positions = np.zeros((20, 2))
+    positions[:, 0] = speed * time + 0.5 * push * time**2
+    velocity = speed + push * time[BEFORE - 1 : -1]
+    wanted = np.abs(push + 4.0 * velocity - 0.5) / 10.0
+    shares = torque_shares(positions, table, T)
+    np.testing.assert_allclose(shares[:, 0], wanted, rtol=1e-6)
+    assert not shares[:, 1].any()

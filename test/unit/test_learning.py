@@ -94,6 +94,7 @@ def test_two_runs_take_four_fifths_of_the_error_out(up_and_down):
     setpoint, learnt, tips = with_hold(q, T), None, []
     lead, first = Compensation(model, T, q[0]).lead, start_of(q)
     assert first == 2 and np.any(setpoint[1] != setpoint[0])
+    assert start_of(q[:2]) == 1, 'nothing moves yet'
     for _ in range(4):
         found = played(model, q, len(q) + round(HELD / T), learnt)[0][first:]
         tips.append(error(model, setpoint, found)[:, 0].max())

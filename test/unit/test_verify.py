@@ -69,6 +69,9 @@ def test_a_sound_plan_is_proven(tmp_path):
     assert proof.largest('tip feed').ratio == pytest.approx(1.0, abs=1e-6)
     assert proof.largest('velocity', 'C').ratio == 0.0
     assert 'proven' in proof.text()
+    path = read_plan(tmp_path).path
+    over = path['feed'][1:-1] / path['feed_limit'][1:-1]
+    assert proof.remarks['largest_feed_over_limit'] == pytest.approx(over.max())
     assert json.loads(json.dumps(proof.to_json(), allow_nan=False))['ok'] is True
 
 

@@ -85,6 +85,7 @@ def test_examples_keep_every_bit(path):
     keeps_every_bit(blocks_of(path))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not SHARED.is_dir(), reason='no shared programs beside the repository')
 def test_real_programs_keep_every_bit():
     tried = 0

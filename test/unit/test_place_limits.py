@@ -67,7 +67,7 @@ def uses(
     ]), time  # fmt: skip
 
 
-@pytest.mark.parametrize('law', ['optimal', 'vpop'])
+@pytest.mark.parametrize('law', ['optimal', pytest.param('vpop', marks=pytest.mark.thorough)])
 @pytest.mark.parametrize('kind', PARTS)
 def test_a_line_uses_the_limit_of_every_place_and_no_more(kind, law):
     parts = PARTS[kind]

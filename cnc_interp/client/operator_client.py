@@ -95,7 +95,8 @@ class OperatorClient:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         node = rclpy.create_node(name, namespace=namespace, context=self._context)
-        self.node, self._namespace = node, node.get_namespace()
+        self.node, self.namespace = node, node.get_namespace()
+        self.domain = self._context.get_domain_id()
         self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(node)
         self.peers = Peers(node)
@@ -184,7 +185,7 @@ class OperatorClient:
     def _see_alarms(self, array: DiagnosticArray) -> None:
         """Store alarms, waiting programs, how far the next one is checked, errors."""
         for status in array.status:
-            if status.hardware_id != self._namespace:
+            if status.hardware_id != self.namespace:
                 continue
             self.alarms.hear(status)
             values = {pair.key: pair.value for pair in status.values}

@@ -24,7 +24,6 @@ def run_recorded(
     client: OperatorClient,
     children: Children,
     started: float,
-    attended: bool,
 ) -> list[RunResult]:
     """Run programs, record them where that is asked for, and write the plan files of ``out``."""
     with bag_folder(request) as folder:
@@ -34,7 +33,7 @@ def run_recorded(
                 topics = NEEDED if request.record is None else TOPICS
                 recorder = Recorder(client.node, folder, topics)
                 records.callback(recorder.finish, client)
-            with RunConsole(client, children, request, recorder, attended) as console:
+            with RunConsole(client, children, request, recorder) as console:
                 results = console.run(machine, started)
         if request.out is not None and folder is not None and results[0].ok:
             with Bag(folder) as bag:

@@ -36,6 +36,8 @@ STOP_TEXTS = {
     MachineState.REASON_SINGLE_BLOCK: 'single block',
     MachineState.REASON_APPROACH: 'the way to the path is ready: retract, position, plunge',
 }
+#: Stops after which only the operator goes on.
+OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
 #: Silence after which a node counts as lost [s].
 SILENCE = 1.0
 #: Longest wait for the answers of the nodes to a recorder [s].
@@ -53,10 +55,9 @@ class RunConsole:
         children: Children,
         request: RunRequest,
         recorder: Recorder | None,
-        attended: bool,
     ):
         self._client, self._children, self._request = client, children, request
-        self._recorder, self._attended = recorder, attended
+        self._recorder = recorder
         self._progress = ProgressBar(None if request.quiet else sys.stderr)
         self._first_motion = float('nan')
         self._interrupted = self._cancelling = False
@@ -248,6 +249,8 @@ class RunConsole:
             state is not None and state.may_resume and state.plan_over and not state.start_wanted
         )
         lost = self._client.silent_for(SILENCE)
+        if stands and state is not None and state.reason in OPERATORS_STOPS:
+            self._restarted = False
         if self._restarted and not self._forgotten and stands and not lost:
             if self._pressed is not None and self._pressed.done():
                 self._restarted = not self._pressed.result().ok
@@ -256,7 +259,7 @@ class RunConsole:
                 self._pressed = self._client.trigger('cycle_start')
 
     def _pass_program_stop(self) -> None:
-        """Continue after Enter if the program waits for its operator (M0)."""
+        """Continue after Enter at the terminal, or by the option, where the machine waits (M0)."""
         state = self._client.state
         if (
             state is None
@@ -265,18 +268,29 @@ class RunConsole:
         ):
             self._stop_told = False
             return
-        if sys.stdin.isatty():
-            if not self._stop_told:
-                self._stop_told = True
-                stop = STOP_TEXTS[state.reason]
-                print(f'\nline {state.line_number}: {stop}; Enter to go on', file=sys.stderr)
+        asked = not self._request.pass_stops and at_terminal()
+        if not self._stop_told:
+            self._stop_told = True
+            if not self._request.pass_stops:
+                stop = f'\nline {state.line_number}: {STOP_TEXTS[state.reason]}; '
+                print(stop + ('Enter to go on' if asked else self._elsewhere()), file=sys.stderr)
+            if asked:
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
-            if not select.select([sys.stdin], [], [], 0.0)[0]:
-                return
-            sys.stdin.readline()
+        if self._request.pass_stops:
+            if self._passed is None or self._passed.done():
+                self._passed = self._client.trigger('cycle_start')
+        elif asked and enter_pressed():
             self._passed = self._client.trigger('cycle_start')
-        elif not self._attended and (self._passed is None or self._passed.done()):
-            self._passed = self._client.trigger('cycle_start')
+
+    def _elsewhere(self) -> str:
+        """Return how a run without a terminal is continued."""
+        space, domain = self._client.namespace, self._client.domain
+        return (
+            'waits for cycle start. Press it on the page '
+            f'(cnc-interp panel --attach --namespace {space} --domain {domain}) or call it '
+            f'(ROS_DOMAIN_ID={domain} ros2 service call {space}/cycle_start '
+            'std_srvs/srv/Trigger). To run without such stops: --pass-stops'
+        )
 
     def _see_motion(self) -> None:
         """Record when the machine executed its first setpoint."""
@@ -301,3 +315,17 @@ class RunConsole:
     def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
+
+
+def at_terminal() -> bool:
+    """Tell whether an operator can answer: a job in the background must not read the terminal."""
+    try:
+        return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except (AttributeError, OSError, ValueError):  # no input at all, or a closed terminal
+        return False
+
+
+def enter_pressed() -> bool:
+    """Read a line from the terminal if there is one; the end of the input is no Enter."""
+    ready = select.select([sys.stdin], [], [], 0.0)[0]
+    return bool(ready) and sys.stdin.readline().endswith('\n')

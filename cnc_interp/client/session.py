@@ -39,6 +39,8 @@ class RunRequest:
     out: Path | None = None  #: Folder for plan files of what the machine executed.
     record: Path | None = None  #: Bag to record all messages into.
     quiet: bool = False  #: Show no progress.
+    #: Go on without cycle start at program stops, single blocks and before a plunge.
+    pass_stops: bool = False
     #: Drives of the machine and their parameters of the machine node, see
     #: ``command_options.drives``; empty: as the parameters of the nodes say.
     drives: dict[str, str] = field(default_factory=dict)
@@ -54,6 +56,7 @@ class RunRequest:
             out=options.out,
             record=options.record,
             quiet=options.json,
+            pass_stops=options.pass_stops,
             drives=options.drives,
         )
 
@@ -220,8 +223,7 @@ def run_session(
         machine = Machine.load(request.machine)
         if companion is not None:
             companion.start(namespace, domain)
-        attended = companion is not None
-        results = run_recorded(request, machine, client, children, started, attended)
+        results = run_recorded(request, machine, client, children, started)
         if companion is not None:
             companion.finish(results[-1])
     return results

@@ -9,19 +9,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cnc_interp.command_options import FAILED, FINE, command
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-
-if TYPE_CHECKING:
-    from cnc_interp.machine_model.machine import Machine
-    from cnc_interp.proof.plan_files import PlanFiles
-    from cnc_interp.proof.verdict import Proof
-
-#: Setpoints that are simulated at a time.
-ROWS = 1 << 16
 
 
 def add_check_command(commands: Any) -> None:
@@ -78,49 +70,10 @@ def check_command(options: Namespace) -> int:
         given = given_of(plan, machine, name, options.directory)
         proof = replace(verify(plan, machine), given=given)
         proof = with_beside(proof, machine, plan.period, beside)
-        proof = with_tool_error(proof, plan, machine)
         if options.program is not None:
             proof = with_program(proof, compare_with_text(plan, machine, options.program))
     print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
     return FINE if proof.ok else FAILED
-
-
-def with_tool_error(proof: Proof, plan: PlanFiles, machine: Machine) -> Proof:
-    """Add to a proof the error that simulated drives leave at the tool, if that was limited."""
-    from cnc_interp.core.differences import ROUNDING
-    from cnc_interp.core.units import MM
-    from cnc_interp.drives.tool_error import ToolMotion
-    from cnc_interp.feedrate.tool_limit import ToolLimit
-    from cnc_interp.settings.choices import Settings
-
-    told = plan.summary.get('settings')
-    if not isinstance(told, dict) or told.get('tool_error') is None:
-        return proof
-    settings = Settings(
-        interpolation_period=plan.period,
-        flank_height=plan.summary['flank_height'],
-        tool_error=told['tool_error'],
-        compensation=told.get('compensation'),
-    )
-    limit = ToolLimit.wanted(machine, settings)
-    assert limit is not None, 'there is a limit'
-    height = limit.flank_height
-    motion = ToolMotion(machine, plan.period, plan.position[0], limit.model)
-    velocity, tip, axis = plan.setpoints['velocity'], 0.0, 0.0
-    parts = [slice(k, k + ROWS) for k in range(0, len(plan.position), ROWS)]
-    for error in (
-        *(motion.push(plan.position[part], velocity[part]) for part in parts),
-        motion.settle(),
-    ):
-        tip, axis = max(tip, error.tip.max()), max(axis, error.axis.max() * height)
-    model = f', compensated by {settings.compensation}' if limit.model else ''
-    line = (
-        f'error at the tool by the drives of {machine.name}{model}: tip {tip / MM:.4f} mm, axis '
-        f'{axis / MM:.4f} mm at {height / MM:g} mm, limit {limit.largest / MM:g} mm'
-    )
-    fault = () if max(tip, axis) <= ROUNDING * limit.largest else (f'{line}: exceeded',)
-    beside = '\n'.join(text for text in (proof.beside, line) if text)
-    return replace(proof, failures=(*proof.failures, *fault), beside=beside)
 
 
 def report_command(options: Namespace) -> int:

@@ -40,6 +40,11 @@ def add_run_command(commands: Any) -> None:
         '--record', type=Path, metavar='BAG', help='record all messages of the run into a bag'
     )
     run.add_argument(
+        '--pass-stops', action='store_true',
+        help='go on without cycle start: at M0, M1 and single blocks, and before the plunge of '
+        '--from-line',
+    )  # fmt: skip
+    run.add_argument(
         '--panel', action='store_true', help='the operator page beside it, until Ctrl-C'
     )
     page_options(run)

@@ -63,4 +63,5 @@ def with_beside(
     line = (
         f'beside program {count} samples (approach, by hand and back), largest use {largest:.2%}'
     )
-    return replace(proof, failures=(*proof.failures, *faults), beside=line)
+    told = '\n'.join(text for text in (line, proof.beside) if text)
+    return replace(proof, failures=(*proof.failures, *faults), beside=told)

@@ -1,8 +1,8 @@
 """
 The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
 
-It starts from the plan files alone. The only code shared with the planner reads the machine file
-and computes the forward kinematics.
+It starts from the plan files alone. The only code shared with the planner reads the machine file,
+computes the forward kinematics, and simulates the drives where the error at the tool is limited.
 
 - Limits: first, second and third differences of the positions at the interpolation period. The
   axes are at rest before the first and after the last sample.
@@ -13,6 +13,7 @@ and computes the forward kinematics.
   (``order.py``).
 - Completeness: the motion passes every programmed vertex within the tolerance, and every axis with
   a word passes it on its own branch and turn (``completeness.py``).
+- The error that simulated drives leave at the tool, if the plan limits it (``tool_error.py``).
 - The planner's path and the figures of the summary agree with the setpoints (``path_grid.py``).
 
 Native splines are first replaced by chords (``programmed_splines.py``).
@@ -43,6 +44,7 @@ from cnc_interp.proof.program_shapes import (
 )
 from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.tool_error import with_tool_error
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
 # Uses of limits agree when they differ by less [-].
@@ -127,7 +129,7 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     _prove_columns(ledger, plan, machine)
     if plan.path:
         _prove_path(ledger, plan, program)
-    return replace(ledger.close(), blocks=programmed)
+    return with_tool_error(replace(ledger.close(), blocks=programmed), plan, machine)
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:

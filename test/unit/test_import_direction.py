@@ -45,6 +45,8 @@ PROOF_MAY_IMPORT = (
     'cnc_interp.core.small_files',
     'cnc_interp.core.units',
     'cnc_interp.program.blocks',
+    'cnc_interp.drives.compensation',
+    'cnc_interp.drives.tool_error',
     'cnc_interp.machine_model.machine',
     'cnc_interp.machine_model.transform',
     'cnc_interp.proof',

@@ -21,6 +21,7 @@ from cnc_interp.machine.simulated import simulate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
+from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
@@ -244,6 +245,9 @@ def test_command_line_and_proof(tmp_path, capsys):
     (out / 'summary.json').write_text(json.dumps(summary))
     assert main(['check', str(out)]) == 1
     assert 'exceeded' in capsys.readouterr().out
+    assert not verify_plan(out, TIRED).ok, 'the one verdict, also of a batch'
+    assert main(['report', str(out)]) == 0
+    assert '<span class="badge no">' in (out / 'report.html').read_text()
 
 
 @pytest.mark.parametrize(

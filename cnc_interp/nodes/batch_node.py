@@ -27,7 +27,7 @@ from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.program_check import require_allowed
-from cnc_interp.wire.settings_messages import settings_from
+from cnc_interp.settings.texts import with_texts
 
 #: Time between feedbacks [s].
 FEEDBACK = 0.2
@@ -102,7 +102,8 @@ class BatchNode(Node):
         for program in programs:
             require_allowed(program, self._values['program_folders'])
         machines = list(goal.machines) or [self._values['machine']]
-        jobs = Jobs(programs, machines, settings_from(goal.settings, self._settings))
+        told = ((pair.key, pair.value) for pair in goal.settings)
+        jobs = Jobs(programs, machines, with_texts(self._settings, told, need_units=True))
         out = Path(folder) / goal.name
         results = run_batch(
             jobs, self._processes, Store(out / 'results'), self._note, self._values['workers']

@@ -28,8 +28,12 @@ PLANNING = Stage.PLANNING
 START, APPROACH = Stage.START, Stage.APPROACH
 #: The machine where none is named.
 DEFAULT_MACHINE = 'xyzac'
-#: Range of every tolerance and block length [m].
+#: Range of the block length and the flank height [m].
 LENGTHS = (1e-6 * MM, 1e4 * MM)
+#: Range of every tolerance [m]. A larger one is a number in a wrong unit.
+TOLERANCES = (1e-6 * MM, 5.0 * MM)
+#: Range of the feeds [m/s], 0.001 mm/min to 1000 m/min.
+FEEDS = (1e-3 * MM_PER_MIN, 1e6 * MM_PER_MIN)
 
 
 @dataclass(frozen=True)
@@ -45,17 +49,17 @@ class Settings:
     """
 
     contour_tolerance: float = number(
-        0.02 * MM, LENGTH, LENGTHS, READING, 'largest deviation of the tool tip'
+        0.02 * MM, LENGTH, TOLERANCES, READING, 'largest deviation of the tool tip'
     )
     orientation_tolerance: float = number(
-        0.02 * MM, LENGTH, LENGTHS, READING, 'largest deviation at flank height'
+        0.02 * MM, LENGTH, TOLERANCES, READING, 'largest deviation at flank height'
     )
     flank_height: float = number(
         30.0 * MM, LENGTH, LENGTHS, READING, 'height at which orientation is measured'
     )
     force_tolerances: bool = switch(False, READING, 'ignore the tolerances of the program')
     feedrate: float | None = number(
-        None, FEED, (1e-3 * MM_PER_MIN, 1e9 * MM_PER_MIN), READING,
+        None, FEED, FEEDS, READING,
         'feedrate where the program has no F', option='feed',
     )  # fmt: skip
     setup: Path | None = file(  # noqa: RUF009 (a field)
@@ -120,7 +124,7 @@ class Settings:
         MOTION, 'what earlier runs taught, added to the compensation; `learn` writes it'
     )
     tool_error: float | None = number(
-        None, LENGTH, LENGTHS, PLANNING,
+        None, LENGTH, TOLERANCES, PLANNING,
         'largest error that the drives leave at the tool, also at flank height', nothing='none',
     )  # fmt: skip
     from_line: int = whole_number(
@@ -136,7 +140,7 @@ class Settings:
         'way along the tool on which the tool is drawn back and plunges',
     )  # fmt: skip
     plunge_feed: float = number(
-        500.0 * MM_PER_MIN, FEED, (1e-3 * MM_PER_MIN, 1e9 * MM_PER_MIN), APPROACH,
+        500.0 * MM_PER_MIN, FEED, FEEDS, APPROACH,
         'feedrate of the plunge to a place inside the program',
     )  # fmt: skip
     law: str = one_of(

@@ -122,7 +122,7 @@ class Choice:
         return self.text(value)
 
     def from_shop(self, text: str) -> Any:
-        """Read a value as people write it, in the shop's unit."""
+        """Read a value as people write it, in the shop's unit where they give none."""
         return self._read(text, self.unit.size)
 
     def text(self, value: Value) -> str:
@@ -135,9 +135,20 @@ class Choice:
             return str(value.resolve())
         return repr(float(value)) if self.kind is float else str(value)
 
-    def from_text(self, text: str) -> Any:
-        """Read a value from text in SI."""
+    def from_text(self, text: str, need_unit: bool = False) -> Any:
+        """Read a value from text, in SI where it gives no unit; a person must give one."""
+        text = text.strip()
+        if need_unit and self.unit.name and is_number(text):
+            raise SettingsError(
+                self.name,
+                f'{text!r} has no unit; write {text} {self.unit.name} or {text} {self.unit.si}',
+            )
         return self._read(text, 1.0)
+
+    def text_with_unit(self, value: Value) -> str:
+        """Return a value as exact text, a number with its SI unit."""
+        unit = self.unit.si if self.unit.name and value is not None else ''
+        return f'{self.text(value)} {unit}'.rstrip()
 
     def plain(self, value: Value) -> float | int | bool | str:
         """Return a value as a ROS parameter, which is never None: 0 or empty instead."""
@@ -173,11 +184,19 @@ class Choice:
                 raise SettingsError(self.name, f'{text!r} is unknown; choose true or false')
             value = words[text.lower()]
         elif self.kind in (float, int):
+            number = text
+            for name, size in ((self.unit.name, self.unit.size), (self.unit.si, 1.0)):
+                if self.unit.name and is_number(text.removesuffix(name)) and text.endswith(name):
+                    number, unit = text.removesuffix(name), size
+                    break
             try:
-                value = float(text) * unit if self.kind is float else int(text)
+                value = float(number) * unit if self.kind is float else int(number)
             except ValueError:
                 other = f" or '{self.nothing}'" if self.nothing else ''
-                raise SettingsError(self.name, f'{text!r} is not a number{other}') from None
+                units = f' in {self.unit.name} or {self.unit.si}' if self.unit.name else ''
+                raise SettingsError(
+                    self.name, f'{text!r} is not a number{units}{other}'
+                ) from None
         elif self.kind is Path:
             value = Path(text)
         self.check(value)
@@ -254,6 +273,15 @@ def _choice(declared: Field[Any]) -> Choice:
     told: Mapping[str, Any] = declared.metadata[DECLARED]
     option = declared.name.replace('_', '-')
     return Choice(**{'name': declared.name, 'option': option} | dict(told))
+
+
+def is_number(text: str) -> bool:
+    """Tell whether a text is a number alone."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def shortest(value: float, unit: float) -> str:

@@ -27,7 +27,9 @@ def values_of(settings: Settings) -> dict[str, Value]:
     return {k: str(v.resolve()) if hasattr(v, 'resolve') else v for k, v in found.items()}
 
 
-def with_texts(settings: Settings, texts: Iterable[tuple[str, str]]) -> Settings:
+def with_texts(
+    settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
+) -> Settings:
     """
     Return settings with some choices replaced.
 
@@ -36,7 +38,9 @@ def with_texts(settings: Settings, texts: Iterable[tuple[str, str]]) -> Settings
     settings : Settings
         The choices where no text is given.
     texts : iterable of (str, str)
-        Names of choices and their values as text in SI.
+        Names of choices and their values as text; a number without a unit is in SI.
+    need_units : bool
+        Refuse a number without its unit, because a person wrote it.
 
     Raises
     ------
@@ -51,5 +55,5 @@ def with_texts(settings: Settings, texts: Iterable[tuple[str, str]]) -> Settings
             raise SettingsError(name, f'this choice is unknown; known: {", ".join(known)}')
         if name in given:
             raise SettingsError(name, 'this choice is given twice; give it once')
-        given[name] = known[name].from_text(text)
+        given[name] = known[name].from_text(text, need_units)
     return replace(settings, **given)

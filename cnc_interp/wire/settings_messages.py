@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,10 +44,14 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
 
 
 def goal_of(
-    program: Path, settings: Settings, names: Iterable[str] | None = None, text: str = ''
+    program: Path, settings: Settings, names: Collection[str] | None = None, text: str = ''
 ) -> RunProgram.Goal:
     """Return the goal that runs a program with settings: those of some names, or all."""
-    return RunProgram.Goal(program=str(program), text=text, settings=pairs_of(settings, names))
+    wanted = [c for c in choices(settings) if names is None or c.name in names]
+    pairs = [
+        KeyValue(key=c.name, value=c.text_with_unit(getattr(settings, c.name))) for c in wanted
+    ]
+    return RunProgram.Goal(program=str(program), text=text, settings=pairs)
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
@@ -75,7 +79,8 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
         for choice in choices(defaults)
         if choice.name in fields and getattr(goal, choice.name)
     }
-    settings = settings_from(goal.settings, replace(defaults, **given))
+    pairs = ((pair.key, pair.value) for pair in goal.settings)
+    settings = with_texts(replace(defaults, **given), pairs, need_units=True)
     for choice in choices(defaults, Stage.MOTION, Stage.PLANNING, Stage.APPROACH):
         ours = getattr(defaults, choice.name)
         if getattr(settings, choice.name) != ours:

@@ -21,7 +21,7 @@ from cnc_interp.settings.texts import texts_of
 Result = RunProgram.Result
 PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z0\nG1 X6 F2000\nY6\nX0 Y8\nM30\n'
 #: Parameters of the nodes, and the choices of the goal, which differ from them.
-OWN, CHOSEN = {'corner_ratio': 3.0}, {'corner_ratio': '1.5', 'contour_tolerance': '0.0001'}
+OWN, CHOSEN = {'corner_ratio': 3.0}, {'corner_ratio': '1.5', 'contour_tolerance': '0.1 mm'}
 MACHINE = Machine.load('xyzac')
 
 

@@ -215,7 +215,9 @@ def test_a_goal_carries_all_choices_and_its_fields_still_count():
     found = settings_of_goal(goal, Settings(corner_ratio=2.0))
     wanted = {'contour_tolerance': 1e-4, 'interpolation': 'vector', 'feedrate': 0.1}
     assert found == Settings(corner_ratio=2.0, **wanted)
-    goal.settings = pairs_of(Settings(feedrate=0.2, compress=False), ['feedrate', 'compress'])
+    goal.settings = goal_of(
+        Path('p'), Settings(feedrate=0.2, compress=False), ['feedrate', 'compress']
+    ).settings
     assert settings_of_goal(goal, Settings()) == Settings(
         **wanted | {'feedrate': 0.2}, compress=False
     )
@@ -233,11 +235,14 @@ MOTION = {c.name: getattr(OTHERS, c.name) for c in choices(Settings, *OF_NODES)}
         ('corner_ratio', '5.0', 'corner_ratio: 5 is not between 1.2 and 4'),
         ('compress', 'yes', "compress: 'yes' is unknown; choose true or false"),
         ('top', 'upper', "top: 'upper' is unknown; choose in_step or tolerance"),
-        ('contour_tolerance', 'nan', 'contour_tolerance: nan mm is not between'),
+        ('contour_tolerance', 'nan mm', 'contour_tolerance: nan mm is not between'),
+        ('contour_tolerance', '0.02', "contour_tolerance: '0.02' has no unit; write 0.02 mm or"),
+        ('contour_tolerance', '0.02 m', 'contour_tolerance: 20 mm is not between'),
+        ('contour_tolerance', '0.02 inch', "contour_tolerance: '0.02 inch' is not a number in mm"),
         ('contour_tolerance', '', "contour_tolerance: '' is not a number"),
         (
             'interpolation_period',
-            '0.002',
+            '2 ms',
             'interpolation_period: the nodes were started',
         ),
     ],

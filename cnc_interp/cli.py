@@ -11,7 +11,7 @@ from types import FrameType
 
 from cnc_interp import __version__
 from cnc_interp.cam.command import add_cam_commands
-from cnc_interp.command_options import BAD_INPUT, FINE
+from cnc_interp.command_options import BAD_INPUT, FINE, CommandParser
 from cnc_interp.commands.bags import add_bag_commands
 from cnc_interp.commands.batch import add_batch_command
 from cnc_interp.commands.check import add_check_command, add_report_command
@@ -41,6 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 fine, 1 a failed run or an unproven plan, 2 bad input.
 
     """
+    options = None
     try:
         options = parser().parse_args(arguments)
         for number in (signal.SIGTERM, signal.SIGHUP):
@@ -54,13 +55,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(problem, BrokenPipeError):
             sys.stderr.close()
             return FINE
-        named = f'{problem.filename}: {problem.strerror}' if problem.filename else problem
-        print(f'cnc-interp: {named}', file=sys.stderr)
+        print(f'cnc-interp: {_told(problem, options)}', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         with contextlib.suppress(OSError):  # the terminal may be closed
             print('cnc-interp: interrupted', file=sys.stderr)
         return 130
+
+
+def _told(problem: OSError, options: argparse.Namespace | None) -> str:
+    """Return a fault of the file system in words; a full disk is named by what is written."""
+    place = problem.filename or getattr(options, 'out', None) or getattr(options, 'record', None)
+    reason = problem.strerror or str(problem)
+    if isinstance(problem, FileExistsError | NotADirectoryError):
+        reason = f'{reason}; name a folder, or a file that is not there'
+    return f'{place}: {reason}' if place else reason
 
 
 def interrupt(_number: int, _frame: FrameType | None) -> None:
@@ -70,7 +79,7 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands. Each module declares its own command."""
-    top = argparse.ArgumentParser(
+    top = CommandParser(
         prog='cnc-interp',
         description='5-axis CNC interpolator: smooth, plan and run part programs, every setpoint '
         'proven.',

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings
@@ -30,6 +31,25 @@ DRIVES: dict[str, dict[str, Reader]] = {
 
 #: Exit codes: done, a failed run or an unproven plan, bad input.
 FINE, FAILED, BAD_INPUT = 0, 1, 2
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose mistakes are told in one line, with the option that may be meant."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; refuse an unknown option where the options of the command are known."""
+        found, rest = super().parse_known_args(args, namespace)
+        unknown = next((word for word in rest if word.startswith('--') and word != '--'), None)
+        if unknown is not None:
+            name = unknown.partition('=')[0]
+            near = difflib.get_close_matches(name, self._option_string_actions, 1)
+            hint = f'did you mean {near[0]}?' if near else f'see {self.prog} --help'
+            self.error(f'unknown option {name}; {hint}')
+        return found, rest
+
+    def error(self, message: str) -> NoReturn:
+        """End with one line."""
+        self.exit(BAD_INPUT, f'{self.prog}: {message}\n')
 
 
 def command(

@@ -276,6 +276,16 @@ def _checked(words: Sequence[str]) -> tuple[str, ...]:
     return (*words, *more)
 
 
+def without_effect(found: dict[Point, Found], option: str) -> bool:
+    """Tell whether all values of an option give the same motion, whatever the others are."""
+    groups: dict[Any, set[Any]] = {}
+    for point, one in found.items():
+        if point.values and one.cycle_time is not None:
+            others = tuple(pair for pair in point.values if pair[0] != option)
+            groups.setdefault(others, set()).add((one.cycle_time, one.error, one.scallop))
+    return bool(groups) and max(map(len, groups.values())) == 1
+
+
 def front(found: dict[Point, Found]) -> list[Point]:
     """Return the points that no other one beats in time, scallop and error, fastest first."""
     best: dict[Point, tuple[float, float, float]] = {}

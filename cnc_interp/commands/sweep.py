@@ -18,7 +18,7 @@ from cnc_interp.core.units import HOUR
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
     """Declare `sweep`; ``main`` runs a command line."""
     sweep = command(
-        commands, 'sweep', lambda options: sweep_command(options, main),
+        commands, 'sweep', lambda options: sweep_command(options, main, commands),
         'try many values of the options of `plan` or `cam iso-scallop`; tells the fastest and why',
         'cnc-interp sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan '
         'part.ngc',
@@ -42,14 +42,17 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
     )
 
 
-def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], int]) -> int:
+def sweep_command(
+    options: argparse.Namespace, main: Callable[[Sequence[str]], int], commands: Any
+) -> int:
     """Sweep a command."""
     from cnc_interp.batch.processes import Processes, total_memory
-    from cnc_interp.batch.sweep import Sweep, front
+    from cnc_interp.batch.sweep import Sweep, front, without_effect
     from cnc_interp.batch.sweep_page import as_it_is, lengths_text, why, write_page, write_table
     from cnc_interp.core.progress_bar import ProgressBar
 
     ranges = [_range(words, options.search is not None) for words in options.vary]
+    _check_options(commands, options.words, ranges)
     total = 1
     for one in ranges:
         total *= len(one.values)
@@ -70,6 +73,9 @@ def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], i
     write_table(sweep.found, options.out / 'sweep.csv')
     write_page(sweep.found, options.out / 'sweep.html')
     best = front(sweep.found)
+    idle = [one.option for one in ranges if without_effect(sweep.found, one.option)]
+    if len(idle) == len(ranges):
+        best = []
     moves = sum(one.cycle_time is not None for one in sweep.found.values())
     print(f'points         {len(sweep.found)}, {moves} of them move')
     for title, point in (('as it is', as_it_is(sweep.found)), *(('fastest', p) for p in best[:1])):
@@ -79,11 +85,24 @@ def sweep_command(options: argparse.Namespace, main: Callable[[Sequence[str]], i
             continue
         told = [f'{one.cycle_time:.3f} s', lengths_text(one)]
         print(f'{title:<15}{", ".join(text for text in told if text)}; at a limit: {why(one)}')
+    for name in idle:
+        print(f'no effect      --{name}: all its values give the same motion, none is the best')
     if best:
         print(f'command        cnc-interp {shlex.join(best[0].command)}')
         print(f'files          {sweep.keep(best[0])}')
     print(f'page           {options.out / "sweep.html"}')
-    return FINE if best else FAILED
+    return FINE if moves else FAILED
+
+
+def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -> None:
+    """Refuse options and values that the command does not take, before anything is planned."""
+    if not words or words[0] not in commands.choices:
+        return  # told by the sweep
+    for one in ranges:
+        for value in one.values:
+            commands.choices[words[0]].parse_args(
+                [*words[1:], f'--{one.option}={value}', '--out=x']
+            )
 
 
 def _range(words: Sequence[str], search: bool) -> Any:

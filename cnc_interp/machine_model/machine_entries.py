@@ -31,8 +31,12 @@ EXTRA_LETTERS = ('U', 'V', 'W')
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
 #: A table of limits covers the travel up to this [m, rad].
 SAME_PLACE = 1e-9
-#: Plausible size of velocity, acceleration and jerk limits in SI; beyond them a unit is wrong.
-PLAUSIBLE = ((1e-6, 1e3), (1e-4, 1e5), (1e-3, 1e7))
+#: Plausible size of velocity, acceleration and jerk limits in SI, of linear and of rotary axes.
+#: Beyond them a unit is wrong: 60 mm/min to 600 m/min, 0.1 to 9549 rev/min.
+PLAUSIBLE = {
+    True: ((1e-3, 10.0), (0.01, 1e3), (0.05, 1e6)),
+    False: ((0.01, 1e3), (0.05, 1e4), (0.3, 1e7)),
+}
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
@@ -175,7 +179,7 @@ def axis_limits(
             raise MachineError(f'unknown; known: {", ".join(units)}', f'limits.{name}.{key}')
     *limit_keys, travel_key = units
     found = []
-    for key, (low, high) in zip(limit_keys, PLAUSIBLE, strict=True):
+    for key, (low, high) in zip(limit_keys, PLAUSIBLE[linear], strict=True):
         if key not in values:
             raise MachineError('missing', f'limits.{name}.{key}')
         unit = units[key]
@@ -242,7 +246,7 @@ def _places(
     for row, key in enumerate(limit_keys):
         if key not in values:
             continue
-        unit, least = units[key], PLAUSIBLE[row][0]
+        unit, least = units[key], PLAUSIBLE[linear][row][0]
         at = f'{where}.{key}'
         for column, value in enumerate(numbers(values[key], count, at)):
             if value * unit > largest[row] * (1.0 + 1e-12):

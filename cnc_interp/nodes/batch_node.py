@@ -102,8 +102,8 @@ class BatchNode(Node):
         for program in programs:
             require_allowed(program, self._values['program_folders'])
         machines = list(goal.machines) or [self._values['machine']]
-        told = ((pair.key, pair.value) for pair in goal.settings)
-        jobs = Jobs(programs, machines, with_texts(self._settings, told, need_units=True))
+        asked = ((pair.key, pair.value) for pair in goal.settings)
+        jobs = Jobs(programs, machines, with_texts(self._settings, asked, need_units=True))
         out = Path(folder) / goal.name
         results = run_batch(
             jobs, self._processes, Store(out / 'results'), self._note, self._values['workers']

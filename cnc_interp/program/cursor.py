@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.program.files import subprogram_file
@@ -47,7 +48,8 @@ class Cursor:
         self.main = self.source = source
         self.variables = variables
         self.ended = self.jumped = False
-        self._jumps_left = self._most_jumps = most_jumps
+        self._jumps, self._most_jumps = 0, most_jumps
+        self._seen: tuple[Any, tuple[Any, ...]] = None, ()  # control and variables at a jump
         self._calls: list[_Call] = []
         self.loops: list[Loop] = []
         self.row, self.window, self._window_of = 0, source.window(source.start), source
@@ -113,8 +115,19 @@ class Cursor:
 
     def _count_jump(self) -> None:
         """Count a backward jump or a call; raise if there are too many."""
-        self._jumps_left -= 1
-        if self._jumps_left < 0:
+        self._jumps += 1
+        control = (
+            self.source.name, self.line_number, [(loop.begin, loop.rounds) for loop in self.loops],
+            [(call.line, call.rounds) for call in self._calls],
+        )  # fmt: skip
+        # Brent's search for a cycle: what comes back to a state that it had goes on for ever.
+        if control == self._seen[0] and self.variables.stands_as(self._seen[1]):
+            raise self.fault(
+                'this loop does not end, because nothing changes in it; correct its condition'
+            )
+        if self._jumps & (self._jumps - 1) == 0:
+            self._seen = control, self.variables.state()
+        if self._jumps > self._most_jumps:
             raise self.fault(
                 f'more than {self._most_jumps:,} loops or calls: this program does not end; '
                 'correct its conditions'

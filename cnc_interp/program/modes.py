@@ -12,6 +12,10 @@ from cnc_interp.program.job import SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
+from cnc_interp.settings.choices import Settings
+
+#: Tolerances that nobody asked for [m].
+USUAL = Settings().contour_tolerance, Settings().orientation_tolerance
 
 
 class Modes:
@@ -170,6 +174,13 @@ class Modes:
             if contour is not None or orientation is not None:
                 self.notice(word, "ignored, the command's tolerances are forced")
             return
+        wanted = settings.contour_tolerance, settings.orientation_tolerance
+        if wanted != USUAL and (contour or orientation):
+            self.notice(
+                word,
+                "the program's tolerance counts, not the one that was asked for; "
+                'to change this: --force-tolerances',
+            )
         mover.contour = settings.contour_tolerance if contour is None else contour * mover.unit
         mover.orientation = (
             settings.orientation_tolerance if orientation is None else orientation * mover.unit

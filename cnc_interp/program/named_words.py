@@ -78,6 +78,9 @@ class NamedWords:
             self.notice(key, 'no effect, it does not move the tool')
         else:
             unknown = 'unknown word; remove it, or write a letter and a number as X10'
+            if re.fullmatch(r'[A-Z]O+', key):
+                zero = key.replace('O', '0')
+                unknown = f'the letter O stands where a number must; write {zero} with the digit 0'
             raise self.fault(codes.refused_key(key) or unknown, key)
 
     def _assign(self, words: BlockWords) -> None:

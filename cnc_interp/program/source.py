@@ -17,6 +17,8 @@ from cnc_interp.program import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
 _LONGEST_LINE = 1 << 16
+#: Characters that text does not have, but some programs hold a few of them from a tape.
+_CONTROL = bytes({*range(32)} - {*b'\t\n\v\f\r\x1a'})
 _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
 
@@ -91,6 +93,8 @@ class Source:
         self.size = stream.seek(0, io.SEEK_END)
         stream.seek(0)
         head = stream.read(_FIRST_WINDOW)
+        if 16 * (len(head) - len(head.translate(None, _CONTROL))) > max(len(head), 256):
+            raise ProgramError('this is no text; give a part program, as text in UTF-8', name)
         self._old_lines = b'\r' in head and b'\n' not in head
         self.start = Place(len(_BYTE_ORDER_MARK) if head.startswith(_BYTE_ORDER_MARK) else 0, 1)
         self._window: Window | None = None

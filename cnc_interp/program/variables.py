@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any
 
 from cnc_interp.program.expressions import ExpressionError
 
@@ -33,6 +35,15 @@ class ProgramVariables:
     def leave(self) -> None:
         """Return to the local variables of the caller."""
         self._locals.pop()
+
+    def state(self) -> tuple[Any, ...]:
+        """Return a copy of all values, for ``stands_as``."""
+        return deepcopy((self._numbers, self._names, self._locals)) + (dict(self._system()),)
+
+    def stands_as(self, before: tuple[Any, ...]) -> bool:
+        """Tell whether all values, those of the system too, are again as they were."""
+        now = self._numbers, self._names, self._locals
+        return now == before[:3] and dict(self._system()) == before[3]
 
     def number(self, index: int) -> float:
         """Return ``#index``; local variables of a subprogram are 0 until they are set."""

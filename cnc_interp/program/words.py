@@ -203,6 +203,8 @@ def _no_word(line: str, at: int, fault: Fault) -> ProgramError:
         message = 'a number without a letter; write for example X10'
     elif re.fullmatch(r'[A-Z]', chunk) or re.match(r'[A-Z][-+.]*(?![\d.A-Z])', chunk):
         message = 'a letter without a number; write for example X10'
+    elif re.match(r',\d', rest):
+        message = 'a decimal comma; write a point, for example X30.5'
     elif re.match(r'[A-Z]', chunk):
         message = 'not a number; write for example X10.5'
     else:

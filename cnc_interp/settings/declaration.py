@@ -194,9 +194,7 @@ class Choice:
             except ValueError:
                 other = f" or '{self.nothing}'" if self.nothing else ''
                 units = f' in {self.unit.name} or {self.unit.si}' if self.unit.name else ''
-                raise SettingsError(
-                    self.name, f'{text!r} is not a number{units}{other}'
-                ) from None
+                raise SettingsError(self.name, f'{text!r} is not a number{units}{other}') from None
         elif self.kind is Path:
             value = Path(text)
         self.check(value)

@@ -1,5 +1,6 @@
 """The command line as its users meet it: words, exit codes, files, and one line per mistake."""
 
+import errno
 import json
 import re
 from dataclasses import replace
@@ -129,6 +130,19 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
         ('no_feed.ngc', 'G90\nG1 X0\nG1 X10\n', ':3: no feedrate (F)'),
         ('arc.ngc', 'F1000\nG1 X0 Y0\nG2 X10 I4\n', ':3: G2: start and end differ'),
         ('letter.ngc', 'F1000\nG1 X0\nG1 X1O\n', ':3: O: a letter without a number'),
+        ('zero.ngc', 'F1000\nGO X0\n', ':2: GO: the letter O stands where a number must'),
+        ('comma.ngc', 'F1000\nG1 X0\nG1 X30,5\n', ':3: ,5: a decimal comma; write a point'),
+        ('binary.ngc', 'G1\x01\x02\x03' * 200 + '\n' * 9, ': this is no text'),
+        (
+            'endless.ngc',
+            'F1000\no1 while [1]\nG1 X1\nX0\no1 endwhile\nM2\n',
+            ':5: this loop does not',
+        ),
+        (
+            'resets.ngc',
+            '#1=0\nwhile [1 EQ 1] DO1\n#1=[#1+1]\nIF [#1 GT 5] THEN #1=0\nEND1\nM2\n',
+            ':5: this loop does not end',
+        ),
         ('word.ngc', 'F1000\nG1 X0\nG1 X10 Q2\n', ':3: Q2: this word has no meaning'),
         ('tcp.ngc', 'F1000\nM428\nG0 G53 Z0\n', ':3: machine coordinates while tool-tip'),
         ('axis.apt', 'GOTO/0,0,0,0,0,1\nGOTO/9,0,0,0,0,0\n', ':2: GOTO: the tool axis is not'),
@@ -146,6 +160,35 @@ def test_wrong_program_gets_one_line_with_file_and_line(name, text, says, tmp_pa
     error = capsys.readouterr().err
     assert error.count('\n') == 1 and error.startswith(f'cnc-interp: {file}{says}')
     assert not (tmp_path / 'out').exists()
+
+
+def test_an_unknown_option_gets_the_one_that_is_near(tmp_path, capsys):
+    program = str(EXAMPLES / 'pyramid.apt')
+    sweep = ['sweep', '--vary', 'fed', '9', '--out', str(tmp_path), '--', 'plan', program]
+    for words in (['plan', program, '--out', str(tmp_path), '--fed=9'], sweep):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        error = capsys.readouterr().err
+        assert ended.value.code == BAD_INPUT and error.count('\n') == 1
+        assert 'did you mean --feed?' in error
+
+
+def test_a_full_disk_is_named(tmp_path, capsys, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr('cnc_interp.run.chain.plan_to_files', full)
+    out = str(tmp_path / 'plan')
+    assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', out]) == BAD_INPUT
+    assert capsys.readouterr().err == f'cnc-interp: {out}: No space left on device\n'
+
+
+def test_a_tolerance_that_does_not_count_is_told(tmp_path, capsys):
+    file, out = tmp_path / 'part.ngc', str(tmp_path / 'out')
+    file.write_text('G21 G90\nG64 P0.02\nG1 X0 F1000\nX5\nY5\nM2\n')
+    for words, count in (([], 0), (['--contour-tolerance', '0.05'], 1)):
+        assert main(['plan', str(file), '--out', out, *words]) == FINE
+        assert capsys.readouterr().err.count('note: line 2: G64 P: the program') == count
 
 
 def test_missing_things_get_one_line(tmp_path, capsys):

@@ -220,7 +220,7 @@ compile_kernels() {
 build_messages() {
   local build=$venv/build/cnc_interp_msgs
   export PATH=$venv/bin:$PATH AMENT_PREFIX_PATH=$venv
-  cmake -S "$root/msg_defs" -B "$build" -G Ninja -DBUILD_TESTING=OFF \
+  cmake -S "$root/msg_defs" -B "$build" -G Ninja -DBUILD_TESTING=OFF -DONLY_PYTHON=ON \
     -DCMAKE_INSTALL_PREFIX="$venv" -DCMAKE_PREFIX_PATH="$venv" \
     -DPython3_EXECUTABLE="$venv/bin/python" -DPython3_FIND_VIRTUALENV=ONLY \
     && ninja -C "$build" install

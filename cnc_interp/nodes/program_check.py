@@ -15,9 +15,9 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
-from cnc_interp.program.columns import ProgramChange
 from cnc_interp.program.mdi import MdiLine, MdiReader
 from cnc_interp.program.source import Source
+from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
 from cnc_interp.run.start_place import StartFinder, StartPlace

@@ -17,7 +17,7 @@ from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.preparation import Preparation
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.program import JobSetup
-from cnc_interp.program.columns import ProgramChange
+from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.loss_recovery import LossRecovery
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId

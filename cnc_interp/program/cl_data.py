@@ -22,11 +22,10 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.columns import NO_ARC, TargetColumns
-from cnc_interp.program.notices import Notices
-from cnc_interp.program.refusals import Refusals
+from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.start_line import StartLine
+from cnc_interp.program.targets import NO_ARC, TargetColumns
 from cnc_interp.settings.choices import Settings
 
 _FARTHEST = 1e5 * MM

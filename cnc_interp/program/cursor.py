@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.program.expressions import ProgramVariables
 from cnc_interp.program.files import subprogram_file
 from cnc_interp.program.source import Place, Source
-from cnc_interp.program.variables import ProgramVariables
 
 _DEEPEST_CALL = 20
 

@@ -21,23 +21,21 @@ from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.columns import AT_M0, AT_M1, TargetColumns
 from cnc_interp.program.cycles import CannedCycle
+from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
-from cnc_interp.program.header import is_name, leader_lines
 from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal_state import NO_F, NO_NEW_F, modal_words
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.named_words import NamedWords
-from cnc_interp.program.notices import Notices
-from cnc_interp.program.refusals import Refusals
+from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.runs import SHORTEST, move_along
-from cnc_interp.program.source import Source
+from cnc_interp.program.source import Source, is_name, leader_lines
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.start_line import StartLine
+from cnc_interp.program.targets import AT_M0, AT_M1, TargetColumns
 from cnc_interp.program.tilted_plane import TiltedPlane
-from cnc_interp.program.variables import UNSET, ProgramVariables
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.choices import Settings
 

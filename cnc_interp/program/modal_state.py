@@ -13,13 +13,13 @@ from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
-from cnc_interp.program.columns import TargetColumns
 from cnc_interp.program.contact_normal import ContactPath
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import WORK_OFFSETS, JobSetup, SetupChange, Tool
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.notices import Notices
+from cnc_interp.program.targets import TargetColumns
 from cnc_interp.settings.choices import Settings
 
 FARTHEST = 1e5 * MM

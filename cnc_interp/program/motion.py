@@ -15,10 +15,10 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
-from cnc_interp.program.columns import NO_ARC
 from cnc_interp.program.contact_normal import ContactPath, Cutter
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
+from cnc_interp.program.targets import NO_ARC
 from cnc_interp.program.words import BlockWords
 
 #: Two directions agree if their cosine is 1 within this [-].

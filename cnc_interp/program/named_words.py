@@ -7,13 +7,12 @@ import re
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.contact_normal import NORMAL_WORDS
-from cnc_interp.program.expressions import ExpressionError
+from cnc_interp.program.expressions import ExpressionError, ProgramVariables
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.siemens import CURVE_WORDS
 from cnc_interp.program.tilted_plane import TiltedPlane
-from cnc_interp.program.variables import ProgramVariables
 from cnc_interp.program.words import BlockWords
 
 _SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}

@@ -1,6 +1,8 @@
-"""Notices: words of a program that had no effect or were simplified."""
+"""What a program reader tells: notices of words without effect, and all refused lines."""
 
 from __future__ import annotations
+
+from cnc_interp.core.errors import ProgramError, RefusedLinesError
 
 
 class Notices:
@@ -17,3 +19,93 @@ class Notices:
     def texts(self) -> tuple[str, ...]:
         """Return all notices in the order of the program."""
         return tuple(self._texts.values())
+
+
+#: Different refusals after which the reading ends, and refused lines.
+MOST, MOST_LINES = 20, 1000
+#: Lines that are named for one refusal.
+NAMED = 5
+
+
+class Refusals:
+    """
+    Refused lines of a program, collected while the rest of it is read.
+
+    No motion comes of a program after its first refusal. Lines with the same refusal count as
+    one. A refusal that may only follow from a line that was passed over is not kept: an arc that
+    no longer begins where it should, a feed or a variable that is missing.
+    """
+
+    def __init__(self) -> None:
+        self._first: dict[tuple[str, str, str], ProgramError] = {}
+        self._lines: dict[tuple[str, str, str], list[int]] = {}
+        self._count = 0
+        self._is_lost = False  # whether the position is unknown
+
+    def __bool__(self) -> bool:
+        """Tell whether a line was refused."""
+        return self._count > 0
+
+    def add(self, problem: ProgramError, of_place: bool, of_state: bool = False) -> None:
+        """
+        Keep a refusal; raise all of them if there are too many to go on.
+
+        Parameters
+        ----------
+        problem : ProgramError
+            The refusal.
+        of_place : bool
+            True for a refusal that may only follow from a wrong position before the line.
+        of_state : bool
+            True for a refusal that may only follow from any line that was passed over.
+
+        Raises
+        ------
+        ProgramError
+            The refusals so far.
+
+        """
+        follows = (of_place and self._is_lost) or (of_state and self._count > 0)
+        self._count += 1
+        if not follows:
+            key = problem.source, problem.message, problem.word
+            self._first.setdefault(key, problem)
+            lines = self._lines.setdefault(key, [])
+            if problem.line_number not in lines[-1:]:
+                lines.append(problem.line_number)
+        self._is_lost = True
+        if len(self._first) >= MOST or self._count >= MOST_LINES:
+            raise self.error(ended=True)
+
+    def arrive(self) -> None:
+        """Note that a line has led to a known position."""
+        self._is_lost = False
+
+    def error(self, ended: bool = False) -> ProgramError:
+        """
+        Return the error with all refusals.
+
+        Parameters
+        ----------
+        ended : bool
+            Whether the reading has ended before the end of the program.
+
+        Returns
+        -------
+        ProgramError
+            A single refusal as it is, or ``RefusedLinesError``.
+
+        """
+        first = list(self._first.values())
+        if len(first) == 1 and self._count == 1:
+            return first[0]
+        texts = []
+        for key, problem in self._first.items():
+            others = self._lines[key][1:]
+            named = ', '.join(map(str, others[:NAMED]))
+            rest = f' and {len(others) - NAMED} more' if len(others) > NAMED else ''
+            lines = 'lines' if len(others) > 1 else 'line'
+            texts.append(f'{problem} (also {lines} {named}{rest})' if others else str(problem))
+        if ended:
+            texts.append('there may be more; the reading ended here')
+        return RefusedLinesError(first, '\n'.join(texts))

@@ -12,13 +12,13 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.columns import ProgramChange
 from cnc_interp.program.files import CL_SUFFIXES
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
+from cnc_interp.program.targets import ProgramChange
 from cnc_interp.settings.choices import Settings
 
 _HEAD_LINES = 2000

@@ -9,9 +9,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program import codes
-from cnc_interp.program.columns import NO_ARC
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.siemens import CURVE_WORDS, Curve, Point
+from cnc_interp.program.targets import NO_ARC
 from cnc_interp.program.words import BlockWords
 
 _SECOND = ('XH', 'YH', 'ZH')

@@ -24,10 +24,10 @@ from numba import njit
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_axes import ProgrammedAxes
 from cnc_interp.proof.programmed_path import ProgrammedPath, peaks
+from cnc_interp.proof.stored_columns import Stored, held, spans
 
 # Between vertices a distance of so many tolerances is in order.
 ROOM = 2.0

@@ -14,10 +14,10 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof import columns
+from cnc_interp.proof import stored_columns
 from cnc_interp.proof.axis_limits import limits_at
-from cnc_interp.proof.columns import held, spans
 from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles
+from cnc_interp.proof.stored_columns import held, spans
 from cnc_interp.proof.verdict import Ledger
 
 # Largest accepted distance between setpoints, forward kinematics and the path file [m, rad].
@@ -217,7 +217,7 @@ def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:
     """Divide samples so that each part lies within as many cells as are read at a time."""
     first = 0
     while first < len(cell):
-        far = np.abs(cell[first:] - cell[first]) > columns.CHUNK
+        far = np.abs(cell[first:] - cell[first]) > stored_columns.CHUNK
         last = first + int(np.argmax(far)) if far.any() else len(cell)
         yield first, last
         first = last

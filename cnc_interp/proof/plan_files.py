@@ -12,42 +12,44 @@ from typing import IO, Any
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.columns import Column
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json
-from cnc_interp.proof.columns import Stored, spans
+from cnc_interp.proof.stored_columns import Stored, spans
 
 #: Columns by their names: arrays, or columns in a file (`columns.Stored`).
 Columns = Mapping[str, Any]
 
-# Columns, and their shape after the number of rows; 'n' is the number of axes.
+# A default makes a column optional. Where it is NaN, values may be missing. n is the number of
+# axes.
+REAL, WHOLE, LOGICAL = Column(), Column((), np.int64), Column((), np.bool_)
+POINT, AXES = Column((3,)), Column(('n',))
 SETPOINT_COLUMNS = {
-    'time': '', 'position': 'n', 'velocity': 'n', 'acceleration': 'n', 'block': '', 's': '',
+    'time': REAL, 'position': AXES, 'velocity': AXES, 'acceleration': AXES, 'block': WHOLE,
+    's': REAL,
 }  # fmt: skip
 PATH_COLUMNS = {
-    's': '', 'tip': '3', 'axis': '3', 'q': 'n', 'programmed_feed': '', 'feed_limit': '',
-    'feed': '', 'block': '', 'stop': '',
+    's': REAL, 'tip': POINT, 'axis': POINT, 'q': AXES, 'programmed_feed': REAL,
+    'feed_limit': REAL, 'feed': REAL, 'block': WHOLE, 'stop': LOGICAL,
 }  # fmt: skip
 BLOCK_COLUMNS = {
-    'tip': '3', 'axis': '3', 'feed': '', 'line': '', 'contour_tolerance': '',
-    'orientation_tolerance': '', 'rapid': '',
+    'tip': POINT, 'axis': POINT, 'feed': REAL, 'line': WHOLE, 'contour_tolerance': REAL,
+    'orientation_tolerance': REAL, 'rapid': LOGICAL,
+    'rotary': Column((2,), default=np.nan),
+    'duration': Column(default=np.nan),
+    'exact_stop': Column((), np.bool_, default=False),
+    'top': Column((3,), default=np.nan),
+    'knot_interval': Column(default=np.nan),
+    'extra_axes': Column(('k',), default=0.0),
+    'interpolation': Column((), np.int64, default=0),
+    'rotary_from': Column((2,), default=np.nan),
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
-# Columns that a program needs only for rotary words, durations (G93), exact stops, splines, extra
-# axes or linear rotary axes.
-OPTIONAL_BLOCK_COLUMNS = {
-    'rotary': '2', 'duration': '', 'exact_stop': '', 'top': '3', 'knot_interval': '',
-    'extra_axes': 'k', 'interpolation': '', 'rotary_from': '2',
-}  # fmt: skip
-# Columns that may be infinite (no limit), and columns that may be NaN (no word).
+# Columns that may be infinite (no limit).
 MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))
-MAY_BE_MISSING = frozenset(('rotary', 'duration', 'top', 'knot_interval', 'rotary_from'))
-# Columns of whole numbers, and of True and False; all others are of real numbers.
-WHOLE = frozenset(('block', 'line', 'interpolation'))
-LOGICAL = frozenset(('rapid', 'exact_stop', 'stop'))
 # Largest feed override that the nodes accept, and the periods that can be chosen [s].
 LARGEST_OVERRIDE, PERIODS = 1.5, (1e-5, 0.1)
 # Largest number of columns of a file. A larger file than this [bytes] may unpack to so many times
@@ -142,7 +144,7 @@ def read_plan(directory: Path) -> PlanFiles:
     summary = _read_summary(directory / 'summary.json')
     setpoints = _read_columns(directory / 'setpoints.npz', SETPOINT_COLUMNS)
     path = _read_columns(directory / 'path.npz', PATH_COLUMNS)
-    blocks = _read_columns(directory / 'blocks.npz', BLOCK_COLUMNS, OPTIONAL_BLOCK_COLUMNS)
+    blocks = _read_columns(directory / 'blocks.npz', BLOCK_COLUMNS)
     if setpoints['position'].shape[1] != path['q'].shape[1]:
         raise InterpError(
             f'{directory}: setpoints.npz and path.npz have different numbers of axes; plan again'
@@ -167,11 +169,10 @@ def read_plan(directory: Path) -> PlanFiles:
                 f'{directory / name}: block runs from {least} to {most}, but '
                 f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
             )
-    program = _complete_blocks(blocks)
-    fault = _nonsense(program)
+    fault = _nonsense(blocks)
     if fault:
         raise InterpError(f'{directory / "blocks.npz"}: {fault}; plan again')
-    return PlanFiles(setpoints, path, program, summary)
+    return PlanFiles(setpoints, path, blocks, summary)
 
 
 def _nonsense(blocks: Columns) -> str:
@@ -213,22 +214,6 @@ def with_override(plan: PlanFiles) -> PlanFiles:
     return replace(plan, blocks=blocks, path=path)
 
 
-def _complete_blocks(columns: Columns) -> Columns:
-    """Add the optional columns that the program rows do not have, with neutral values."""
-    rows = len(columns['tip'])
-    defaults: dict[str, NDArray[Any]] = {
-        'rotary': np.full((rows, 2), np.nan),
-        'duration': np.full(rows, np.nan),
-        'exact_stop': np.zeros(rows, dtype=bool),
-        'top': np.full((rows, 3), np.nan),
-        'knot_interval': np.full(rows, np.nan),
-        'extra_axes': np.zeros((rows, 0)),
-        'interpolation': np.zeros(rows, dtype=np.int64),
-        'rotary_from': np.full((rows, 2), np.nan),
-    }
-    return defaults | dict(columns)
-
-
 def _read_summary(file: Path) -> Mapping[str, Any]:
     """Read ``summary.json`` and check the values that the proof needs."""
     try:
@@ -249,39 +234,36 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
     return checked
 
 
-def _read_columns(
-    file: Path, needed: Mapping[str, str], optional: Mapping[str, str] | None = None
-) -> dict[str, Any]:
-    """Open the columns of one file and check each against its shape."""
+def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
+    """Open the columns of one file and check each against its declaration."""
     try:
         _check_lengths(file)
         with np.load(file, allow_pickle=False) as archive:
-            wanted = {*needed, *(optional or {}), *(PATH_CELLS if 'q' in needed else ())}
+            wanted = {*declared, *(PATH_CELLS if 'q' in declared else ())}
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
                 raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
-            stored = {} if optional else _stored(file)
+            stored = {} if declared is BLOCK_COLUMNS else _stored(file)
             columns = {
                 name: stored[name] if name in stored else archive[name] for name in archive.files
             }
     except READING_FAULTS as fault:
         raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
-    missing = [name for name in needed if name not in columns]
+    missing = [n for n, of in declared.items() if of.default is None and n not in columns]
     if missing:
         raise InterpError(f'{file}: column {missing[0]} is missing; plan again')
-    shapes = {k: v for k, v in {**needed, **(optional or {})}.items() if k in columns}
-    first = columns[next(iter(needed))]
+    first = columns[next(iter(declared))]
     rows = len(first) if first.ndim else 1
-    for name, tail in shapes.items():
+    for name, of in declared.items():
+        if name not in columns:
+            columns[name] = of.filled(rows)
         column = columns[name]
-        dimensions = 2 if tail else 1
-        width_wrong = tail.isdigit() and column.shape[1:] != (int(tail),)
-        if column.ndim != dimensions or len(column) != rows or width_wrong:
+        if not of.fits(column.shape, rows):
             raise InterpError(
                 f'{file}: column {name} has shape {column.shape}, expected '
-                f'({rows}{", " + tail if tail else ""}); plan again'
+                f'{of.shape_text(rows)}; plan again'
             )
-        kinds = 'iu' if name in WHOLE else 'b' if name in LOGICAL else 'iuf'
+        kinds = {np.int64: 'iu', np.bool_: 'b'}.get(of.kind, 'iuf')
         if column.dtype.kind not in kinds:
             raise InterpError(
                 f'{file}: column {name} holds {column.dtype}, which it cannot; plan again'
@@ -291,13 +273,13 @@ def _read_columns(
             if name in MAY_BE_INFINITE:
                 bad = np.isnan(values) & (file.name != 'blocks.npz')  # timed blocks have no feed
             else:
-                bad = np.isinf(values) if name in MAY_BE_MISSING else ~np.isfinite(values)
+                missing_allowed = of.default is not None and np.isnan(of.default)
+                bad = np.isinf(values) if missing_allowed else ~np.isfinite(values)
             if bad.any():
                 row = begin + int(np.argwhere(bad)[0][0])
                 raise InterpError(f'{file}: column {name} is not finite in row {row}; plan again')
-        kind = np.int64 if name in WHOLE else np.bool_ if name in LOGICAL else np.float64
-        if not isinstance(column, Stored) or column.dtype != kind:
-            columns[name] = np.asarray(column).astype(kind, copy=False)
+        if not isinstance(column, Stored) or column.dtype != of.kind:
+            columns[name] = np.asarray(column).astype(of.kind, copy=False)
     return columns
 
 

@@ -18,10 +18,15 @@ from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.linuxcnc_reader import LAST_DIGIT, LinuxCNCError, read_by_linuxcnc
+from cnc_interp.proof.linuxcnc_reader import (
+    LAST_DIGIT,
+    LinuxCNCError,
+    cutters_of,
+    read_by_linuxcnc,
+    setup_of,
+)
 from cnc_interp.proof.plain_reader import Move, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
-from cnc_interp.proof.setup_again import cutters_of, setup_of
 
 # Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
 # share [-].

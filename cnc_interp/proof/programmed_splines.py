@@ -21,8 +21,8 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.plan_files import Columns, PlanFiles
+from cnc_interp.proof.stored_columns import Stored, held, spans
 
 #: Largest distance between curve and chord [m].
 CHORD = 1e-8

@@ -8,9 +8,9 @@ from cnc_interp.core.units import MM
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.proof.columns import spans
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.stored_columns import spans
 from cnc_interp.proof.verdict import Proof
 
 

@@ -30,7 +30,6 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
-from cnc_interp.proof.columns import Stored, held, spans
 from cnc_interp.proof.completeness import prove_completeness
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
@@ -44,6 +43,7 @@ from cnc_interp.proof.program_shapes import (
 )
 from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.stored_columns import Stored, held, spans
 from cnc_interp.proof.tool_error import with_tool_error
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 

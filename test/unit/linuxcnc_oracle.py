@@ -7,9 +7,8 @@ import numpy as np
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_program
-from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, read_by_linuxcnc
+from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, Setup, read_by_linuxcnc
 from cnc_interp.proof.program_again import compare_places
-from cnc_interp.proof.setup_again import Setup
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.choices import Settings
 

@@ -41,6 +41,7 @@ FLOW = (
 PROOF_ROOM = 'proof'
 PROOF_MAY_IMPORT = (
     'cnc_interp.core.arrays',
+    'cnc_interp.core.columns',
     'cnc_interp.core.errors',
     'cnc_interp.core.small_files',
     'cnc_interp.core.units',

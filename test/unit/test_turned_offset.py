@@ -15,7 +15,7 @@ from cnc_interp.program.setup_requests import (
     values_by_axis,
     work_coordinates,
 )
-from cnc_interp.proof.setup_again import setup_of
+from cnc_interp.proof.linuxcnc_reader import setup_of
 from cnc_interp.settings.choices import Settings
 
 AC = Transform.of(Machine.load('xyzac'))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cnc_interp.core.units import MM
+from cnc_interp.proof.completeness import VertexSearch
 from cnc_interp.proof.programmed_path import ProgrammedPath, distances_to_vertices
-from cnc_interp.proof.vertex_search import VertexSearch
 
 HEIGHT = 30 * MM
 

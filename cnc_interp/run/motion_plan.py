@@ -134,11 +134,14 @@ class MotionPlan:
         settings = self.settings
         feed: FloatArray = path.cell_feed * settings.override
         rapids = np.isinf(path.cell_feed)
-        if settings.rapid < 1.0 and rapids.any():
+        # No line of the program commands the ways by block 0: they follow the feed override, too.
+        ways = np.where(path.cell_block[rapids] == 0, min(1.0, settings.override), 1.0)
+        share = settings.rapid * ways
+        if (share < 1.0).any():
             # |q_s| v <= V: the fastest axis runs at a share of its largest velocity.
             ends = path.cell_left[1, rapids], path.cell_right[1, rapids]
             use = np.abs(ends).max(axis=0) / self._context.limits.max_velocity
-            feed[rapids] = settings.rapid / use.max(axis=1)
+            feed[rapids] = np.where(share < 1.0, share / use.max(axis=1), np.inf)
         return feed
 
     def _open_leg(self) -> Leg:

@@ -76,6 +76,7 @@ class Tab:
         socket = connect(url, max_size=None, max_queue=None, ping_interval=None)
         self._socket = self._open.enter_context(socket)
         self._number = 0
+        self._button = 'none'  # of the mouse, while it is pressed
         self.faults = []
         self.send('Runtime.enable')
         self.send('Page.enable')
@@ -123,6 +124,44 @@ class Tab:
         """Press a key that is there and may be pressed, on a page in contact with its server."""
         key = f'document.querySelector(`[data-mark="{name}"]:not([disabled])`)'
         self.wait(lambda: self.run(f'{IN_CONTACT} && !!{key} && ({key}.click(), true)'))
+
+    def centre(self, name):
+        """Middle of an element that stands still and is hit there, by its mark."""
+        script = f"""(() => {{
+          const part = document.querySelector(`[data-mark="{name}"]`), box = part?.getBoundingClientRect();
+          const at = box && [box.left + box.width / 2, box.top + box.height / 2];
+          return at && part.contains(document.elementFromPoint(...at)) ? at : null;
+        }})()"""
+        seen = []
+
+        def is_still():
+            seen.append(self.run(script))
+            return seen[-1] is not None and seen[-2:-1] == seen[-1:]
+
+        self.wait(is_still)
+        return seen[-1]
+
+    def pointer(self, kind, x, y, device='mouse'):
+        """Press, move, release or cancel a mouse, a pen or a finger, as its user does."""
+        if device == 'touch':
+            names = {'press': 'Start', 'move': 'Move', 'release': 'End', 'cancel': 'Cancel'}
+            points = [{'x': x, 'y': y}] if kind in ('press', 'move') else []
+            self.send('Input.dispatchTouchEvent', type=f'touch{names[kind]}', touchPoints=points)
+            return
+        name = {'press': 'mousePressed', 'move': 'mouseMoved', 'release': 'mouseReleased'}[kind]
+        down = self._button if kind == 'move' else 'left'
+        self.send(
+            'Input.dispatchMouseEvent', type=name, x=x, y=y, button=down, pointerType=device,
+            buttons=int(kind == 'press' or down == 'left' and kind == 'move'),
+            clickCount=int(kind != 'move'),
+        )  # fmt: skip
+        self._button = {'press': 'left', 'release': 'none'}.get(kind, self._button)
+
+    def click_with_mouse(self, name):
+        """Press and release the mouse on a key, as its user does."""
+        at = self.centre(name)
+        for kind in ('move', 'press', 'release'):
+            self.pointer(kind, *at)
 
     def wait(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience

@@ -11,7 +11,7 @@ from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import NodesUnderTest, clean_environment
 from std_msgs.msg import Float64
 
-from cnc_interp.client.page.tab import INTERRUPTED
+from cnc_interp.client.page.contact import INTERRUPTED
 from cnc_interp.nodes import qos
 
 TOKEN = 'a test knows it'
@@ -42,9 +42,9 @@ class PageUnderTest:
         tab.wait(lambda: tab.text('rights') in ('in charge', 'view only'))
         return tab
 
-    def open_in_charge(self):
+    def open_in_charge(self, **size):
         """Open a page and take command, which a closed page keeps for a while."""
-        tab = self.open()
+        tab = self.open(**size)
         if tab.text('rights') != 'in charge':
             tab.click('take over')
             tab.wait(lambda: tab.text('rights') == 'in charge')

@@ -1,5 +1,10 @@
 """An operator's tasks on the page: load, touch off, jog, MDI, start at a line, hold, finish."""
 
+import os
+import signal
+import time
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,11 +14,13 @@ pytest.importorskip(
 )
 pytest.importorskip('websockets', reason='needs requirements/panel.txt')
 
-from browser import found
+from browser import IN_CONTACT, found
 from cnc_interp_msgs.msg import MachineState, SetupTable
 from page_under_test import REFUSED, PanelUnderTest
 from std_msgs.msg import Float64
 
+from cnc_interp.client import page
+from cnc_interp.client.page.jog_pad import STALE
 from cnc_interp.client.page.pose_field import pose_request
 from cnc_interp.nodes import qos
 from cnc_interp.program import JobSetup
@@ -161,6 +168,117 @@ def test_the_task_list(panel, part):
     panel.spin_until(lambda: panel.peers.state.completed)
     tab.wait(lambda: tab.text('progress') == '100.0%')
     tab.wait(lambda: np.abs(tip() - zero - (0.0, 40.0, 10.0)).max() < 2e-3)
+    assert tab.faults == []
+
+
+@pytest.fixture(params=[('mouse', 1366, 768), ('pen', 1366, 768), ('touch', 390, 844)])
+def pad(request, panel):
+    """A page with its jog keys shown, on a screen of one size, and the pointer of its user."""
+    device, width, height = request.param
+    tab = panel.open_in_charge(width=width, height=height, mobile=device == 'touch')
+    tab.wait(lambda: tab.text('state') == 'idle')
+    tab.click('jog')
+    tab.wait(lambda: tab.run('!!jog.pad()'))
+    return tab, device
+
+
+def moves(panel, tab, device):
+    """
+    Press a key with a real pointer, and see its axis move on while it is held.
+
+    A busy computer may interrupt the contact. Then the page must say so, and let the key go.
+    """
+    while True:
+        tab.wait(lambda: tab.run(f'{IN_CONTACT} && !{REFUSED}'))
+        x, y = tab.centre('jog X+')
+        start = panel.next_state().positions[0]
+        if device != 'touch':
+            tab.pointer('move', x, y, device)
+        tab.pointer('press', x, y, device)
+        panel.spin_until(
+            lambda start=start: panel.peers.state.positions[0] > start + 1e-3 or tab.run(REFUSED)
+        )
+        if not tab.run(REFUSED):
+            return x, y
+        tab.pointer('release', x, y, device)
+        rests(panel)
+
+
+def rests(panel):
+    """See the axes come to rest and stay there."""
+    panel.until(MachineState.IDLE)
+    before = np.array(panel.next_state().commanded_positions)
+    for _ in range(20):
+        state = panel.next_state()
+        assert state.state == MachineState.IDLE
+        assert (np.array(state.commanded_positions) == before).all()
+
+
+def test_an_axis_moves_exactly_while_a_real_pointer_holds_its_key(panel, pad):
+    tab, device = pad
+    for _ in range(2):
+        x, y = moves(panel, tab, device)
+        tab.pointer('release', x, y, device)
+        rests(panel)
+    # The pointer slides off the key, and comes back: only a new press moves.
+    x, y = moves(panel, tab, device)
+    tab.pointer('move', x, y - 150, device)
+    rests(panel)
+    tab.pointer('move', x, y, device)
+    rests(panel)
+    tab.pointer('release', x, y, device)
+    if device == 'touch':  # a call comes in
+        x, y = moves(panel, tab, device)
+        tab.pointer('cancel', x, y, device)
+        rests(panel)
+    assert tab.faults == []
+
+
+def test_a_held_key_ends_with_its_window_and_with_the_contact(panel, pad):
+    tab, device = pad
+    other = panel.open()
+    tab.show()
+    x, y = moves(panel, tab, device)
+    other.show()
+    rests(panel)
+    tab.show()
+    rests(panel)
+    tab.pointer('release', x, y, device)
+    tab.wait(lambda: tab.run(IN_CONTACT))
+    x, y = moves(panel, tab, device)
+    os.kill(panel.page.process.pid, signal.SIGSTOP)
+    rests(panel)
+    time.sleep(STALE)
+    os.kill(panel.page.process.pid, signal.SIGCONT)
+    tab.wait(lambda: tab.run(IN_CONTACT))
+    rests(panel)
+    tab.pointer('release', x, y, device)
+    assert tab.faults == []
+
+
+#: The keys that open a dialog; one for each dialog that the page has.
+DIALOGS = ('keyboard', 'settings', 'offsets', 'history messages')
+OPEN = '[...document.querySelectorAll(".q-dialog__inner > *")].some(d => d.checkVisibility())'
+
+
+@pytest.mark.parametrize('size', [(1366, 768), (390, 844, True)])
+def test_the_stops_are_pressed_with_any_dialog_open(panel, size):
+    texts = [file.read_text() for file in Path(page.__file__).parent.glob('*.py')]
+    assert sum(text.count('ui.dialog(') for text in texts) == len(DIALOGS)
+    tab = panel.open_in_charge()
+    tab.size(*size)
+    tab.wait(lambda: tab.text('state') == 'idle')
+    for key in DIALOGS:
+        tab.click(key)
+        tab.wait(lambda: tab.run(OPEN))
+        tab.click_with_mouse('feed hold')
+        tab.wait(lambda: tab.run('document.body.textContent.includes("feed_hold: ")'))
+        tab.click_with_mouse('EMERGENCY STOP')
+        panel.until(MachineState.FAULT)
+        assert tab.run(OPEN)  # the press went to the key alone
+        tab.type_key('Escape', 27)
+        tab.wait(lambda: not tab.run(OPEN))
+        panel.reset(tab)
     assert tab.faults == []
 
 

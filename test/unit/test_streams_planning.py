@@ -101,13 +101,14 @@ def test_moved_away_by_hand_it_goes_back_and_on_and_again_from_the_way(place):
     assert (sampled(planner)[2] > 0).all()
 
 
-def test_the_rapid_override_scales_rapids_and_the_approach_alone():
+def test_the_rapid_override_scales_rapids_and_the_approach_and_the_feed_override_the_approach():
     text = PROGRAM + 'G0 X0 Y50 Z20\nG1 X10 F3000\n'
     blocks = read_text(text, 'rapids.ngc', TRANSFORM, Settings()).blocks
     whole = segments_of(blocks, TRANSFORM, Settings())
     speeds, laws = [], []
-    for rapid in (1.0, 0.25):
-        settings = OperatorSettings(rapid=rapid)
+    for settings in map(
+        OperatorSettings, (1.0, 1.0, 0.1, 1.2), [False] * 4, (1.0, 0.25, 1.0, 0.5)
+    ):
         stands = np.array([0.1, -0.3, 0.05, 0.0, 0.0])
         planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, stands, settings=settings)
         planner.push(whole, {})
@@ -118,7 +119,10 @@ def test_the_rapid_override_scales_rapids_and_the_approach_alone():
         speeds.append((use[block[1:] == 0].max(), use[rapids].max()))
         cut = (block > 0) & (block < int(np.argmax(blocks.rapid[1:])))
         laws.append(s[cut])
-    (fast, fast_rapid), (slow, slow_rapid) = speeds
+    (fast, fast_rapid), (slow, slow_rapid), (tenth, whole_rapid), (half, _) = speeds
     assert fast > 0.5 and fast_rapid > 0.26
     assert 0.249 < slow <= 0.25 * 1.001 and slow_rapid <= 0.25 * 1.001
     assert laws[0] == pytest.approx(laws[1], abs=1e-7)
+    # The approach follows the feed override too, but no override makes it faster than a rapid.
+    assert 0.099 < tenth <= 0.1 * 1.001 and whole_rapid == pytest.approx(fast_rapid, rel=0.01)
+    assert 0.499 < half <= 0.5 * 1.001

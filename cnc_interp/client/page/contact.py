@@ -20,6 +20,9 @@ from nicegui import events, ui
 
 from cnc_interp.client.operator_client import STOPS
 
+#: What the page says when it heard nothing for a while, and a key did nothing.
+INTERRUPTED = 'the connection was interrupted'
+AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].
 BEAT, LATE = 0.5, 5.0
 #: A page whose last answer is older is behind: it is shown nothing until it has caught up [s].

@@ -1,17 +1,27 @@
-// Keys that move an axis while they are held: a beat again and again until the key is let go, the
-// page loses its focus, or the connection breaks. The machine stops by itself where no beat comes.
+// Keys that move an axis while they are held: a beat again and again until the pointer leaves the key or
+// lets it go, the window is left, or the contact breaks. The machine stops by itself where no beat comes.
 window.jog = {
   EVERY: 60, // time between beats [ms]
+  OLD: STALE, // silence of the server after which a held key must be pressed again [ms]
   KEYS: ARROWS,
   timer: 0,
+  key: null, // the key that a pointer holds
 
   hold(name, sign) {
     this.release();
-    const beat = () => contact.connected() && emitEvent('jog', { name, sign, heard: contact.beat });
+    const beat = () => {
+      if (contact.connected() && performance.now() - contact.heard < this.OLD)
+        emitEvent('jog', { name, sign, heard: contact.beat });
+      else {
+        this.release();
+        Quasar.Notify.create({ type: 'warning', message: AGAIN });
+      }
+    };
     this.timer = setInterval(beat, this.EVERY);
     beat();
   },
   release() {
+    this.key = null;
     if (!this.timer) return;
     clearInterval(this.timer);
     this.timer = 0;
@@ -19,7 +29,18 @@ window.jog = {
   },
   pad() {
     const pad = document.querySelector('.jog');
-    return pad?.offsetParent && pad.dataset.step === 'hold' ? pad : null;
+    return pad?.getClientRects().length && pad.dataset.step === 'hold' ? pad : null;
+  },
+  press(event, name, sign) {
+    if (!this.pad() || !event.isPrimary || event.button) return;
+    this.hold(name, sign);
+    this.key = event.currentTarget;
+    this.key.setPointerCapture(event.pointerId); // else nothing is heard of a pointer outside the window
+  },
+  slide(event) {
+    const box = this.key?.getBoundingClientRect();
+    const { clientX: x, clientY: y } = event;
+    if (box && !(x >= box.left && x <= box.right && y >= box.top && y <= box.bottom)) this.release();
   },
   arrow(event) {
     const key = this.KEYS[event.key];
@@ -31,5 +52,10 @@ window.jog = {
   },
 };
 for (const kind of ['keydown', 'keyup']) document.addEventListener(kind, (event) => jog.arrow(event), true);
-for (const kind of ['pointerup', 'pointercancel', 'blur', 'contextmenu', 'visibilitychange'])
+for (const kind of ['pointerup', 'pointercancel', 'lostpointercapture', 'pagehide', 'visibilitychange'])
   window.addEventListener(kind, () => jog.release(), true);
+window.addEventListener('pointermove', (event) => jog.slide(event), true);
+// Without capture: the blur of an element is none of the window.
+window.addEventListener('blur', () => jog.release());
+// A finger that rests on a key asks for no menu.
+document.addEventListener('contextmenu', (event) => event.target.closest('.jog') && event.preventDefault());

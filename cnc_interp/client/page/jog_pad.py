@@ -94,7 +94,7 @@ class JogPad:
         key.props(f'dense unelevated no-caps data-mark="jog {name}{"+" if sign > 0 else "-"}"')
         key.on(
             'pointerdown',
-            js_handler=f'() => jog.pad() && jog.hold({json.dumps(name)}, {sign})',
+            js_handler=f'(event) => jog.press(event, {json.dumps(name)}, {sign})',
         )
         key.on('click', lambda: self._move(name, sign))
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.client.page.jog_pad import ARROWS
+from cnc_interp.client.page.contact import AGAIN
+from cnc_interp.client.page.jog_pad import ARROWS, STALE
 from cnc_interp.client.page.keyboard import MARKS
 
 #: The scripts in the order in which they are loaded, and the values in capitals in them.
@@ -16,7 +17,7 @@ SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'shown': {},
     'listing': {},
     'keyboard': {'MARKS': MARKS},
-    'jog_pad': {'ARROWS': ARROWS},
+    'jog_pad': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN},
     'scene': {},
 }
 

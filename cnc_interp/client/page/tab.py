@@ -11,7 +11,7 @@ from nicegui import events, ui
 from cnc_interp.client.operator_client import SWITCHES, Answer
 from cnc_interp.client.page.access import Access
 from cnc_interp.client.page.charts import Charts
-from cnc_interp.client.page.contact import LATE, Contact, pressing
+from cnc_interp.client.page.contact import AGAIN, LATE, Contact, pressing
 from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.client.page.jog_pad import JogPad
 from cnc_interp.client.page.keyboard import keyboard_list
@@ -30,8 +30,6 @@ from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.settings.choices import Settings
 
-#: What the page says when it heard nothing for a while, and a key did nothing.
-INTERRUPTED = 'the connection was interrupted'
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
 PACE, CHART_EVERY = 0.1, 4
 
@@ -202,9 +200,12 @@ class Page:
 
     def _build_keys(self) -> None:
         desk = self._desk
+        with ui.element('div').classes('stops'):  # above every dialog
+            self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
+            hold = self._key('feed hold', 'warning').on(**pressing('feed_hold'))
         self._keys = [
             self._key('cycle start', 'positive', lambda: self._command_in_sight(desk.cycle_start)),
-            self._key('feed hold', 'warning').on(**pressing('feed_hold')),
+            hold,
             self._key(
                 'reset', 'blue-grey-7', lambda: self._command_in_sight(self._trigger('reset'))
             ),
@@ -214,8 +215,6 @@ class Page:
             *(self._switch(name) for name in SWITCHES),
             Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
         ]
-        self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
-        self._stop.classes('wide')
         self._override = OverrideSlider(
             lambda: desk.nodes.override,
             desk.nodes.set_override,
@@ -269,7 +268,7 @@ class Page:
     def _in_sight(self) -> bool:
         """Tell whether the page shows what the machine does; say so where it does not."""
         if self._contact.age > LATE:
-            ui.notify(f'{INTERRUPTED}: look at the machine, then press again', type='warning')
+            ui.notify(AGAIN, type='warning')
             return False
         return True
 

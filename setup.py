@@ -32,7 +32,7 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={
-        f'{NAME}.client.page': ['*.css', '*.js'],
+        f'{NAME}.page': ['*.css', '*.js'],
         f'{NAME}.cam': ['*.html', '*.js'],
         f'{NAME}.processes': ['*.xml'],
     },

@@ -81,7 +81,7 @@ def run_command(options: argparse.Namespace) -> int:
 
     beside = None
     if options.panel:
-        from cnc_interp.client.page.command import PanelBeside, PanelRequest
+        from cnc_interp.page.command import PanelBeside, PanelRequest
 
         beside = PanelBeside(PanelRequest.from_options(options))
     results = run_session(RunRequest.from_options(options), beside, process_start())
@@ -96,7 +96,7 @@ def run_command(options: argparse.Namespace) -> int:
 
 def panel_command(options: argparse.Namespace) -> int:
     """Serve the operator page."""
-    from cnc_interp.client.page.command import PanelRequest, run_panel
+    from cnc_interp.page.command import PanelRequest, run_panel
 
     run_panel(PanelRequest.from_options(options))
     return FINE

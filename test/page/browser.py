@@ -128,7 +128,8 @@ class Tab:
     def centre(self, name):
         """Middle of an element that stands still and is hit there, by its mark."""
         script = f"""(() => {{
-          const part = document.querySelector(`[data-mark="{name}"]`), box = part?.getBoundingClientRect();
+          const part = document.querySelector(`[data-mark="{name}"]`);
+          const box = part?.getBoundingClientRect();
           const at = box && [box.left + box.width / 2, box.top + box.height / 2];
           return at && part.contains(document.elementFromPoint(...at)) ? at : null;
         }})()"""
@@ -152,7 +153,7 @@ class Tab:
         down = self._button if kind == 'move' else 'left'
         self.send(
             'Input.dispatchMouseEvent', type=name, x=x, y=y, button=down, pointerType=device,
-            buttons=int(kind == 'press' or down == 'left' and kind == 'move'),
+            buttons=int(kind == 'press' or (down == 'left' and kind == 'move')),
             clickCount=int(kind != 'move'),
         )  # fmt: skip
         self._button = {'press': 'left', 'release': 'none'}.get(kind, self._button)

@@ -11,8 +11,8 @@ from cnc_interp_msgs.msg import MachineState
 from nodes_under_test import NodesUnderTest, clean_environment
 from std_msgs.msg import Float64
 
-from cnc_interp.client.page.contact import INTERRUPTED
 from cnc_interp.nodes import qos
+from cnc_interp.page.contact import INTERRUPTED
 
 TOKEN = 'a test knows it'
 #: True while the page says that a key did nothing because the connection was interrupted.

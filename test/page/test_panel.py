@@ -17,30 +17,30 @@ from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState
 from diagnostic_msgs.msg import DiagnosticStatus
 from nodes_under_test import hear_ctrl_c
 
+from cnc_interp import page
 from cnc_interp.cli import main
-from cnc_interp.client import page
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.operator_client import SWITCHES
-from cnc_interp.client.page import server
-from cnc_interp.client.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
-from cnc_interp.client.page.desk import Job
-from cnc_interp.client.page.jog_pad import ARROWS, beat_of, step_of
-from cnc_interp.client.page.keyboard import KEYBOARD, MEANINGS
-from cnc_interp.client.page.override import RAPIDS
-from cnc_interp.client.page.preview import DRAWN, Preview, thinned
-from cnc_interp.client.page.readings import (
+from cnc_interp.client.shared_value import SharedValue
+from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.page import server
+from cnc_interp.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
+from cnc_interp.page.desk import Job
+from cnc_interp.page.dialogs import KEYBOARD, MEANINGS
+from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
+from cnc_interp.page.overrides import RAPIDS
+from cnc_interp.page.preview import DRAWN, Preview, thinned
+from cnc_interp.page.readings import (
     axis_words,
     clock,
     history_text,
     progress_words,
     words_before_start,
 )  # fmt: skip
-from cnc_interp.client.page.start_choice import WayAhead
-from cnc_interp.client.page.tube import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
-from cnc_interp.client.shared_value import SharedValue
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.page.scene import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
+from cnc_interp.page.start_choice import WayAhead
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.settings.choices import Settings
 
@@ -302,7 +302,7 @@ def test_keys_of_the_pad_become_beats_and_steps():
 
 def test_what_is_listed_of_the_keyboard_is_on_the_page():
     texts = Path(page.__file__).parent.glob('*.py')
-    marks = ''.join(t.read_text(encoding='utf-8') for t in texts if t.stem != 'keyboard')
+    marks = ''.join(t.read_text(encoding='utf-8') for t in texts if t.stem != 'dialogs')
     made = {f'rapid {percent}%' for percent in RAPIDS} | {s.replace('_', ' ') for s in SWITCHES}
     assert all(f"'{mark}'" in marks or mark in made for _, _, mark in KEYBOARD)
     assert {mark for _, _, mark in KEYBOARD} >= MEANINGS.keys()

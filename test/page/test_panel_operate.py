@@ -19,10 +19,9 @@ from cnc_interp_msgs.msg import MachineState, SetupTable
 from page_under_test import REFUSED, PanelUnderTest
 from std_msgs.msg import Float64
 
-from cnc_interp.client import page
-from cnc_interp.client.page.jog_pad import STALE
-from cnc_interp.client.page.pose_field import pose_request
+from cnc_interp import page
 from cnc_interp.nodes import qos
+from cnc_interp.page.hand_motion import STALE, pose_request
 from cnc_interp.program import JobSetup
 
 pytestmark = pytest.mark.skipif(

@@ -18,8 +18,8 @@ from browser import found
 from cnc_interp_msgs.msg import MachineState
 from page_under_test import REFUSED, PanelUnderTest
 
-from cnc_interp.client.page.contact import LATE
-from cnc_interp.client.page.jog_pad import STALE
+from cnc_interp.page.contact import LATE
+from cnc_interp.page.hand_motion import STALE
 
 pytestmark = pytest.mark.skipif(
     found() is None, reason='needs a browser: apt-get install chromium'

@@ -14,7 +14,7 @@ pytest.importorskip(
 
 from nodes_under_test import clean_environment
 
-from cnc_interp.client.page.access import TRIES
+from cnc_interp.page.access import TRIES
 
 
 @pytest.fixture(params=['::1', '0.0.0.0'])

@@ -32,6 +32,7 @@ FLOW = (
     'batch',
     'nodes',
     'client',
+    'page',
     'commands',
     'cli',
     '__main__',
@@ -54,7 +55,7 @@ PROOF_MAY_IMPORT = (
 )
 
 #: ROS is spoken here; messages, which are plain data, in ``wire`` too.
-ROS_ROOMS, MESSAGE_ROOM = ('nodes', 'client'), 'wire'
+ROS_ROOMS, MESSAGE_ROOM = ('nodes', 'client', 'page'), 'wire'
 # ament_index_python only finds installed files: any room may ask it.
 ROS_MODULES = ('rclpy', 'rosbags', 'rcl_interfaces', 'std_srvs')
 

@@ -24,7 +24,7 @@ from cnc_interp.wire.machine_report import NUMBERS, machine_report, state_of
 MOVING = set(State) - AT_REST
 ROOT = Path(__file__).parents[2]
 OPERATION = ROOT / 'docs' / 'operate' / 'operation.md'
-STYLE = ROOT / 'cnc_interp' / 'client' / 'page' / 'style.css'
+STYLE = ROOT / 'cnc_interp' / 'page' / 'style.css'
 
 
 def test_every_pair_of_state_and_event():

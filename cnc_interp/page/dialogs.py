@@ -1,4 +1,4 @@
-"""The dialog for offsets and tools: a table of each to edit, and touch-off."""
+"""The dialogs of a page: keyboard, settings of the next run, offsets and tools."""
 
 from __future__ import annotations
 
@@ -11,10 +11,130 @@ from typing import Any
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
-from cnc_interp.client.page.shown import act_on_shown
 from cnc_interp.client.setup_client import SetupClient, shown, unit_of
+from cnc_interp.core.errors import SettingsError
 from cnc_interp.core.units import MM
+from cnc_interp.page.contact import act_on_shown
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import Choice
+from cnc_interp.settings.form import filled_in, offered, settings_filled_in
+
+#: What the browser calls a key; what is printed on it; the key of the page.
+KEYBOARD = (
+    ('F1', 'F1', 'EMERGENCY STOP'),
+    ('Escape', 'Esc', 'feed hold'),
+    ('R', 'Shift + R', 'cycle start'),
+    ('-', '-', 'slower'),
+    ('+', '+', 'faster'),
+    ('0', '0', '100%'),
+    ('7', '7', 'rapid 25%'),
+    ('8', '8', 'rapid 50%'),
+    ('9', '9', 'rapid 100%'),
+    ('s', 'S', 'single block'),
+    ('o', 'O', 'optional stop'),
+    ('b', 'B', 'block delete'),
+    ('j', 'J', 'jog'),
+    ('p', 'P', 'pose'),
+    ('?', '?', 'keyboard'),
+)
+#: Names of keys, as the browser calls them, and the keys of the page.
+MARKS = {name: mark for name, _, mark in KEYBOARD}
+#: What is shown beside a key of the page that does not say it itself.
+MEANINGS = {
+    'slower': 'feed override 5 % less',
+    'faster': 'feed override 5 % more',
+    '100%': 'feed override 100 %',
+    'rapid 25%': 'rapid override 25 %',
+    'rapid 50%': 'rapid override 50 %',
+    'rapid 100%': 'rapid override 100 %',
+    'single block': 'single block on or off',
+    'optional stop': 'optional stop (M1) on or off',
+    'block delete': 'block delete on or off: lines that begin with a slash are left out',
+    'pose': 'show or hide the fields of a tool pose',
+    'jog': 'show or hide the keys that move an axis',
+    'keyboard': 'show or hide this list',
+}
+
+
+def keyboard_list() -> Any:
+    """Make the dialog that lists the keys of the keyboard."""
+    with ui.dialog() as dialog, ui.card().classes('settings'):
+        ui.label('keyboard').classes('title')
+        with ui.element('div').classes('map'):
+            for _, printed, mark in KEYBOARD:
+                ui.html(f'<kbd>{printed}</kbd>', sanitize=False)
+                ui.label(MEANINGS.get(mark, mark))
+            ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
+            ui.label('X, Y, Z while the key is held and the jog keys are shown')
+            ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
+            ui.label('in the MDI field: execute the line; show the lines before')
+        ui.label(
+            'Space and Enter never press a key that moves the machine. '
+            'Enter executes the line in the MDI field.'
+        ).classes('small')
+    return dialog
+
+
+class SettingsDialog:
+    """One field for each choice, its unit beside it."""
+
+    def __init__(self, use: Callable[[Settings], Awaitable[None]]):
+        self._use = use
+        self._settings = Settings()
+        self._fields: dict[str, Any] = {}
+        self._dialog = ui.dialog()
+
+    def open(self, settings: Settings) -> None:
+        """
+        Show settings to be changed.
+
+        The fields are made anew: values set from here into old ones come a moment after the dialog
+        is seen, and would overwrite what was typed at once.
+        """
+        self._settings = settings
+        self._dialog.clear()
+        with self._dialog, ui.card().classes('settings'):
+            ui.label('settings of the next run').classes('title')
+            with ui.element('div').classes('fields'):
+                texts = filled_in(settings)
+                self._fields = {c.name: self._field(c, texts[c.name]) for c in offered()}
+            with ui.element('div').classes('ends'):
+                self._key('defaults').on('click', lambda: self.open(Settings()))
+                self._key('cancel').on('click', self._dialog.close)
+                act_on_shown(self._key('use'), 'click', self._fields.values(), self._accept)
+        self._dialog.open()
+
+    @staticmethod
+    def _key(text: str) -> Any:
+        return ui.button(text).props(f'dense no-caps unelevated data-mark="{text} settings"')
+
+    @staticmethod
+    def _field(choice: Choice, text: str) -> Any:
+        """Make the field of a choice, its sentence before it."""
+        ui.label(choice.sentence).classes('name')
+        field: Any
+        if choice.kind is bool:
+            field = ui.switch(value=text == 'true')
+        elif choice.values:
+            field = ui.select(list(choice.values), value=text)
+        else:
+            field = ui.input(value=text).props(f'suffix="{choice.unit.name}"')
+        return field.props(f'dense data-mark="setting {choice.name}"')
+
+    async def _accept(self) -> None:
+        """Hand the settings over, or say which field is wrong."""
+        values = {name: field.value for name, field in self._fields.items()}
+        texts = {k: str(v).lower() if isinstance(v, bool) else v or '' for k, v in values.items()}
+        try:
+            settings = settings_filled_in(self._settings, texts)
+        except SettingsError as problem:
+            sentence = next(c.sentence for c in offered() if c.name == problem.name)
+            ui.notify(f'{sentence}: {problem.reason}', type='negative')
+            return
+        self._dialog.close()
+        await self._use(settings)
+
 
 Command = Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]]
 LENGTHS = ('length', 'radius', 'corner_radius')

@@ -30,7 +30,7 @@ from cnc_interp.processes.node_processes import Children
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 
 if TYPE_CHECKING:
-    from cnc_interp.client.page.server import Served
+    from cnc_interp.page.server import Served
 
 #: Environment variable with the process of the run; the page ends when that process ends.
 PARENT = 'CNC_INTERP_PARENT'
@@ -88,7 +88,7 @@ def run_panel(request: PanelRequest) -> None:
 
     """
     need_library()
-    from cnc_interp.client.page.server import Served
+    from cnc_interp.page.server import Served
 
     token = token_of(request.token_file)
     served = Served.prepare(request.host, request.port, token, request.program)
@@ -180,7 +180,7 @@ def is_loopback(host: str) -> bool:
 
 def until_asked(served: Served, namespace: str, domain: int) -> None:
     """Serve; Ctrl-C is the way to end it and no fault."""
-    from cnc_interp.client.page.server import serve
+    from cnc_interp.page.server import serve
 
     with contextlib.suppress(KeyboardInterrupt):
         serve(served, namespace, domain)

@@ -16,15 +16,15 @@ from cnc_interp_msgs.msg import LoadedProgram, ModalState
 
 from cnc_interp.client.mdi import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
-from cnc_interp.client.page.preview import Planner, Preview
-from cnc_interp.client.page.start_choice import StartChoice, Way, WayAhead
-from cnc_interp.client.page.tube import tube
 from cnc_interp.client.setup_client import SetupClient
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.page.preview import Planner, Preview
+from cnc_interp.page.scene import tube
+from cnc_interp.page.start_choice import StartChoice, Way, WayAhead
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from

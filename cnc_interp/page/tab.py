@@ -9,25 +9,17 @@ from typing import Any
 from nicegui import events, ui
 
 from cnc_interp.client.operator_client import SWITCHES, Answer
-from cnc_interp.client.page.access import Access
-from cnc_interp.client.page.charts import Charts
-from cnc_interp.client.page.contact import AGAIN, LATE, Contact, pressing
-from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk, in_program
-from cnc_interp.client.page.jog_pad import JogPad
-from cnc_interp.client.page.keyboard import keyboard_list
-from cnc_interp.client.page.listing import Listing
-from cnc_interp.client.page.mdi_line import MdiField
-from cnc_interp.client.page.messages import Messages
-from cnc_interp.client.page.override import OverrideSlider, RapidKeys
-from cnc_interp.client.page.pose_field import PoseField
-from cnc_interp.client.page.readings import NOTHING, progress, readings
-from cnc_interp.client.page.scene import VIEWS, MachineView
-from cnc_interp.client.page.settings_dialog import SettingsDialog
-from cnc_interp.client.page.setup_dialog import SetupDialog
-from cnc_interp.client.page.start_field import StartField
-from cnc_interp.client.page.switch import Switch
-from cnc_interp.client.page.tube import SCALE
 from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.page.access import Access
+from cnc_interp.page.charts import Charts
+from cnc_interp.page.contact import AGAIN, LATE, Contact, pressing
+from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
+from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
+from cnc_interp.page.hand_motion import JogPad, PoseField
+from cnc_interp.page.overrides import OverrideSlider, RapidKeys, Switch
+from cnc_interp.page.program_column import Listing, MdiField, StartField
+from cnc_interp.page.readings import NOTHING, Messages, progress, readings
+from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.settings.choices import Settings
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].

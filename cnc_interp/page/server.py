@@ -3,25 +3,52 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import socket
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from fastapi import HTTPException, Request, Response
 from nicegui import app, ui
 
-from cnc_interp.client.page.access import Access, TooManyTriesError
-from cnc_interp.client.page.command import PARENT
-from cnc_interp.client.page.desk import LONGEST_PROGRAM, Desk
-from cnc_interp.client.page.gate import Gate
-from cnc_interp.client.page.scripts import scripts
-from cnc_interp.client.page.tab import Page
 from cnc_interp.core.errors import InterpError
+from cnc_interp.page.access import Access, Gate, TooManyTriesError
+from cnc_interp.page.command import PARENT
+from cnc_interp.page.contact import AGAIN
+from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.page.dialogs import MARKS
+from cnc_interp.page.hand_motion import ARROWS, STALE
+from cnc_interp.page.tab import Page
 from cnc_interp.processes.stop_signals import stops_later
+
+#: The scripts in the order in which they are loaded, and the values in capitals in them.
+SCRIPTS: Mapping[str, Mapping[str, Any]] = {
+    'contact': {},
+    'listing': {},
+    'keyboard': {'MARKS': MARKS},
+    'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN},
+    'scene': {},
+}
+
+
+def scripts() -> str:
+    """Return all scripts, for the head of the page."""
+    return ''.join(f'<script>{_text(name, values)}</script>' for name, values in SCRIPTS.items())
+
+
+def _text(name: str, values: Mapping[str, Any]) -> str:
+    """Return a script with its values."""
+    text = Path(__file__).with_name(f'{name}.js').read_text(encoding='utf-8')
+    for word, value in values.items():
+        text = text.replace(word, json.dumps(value), 1)
+    return text
+
 
 STYLE = Path(__file__).with_name('style.css')
 #: How often the desk looks after programs and the machine's name [s].

@@ -1,17 +1,19 @@
-"""Numbers as words of the shop floor: what the read-outs of the page say."""
+"""What a page tells: numbers as words of the shop floor, and messages."""
 
 from __future__ import annotations
 
 import math
 from html import escape
 
-from cnc_interp.client.alarms import Alarm
+from nicegui import ui
+
+from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.operator_client import MachineState
-from cnc_interp.client.page.desk import Desk
-from cnc_interp.client.page.preview import Preview
 from cnc_interp.client.setup_client import shown, work_coordinates
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.page.desk import Desk
+from cnc_interp.page.preview import Preview
 from cnc_interp.wire.machine_report import state_of
 
 NOTHING = '–'
@@ -144,3 +146,47 @@ def history_text(alarms: list[Alarm]) -> str:
         f'{alarm.time}  {alarm.level:<8}{alarm.source}: {alarm.message}  ({alarm.count})\n'
         for alarm in reversed(alarms)
     )
+
+
+#: Messages shown beside the program.
+SHOWN = 30
+
+
+class Messages:
+    """The messages in one page."""
+
+    def __init__(self, alarms: AlarmList):
+        self._alarms = alarms
+        self._shown: list[Alarm] | None = None
+        with ui.dialog() as self._dialog, ui.card().classes('settings'):
+            ui.label('messages, the newest first').classes('title')
+            self._history = ui.html('', sanitize=False).classes('history')
+            with ui.element('div').classes('ends'):
+                self._key('save', self._save)
+                self._key('close', self._dialog.close)
+        with ui.element('div').classes('title messages'):
+            ui.html('<h2>messages</h2>', sanitize=False).classes('grow')
+            self._key('history', self._open)
+            self._key('clear', alarms.clear)
+        self._list = ui.html('', sanitize=False).classes('alarms')
+
+    @staticmethod
+    def _key(text: str, act: object) -> None:
+        key = ui.button(text, on_click=act)
+        key.props(f'dense no-caps unelevated color=blue-grey-8 data-mark="{text} messages"')
+
+    def _open(self) -> None:
+        """Show everything that is kept."""
+        self._history.set_content(alarms_html(self._alarms.history) or '<p>none</p>')
+        self._dialog.open()
+
+    def _save(self) -> None:
+        """Let the user keep the history as a file."""
+        ui.download(history_text(self._alarms.history).encode(), 'cnc_interp_messages.txt')
+
+    def show(self) -> None:
+        """Show what is new."""
+        alarms = self._alarms.newest_first[:SHOWN]
+        if alarms != self._shown:
+            self._shown = alarms
+            self._list.set_content(alarms_html(alarms))

@@ -1,7 +1,7 @@
 """
-The pad of a page that moves axes by hand: while a key is held, or by steps.
+Motion by hand on a page: keys that move an axis while they are held or by steps, and a pose.
 
-The browser repeats a beat while a key is held (``jog_pad.js``), and each one becomes a beat of
+The browser repeats a beat while a key is held (``hand_motion.js``), and each one becomes a beat of
 topic ``jog``. It names the last beat of the server that the page has heard. So a beat that was on
 its way for long is known, and does not count.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -22,6 +23,7 @@ from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.axes import Axis
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.page.contact import act_on_shown
 
 #: Arrow keys of the keyboard: axis and direction.
 ARROWS = {
@@ -161,3 +163,74 @@ class JogPad:
         if self._may_move() and (is_fresh or not name):
             share = (1 if sign > 0 else -1) * self.speed
             self._nodes.beat(beat_of(str(name), share, self._names))
+
+
+TIP, AXIS = 'XYZ', 'IJK'
+
+
+def pose_request(texts: dict[str, str], speed: float) -> MoveAxes.Request:
+    """Return the request that moves the tool to a pose; an empty field stays as it is."""
+    values = {name: float(text.replace(',', '.')) for name, text in texts.items() if text}
+    if not values or not all(map(math.isfinite, values.values())):
+        raise ValueError('write numbers')
+    request = MoveAxes.Request(speed=speed)
+    request.tip = [values.get(name, math.nan) * MM for name in TIP]
+    if set(values) & set(AXIS):
+        request.axis = [values.get(name, 0.0) for name in AXIS]
+    return request
+
+
+class PoseField:
+    """The fields in one page."""
+
+    def __init__(
+        self,
+        nodes: OperatorClient,
+        speed: Callable[[], float],
+        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
+    ):
+        self._nodes, self._speed, self._command = nodes, speed, command
+        self._fields: dict[str, Any] = {}
+        with ui.element('div').classes('pose') as self._box:
+            ui.label('go to a pose: tool tip in the workpiece, mm; tool axis').classes(
+                'small wide'
+            )
+            for name in TIP + AXIS:
+                field = ui.input()
+                field.props(f'dense outlined inputmode=decimal autocomplete=off prefix={name}')
+                self._fields[name] = field.props(f'data-mark="pose {name}"')
+            self._key('here').on('click', self._take_here)
+            go = self._key('go there').classes('moves')
+            act_on_shown(go, 'click', self._fields.values(), self._go)
+        self._box.set_visibility(False)
+
+    @staticmethod
+    def _key(text: str) -> Any:
+        key = ui.button(text, color='blue-grey-8')
+        return key.props(f'dense unelevated no-caps data-mark="{text}"')
+
+    def toggle(self) -> None:
+        """Show the fields, or hide them."""
+        self._box.set_visibility(not self._box.visible)
+
+    def _take_here(self) -> None:
+        """Write where the tool is."""
+        if (state := self._nodes.state) is not None:
+            texts = [f'{value / MM:z.3f}' for value in state.tip]
+            texts += [f'{value:z.5f}' for value in state.axis]
+            for field, text in zip(self._fields.values(), texts, strict=True):
+                field.set_value(text)
+
+    async def _go(self) -> None:
+        """Move to what the fields say."""
+        texts = {name: str(field.value or '').strip() for name, field in self._fields.items()}
+        try:
+            request = pose_request(texts, self._speed())
+        except ValueError:
+            ui.notify('write numbers; a field that is empty stays as it is', type='warning')
+            return
+
+        async def moved() -> Answer:
+            return await asyncio.wrap_future(self._nodes.move_axes(request))
+
+        await self._command(moved)

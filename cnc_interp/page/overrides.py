@@ -1,8 +1,8 @@
-"""The feed override and the rapid override on a page."""
+"""The keys of a page that set a value: feed override, rapid override, and switches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from nicegui import events, ui
@@ -119,3 +119,26 @@ class RapidKeys:
             on = percent == lit
             colour, pressed = ('primary', 'true') if on else ('blue-grey-9', 'false')
             key.props(f'color={colour} aria-pressed={pressed}')
+
+
+class Switch:
+    """The switch in one page."""
+
+    def __init__(
+        self, name: str, is_on: Callable[[], bool], turn: Callable[[bool], Awaitable[None]]
+    ):
+        self._is_on, self._turn, self._shown = is_on, turn, False
+        self.key = ui.button(name, on_click=self._press, color='blue-grey-9').classes('switch')
+        self.key.props(f'unelevated no-caps data-mark="{name}" aria-pressed=false')
+
+    async def _press(self) -> None:
+        await self._turn(not self._is_on())
+
+    def show(self) -> None:
+        """Light the key while it is on."""
+        if self._is_on() != self._shown:
+            self._shown = not self._shown
+            self.key.props(
+                f'color={"primary" if self._shown else "blue-grey-9"} '
+                f'aria-pressed={"true" if self._shown else "false"}'
+            )

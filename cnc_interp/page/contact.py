@@ -6,6 +6,9 @@ stop is sent by the page until it is answered (``contact.js``), and everything e
 for a page that has lately heard the server: it answers each beat, and its words come in order.
 A browser too slow for all that is sent gets less of it, for what waits in between is old, and a
 tab that nobody sees gets nothing but the beat.
+
+The server has a copy of the text in each field, which is old after such a break. So a key that
+reads fields sends the texts in them when pressed (``act_on_shown``).
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
 from nicegui import events, ui
@@ -80,3 +83,19 @@ class Contact:
 def pressing(name: str) -> dict[str, Any]:
     """Return what makes a key send one of ``STOPS``, as keywords of its listener."""
     return {'type': 'click', 'js_handler': f'() => contact.stop({json.dumps(name)})'}
+
+
+def act_on_shown(
+    element: Any, kind: str, fields: Iterable[Any], act: Callable[[], Awaitable[None]]
+) -> None:
+    """Have an element act on an event, after its fields have got the texts that the page shows."""
+
+    async def acted(event: events.GenericEventArguments) -> None:
+        shown = event.args if isinstance(event.args, dict) else {}
+        for field in fields:
+            text = shown.get(field.props['data-mark'])
+            if isinstance(field, ui.input) and isinstance(text, str):
+                field.set_value(text)
+        await act()
+
+    element.on(kind, acted, js_handler='() => emit(shown())')

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from cnc_interp.client.page.desk import SPAN, Desk, Moment
 from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.page.desk import SPAN, Desk, Moment
 
 INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'

@@ -1,0 +1,167 @@
+"""The program column of a page: the text, the line of the next start, and lines by hand (MDI)."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import events, ui
+
+from cnc_interp.client.mdi import LineHistory, modes_text
+from cnc_interp.client.operator_client import Answer
+from cnc_interp.page.contact import act_on_shown
+from cnc_interp.page.desk import Job
+from cnc_interp.page.readings import NOTHING
+
+
+class Listing:
+    """The text of the program in one page; it follows the executed line until its user scrolls."""
+
+    def __init__(self) -> None:
+        self._number = -1
+        self._marked = (0, 0, 0)
+        ui.html('<ol></ol>', sanitize=False).classes('lines').props('tabindex=0 data-mark="lines"')
+        key = ui.button('to the line').props('dense no-caps unelevated color=blue-grey-8')
+        key.props('data-mark="to the line"').classes('to-line')
+        key.on('click', js_handler='() => listing.follow()')
+
+    def show(self, job: Job | None, line: int, start: int) -> None:
+        """
+        Show a program.
+
+        Parameters
+        ----------
+        job : Job, optional
+            The program.
+        line : int
+            The line that is executed; 0 if none is.
+        start : int
+            The line at which the run starts; 0 for the top.
+
+        """
+        number = job.number if job is not None else 0
+        marked = line, job.fault_line if job is not None else 0, start
+        if number != self._number:
+            ui.run_javascript(f'listing.load({number})')
+        if (number, marked) != (self._number, self._marked):
+            ui.run_javascript(f'listing.mark({", ".join(map(str, marked))})')
+        self._number, self._marked = number, marked
+
+    def show_again(self) -> None:
+        """Show everything anew: the page has come back."""
+        self._number = -1
+
+
+class StartField:
+    """Line, pass, and two keys. A line of the program's text is chosen by pressing it, too."""
+
+    def __init__(
+        self,
+        choose: Callable[[int, int], Answer],
+        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
+    ):
+        self._choose, self._command = choose, command
+        with ui.element('div').classes('start-field'):
+            self._line = self._field('line', 'start line')
+            self._pass = self._field('pass', 'start pass')
+            self._pass.tooltip('which execution of the line, where loops or calls repeat it')
+            here, top = self.keys = self._key('start here'), self._key('from the top')
+            act_on_shown(here, 'click', (self._line, self._pass), self._take)
+            top.on('click', lambda: self._give(0, 0))
+        ui.on('pick_line', self._pick)
+
+    @staticmethod
+    def _field(text: str, mark: str) -> Any:
+        field = ui.input(placeholder=text)
+        return field.props(f'dense outlined inputmode=numeric autocomplete=off data-mark="{mark}"')
+
+    @staticmethod
+    def _key(text: str) -> Any:
+        key = ui.button(text)
+        return key.props(f'dense no-caps unelevated color=blue-grey-8 data-mark="{text}"')
+
+    def clear(self) -> None:
+        """Forget the line: another program is loaded."""
+        self._fill('', '')
+
+    def _fill(self, line: str, which: str) -> None:
+        self._line.set_value(line)
+        self._pass.set_value(which)
+
+    def _pick(self, event: events.GenericEventArguments) -> None:
+        """Take the line that was pressed in the text."""
+        self._fill(str(event.args['line']), '')
+
+    async def _take(self) -> None:
+        """Choose what the fields say."""
+        texts = [str(field.value or '').strip() for field in (self._line, self._pass)]
+        if texts[0].isdecimal() and (texts[1].isdecimal() or not texts[1]):
+            await self._give(int(texts[0]), int(texts[1] or 0))
+        else:
+            ui.notify('press a line of the program, or write its number', type='warning')
+
+    async def _give(self, line: int, which: int) -> None:
+        async def chosen() -> Answer:
+            return self._choose(line, which)
+
+        if not line:
+            self.clear()
+        await self._command(chosen)
+
+
+class MdiField:
+    """The field in one page. Enter gives the line, up and down show those before."""
+
+    def __init__(
+        self,
+        history: LineHistory,
+        give: Callable[[str], Awaitable[Answer]],
+        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
+    ):
+        self._history, self._give, self._command = history, give, command
+        self._age, self._busy = -1, False
+        with ui.element('div').classes('mdi'):
+            self._modes = ui.label(NOTHING).classes('small').props('data-mark="modes"')
+            self.field = ui.input(placeholder='MDI: a line of G-code, Enter')
+            self.field.props('dense outlined autocomplete=off spellcheck=false data-mark="mdi"')
+            act_on_shown(self.field, 'keydown.enter', (self.field,), self._enter)
+            self.field.on('keydown.up', lambda: self._recall(1))
+            self.field.on('keydown.down', lambda: self._recall(-1))
+            self._told = ui.label().classes('small').props('data-mark="mdi answer"')
+
+    def show(self, whose: str, modes: Any) -> None:
+        """Show whose modal state it is, and the ``ModalState``; None where it is not known."""
+        text = f'{whose}: {NOTHING if modes is None or not modes.codes else modes_text(modes)}'
+        if self._modes.text != text:
+            self._modes.set_text(text)
+
+    def _recall(self, step: int) -> None:
+        """Show an older or a newer line."""
+        self._age, line = self._history.at(self._age + step)
+        self.field.set_value(line)
+
+    async def _enter(self) -> None:
+        """Give the line."""
+        line = str(self.field.value or '').strip()
+        if not line or self._busy:
+            return
+
+        async def given() -> Answer:
+            self._history.add(line)
+            self._age = -1
+            self._tell(f'{line}: moving', failed=False)
+            answer = await self._give(line)
+            if answer.ok and str(self.field.value).strip() == line:
+                self.field.set_value('')
+            self._tell(answer.message if not answer.ok else f'{line}: done', not answer.ok)
+            return answer
+
+        self._busy = True
+        try:
+            await self._command(given)
+        finally:
+            self._busy = False
+
+    def _tell(self, text: str, failed: bool) -> None:
+        self._told.set_text(text)
+        self._told.classes(add='failed' if failed else '', remove='' if failed else 'failed')

@@ -68,7 +68,12 @@ class AlarmList:
 
     def clear(self) -> None:
         """Hide what there is now. It stays in the history."""
-        self._cleared = set(self._alarms)
+        self.hide(lambda _: True)
+
+    def hide(self, gone: Callable[[Alarm], bool]) -> None:
+        """Hide some of what there is now, as ``clear``."""
+        before, now = self._cleared, list(self._alarms)
+        self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def add(self, level: str, source: str, message: str) -> None:
         """Add an alarm with the time of day, unless it is serious and was just told by another."""

@@ -6,13 +6,16 @@ import os
 from concurrent.futures import Future
 from typing import Any
 
+import numpy as np
 from cnc_interp_msgs.msg import SetupTable
 from cnc_interp_msgs.srv import SetOffset, SetTool, TouchOff
 
 from cnc_interp.client.operator_client import Answer, OperatorClient
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
+from cnc_interp.program.frames import rotation
 from cnc_interp.program.job import ROTATION
 from cnc_interp.program.setup_requests import work_coordinates as coordinates_of
 
@@ -78,9 +81,11 @@ def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float
     return zero | {ROTATION: 0.0} | dict(setup.work_offsets.get(name, {}))
 
 
-def work_coordinates(table: SetupTable, setup: JobSetup, positions: Any) -> dict[str, float]:
+def work_coordinates(
+    table: SetupTable, setup: JobSetup, positions: Any, name: str = '', tip: Any = None
+) -> dict[str, float]:
     """
-    Return what the coordinates read with the active offset, G92 and the tool in the spindle.
+    Return what the coordinates read with a work offset, G92 and the tool in the spindle.
 
     Parameters
     ----------
@@ -90,6 +95,10 @@ def work_coordinates(table: SetupTable, setup: JobSetup, positions: Any) -> dict
         The same as offsets and tools.
     positions : sequence of float
         Positions of the axes of the machine [m, rad].
+    name : str
+        The work offset; empty for the active one.
+    tip : sequence of float, optional
+        The tool tip in W [m]: X Y Z are its coordinates, as with tool-tip programming.
 
     Returns
     -------
@@ -98,4 +107,40 @@ def work_coordinates(table: SetupTable, setup: JobSetup, positions: Any) -> dict
 
     """
     machine = dict(zip(table.axes, positions, strict=False))
-    return coordinates_of(setup, '', machine, dict(zip(table.axes, table.zero, strict=True)))
+    zero = dict(zip(table.axes, table.zero, strict=True))
+    if tip is not None:
+        machine |= {letter: zero[letter] + x for letter, x in zip('XYZ', tip, strict=True)}
+    return coordinates_of(setup, name, machine, zero)
+
+
+def zero_here(
+    table: SetupTable, setup: JobSetup, name: str, reads: dict[str, float], letter: str
+) -> dict[str, float]:
+    """
+    Return the values of a work offset with which one coordinate reads 0 [m, rad].
+
+    Parameters
+    ----------
+    table, setup, name
+        As of ``work_coordinates``.
+    reads : dict
+        What it returned.
+    letter : str
+        The coordinate.
+
+    """
+    row = offset_row(table, setup, name)
+    change = {letter: reads[letter]}
+    if letter in 'XY' and row[ROTATION]:
+        x, y = rotation(2, row[ROTATION])[:2, 'XY'.index(letter)] * reads[letter]
+        change = {'X': float(x), 'Y': float(y)}
+    return {each: row[each] + value for each, value in change.items()}
+
+
+def work_zero(table: SetupTable, setup: JobSetup, name: str) -> tuple[FloatArray, float]:
+    """Return where X0 Y0 Z0 of a work offset with G92 lies in W [m], and its rotation [rad]."""
+    row = offset_row(table, setup, name)
+    zero = dict(zip(table.axes, table.zero, strict=True))
+    added = [setup.g92.get(letter, 0.0) if setup.g92_on else 0.0 for letter in 'XYZ']
+    place = np.array([row[letter] - zero[letter] for letter in 'XYZ'])
+    return place + rotation(2, row[ROTATION]) @ added, row[ROTATION]

@@ -16,7 +16,7 @@ from cnc_interp_msgs.msg import LoadedProgram, ModalState
 
 from cnc_interp.client.mdi import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
-from cnc_interp.client.setup_client import SetupClient
+from cnc_interp.client.setup_client import SetupClient, work_coordinates, zero_here
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.description.links import Description, describe_machine
@@ -25,12 +25,15 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview
 from cnc_interp.page.scene import tube
 from cnc_interp.page.start_choice import StartChoice, Way, WayAhead
+from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from
 
 #: History that the charts show, and the rate it is kept at [s].
 SPAN, STEP = 30.0, 0.1
+#: The code of tool-tip programming (TCP) in the modal state.
+TIP_CODE = 'TRAORI'
 #: Larger programs are not taken from a browser [bytes].
 LONGEST_PROGRAM = 64 << 20
 
@@ -38,6 +41,12 @@ LONGEST_PROGRAM = 64 << 20
 def in_program(state: MachineState | None) -> bool:
     """Tell whether a program is being executed, or was interrupted and can be continued."""
     return state is not None and (state.state == MachineState.RUNNING or state.may_resume)
+
+
+def is_text(text: str) -> bool:
+    """Tell whether a file that was read as text is one."""
+    strange = sum(text.count(mark) for mark in ('\0', '\ufffd'))
+    return '\0' not in text and strange <= len(text) / 50
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,7 @@ class Job:
     plan: Preview | None = None  #: Its plan, once there is one.
     status: str = 'planning'  #: What is being done with it, or why it cannot be run.
     failed: bool = False  #: Whether it cannot be run.
-    fault_line: int = 0  #: Line that is wrong; 0 if none is.
+    fault_lines: tuple[int, ...] = ()  #: Lines that are wrong.
     proven: bool | None = None  #: Result of the last check.
     #: Text of the offsets and tools that it is planned with; empty where its settings name them.
     setup: str = ''
@@ -75,10 +84,17 @@ class Job:
         return same_text and texts_of(self.settings) == texts_of(settings)
 
     def refuse(self, reason: str) -> None:
-        """Store why it cannot be run, and the line that is named in the reason."""
-        self.status, self.failed = reason, True
-        named = re.match(rf'{re.escape(self.name)}:(\d+):', reason)
-        self.fault_line = int(named[1]) if named else 0
+        """Store why it cannot be run, one reason in a line, and the lines of it that they name."""
+        first, *others = reason.splitlines()
+        self.status, self.failed = first, True
+        if others:
+            self.status += f' (and {len(others)} more, see the messages)'
+        named = re.compile(rf'{re.escape(self.name)}:(\d+):.*?(?:\(also lines? ([\d, ]+).*)?')
+        found = [match for text in (first, *others) if (match := named.fullmatch(text))]
+        numbers = (number for match in found for number in re.findall(r'\d+', ' '.join(
+            part for part in match.groups() if part
+        )))  # fmt: skip
+        self.fault_lines = tuple(sorted(set(map(int, numbers))))
 
     def goal(self, start: StartChoice) -> RunProgram.Goal:
         """Return the goal that runs it, with its text and the choices that are not defaults."""
@@ -187,6 +203,8 @@ class Desk:
         if self._planner is None:
             return Answer(False, 'the nodes do not answer yet: wait, then press again')
         state = self.nodes.state
+        if not is_text(text):
+            return Answer(False, f'{name} is no text: choose a file with a program')
         if in_program(state):
             return Answer(
                 False,
@@ -201,6 +219,8 @@ class Desk:
         state = self.nodes.state
         if self._planner is None or not in_program(state):
             return Answer(False, 'no program is running: load this one and press cycle start')
+        if not is_text(text):
+            return Answer(False, f'{name} is no text: choose a file with a program')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
         return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
 
@@ -254,8 +274,10 @@ class Desk:
     def _set_job(self, planner: Planner, job: Job) -> Job:
         """Make a job the loaded one and plan it."""
         self._jobs += 1
+        before = self.job.name if self.job is not None else ''
+        self.nodes.alarms.hide(lambda alarm: alarm.source in ('program', before))
         job.number, job.status, job.proven = self._jobs, 'planning', None
-        job.failed, job.fault_line = False, 0
+        job.failed, job.fault_lines = False, ()
         self.job = job
         self._begin(self._plan(planner, job))
         return job
@@ -273,8 +295,8 @@ class Desk:
             plan = await planner.plan(job.path, job.settings, see_progress, job.setup)
         except InterpError as problem:
             job.refuse(str(problem))
-            if self.job is job:
-                self.nodes.alarms.add('error', 'program', str(problem))
+            for line in reversed(str(problem).splitlines()) if self.job is job else ():
+                self.nodes.alarms.add('error', 'program', line)
             return
         if self.job is not job:
             return
@@ -292,8 +314,12 @@ class Desk:
     def check(self) -> Answer:
         """Prove the plan of the loaded program."""
         job, planner = self.job, self._planner
-        if planner is None or job is None or job.plan is None:
+        if planner is None or job is None:
             return Answer(False, 'no program is loaded: press load')
+        if job.plan is None:
+            return Answer(
+                False, job.status if job.failed else 'the program is being planned'
+            )
         job.status = 'checking'
         self._begin(self._check(planner, job))
         return Answer(True, 'checking')
@@ -376,6 +402,37 @@ class Desk:
             return 'MDI', self.nodes.modes
         mine = active is not None and active.program_id == state.program_id
         return 'executed', active if mine else None
+
+    def codes(self) -> tuple[str, ...]:
+        """Return the modal codes that count now; none where they are not known."""
+        modes = self.modes()[1]
+        return tuple(modes.codes) if modes is not None else ()
+
+    def offset(self) -> str:
+        """Return the name of the work offset that counts now."""
+        named = [code for code in self.codes() if code in WORK_OFFSETS]
+        return named[0] if named else self.setup.setup.offset
+
+    def program_coordinates(self, state: MachineState) -> dict[str, float]:
+        """Return what a program would read here, of the tip with tool-tip programming on."""
+        table, setup = self.setup.table, self.setup.setup
+        if table is None:
+            return {}
+        tip = state.tip if TIP_CODE in self.codes() else None
+        return work_coordinates(table, setup, state.positions, self.offset(), tip)
+
+    async def zero(self, letter: str) -> Answer:
+        """Set the work offset that counts so that a coordinate reads 0 here."""
+        table, setup, state = self.setup.table, self.setup.setup, self.nodes.state
+        if table is None or state is None:
+            return Answer(False, 'the nodes do not answer yet: wait, then press again')
+        if not state.resting:
+            return Answer(False, f'zero {letter}: the axes still move; press again when they rest')
+        reads, name = self.program_coordinates(state), self.offset()
+        values = zero_here(table, setup, name, reads, letter)
+        axes, amounts = list(values), list(values.values())
+        asked = self.setup.ask('set_offset', offset=name, axes=axes, values=amounts)
+        return await asyncio.wrap_future(asked)
 
     async def give_line(self, text: str) -> Answer:
         """Have a line by hand executed; answered at its end."""

@@ -15,12 +15,14 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+import numpy as np
 from cnc_interp_msgs.msg import Jog
 from cnc_interp_msgs.srv import MoveAxes
 from nicegui import events, ui
 
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.core.units import MM
+from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
 from cnc_interp.machine_model.axes import Axis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.contact import act_on_shown
@@ -34,8 +36,10 @@ ARROWS = {
 TOOL = 'tool'
 #: Step of a key [mm, deg]; without one the axis moves while the key is held.
 HOLD, STEPS = 'hold', ('0.01', '0.1', '1', '10')
-#: Speed at the start, and the least one [% of the velocity limits].
-SPEED, LEAST_SPEED = 20, 1
+#: Speeds along a linear axis or the tool [mm/min], of a rotary axis [deg/min]; the one at first.
+SPEEDS, SPEED = ('100', '300', '1000', '3000', '10000'), '300'
+#: An axis nearer than this to the end of its travel is there [m, rad].
+AT_END = 1e-6
 #: A beat that names an older beat of the server was on its way for too long [s].
 STALE = 1.2
 
@@ -68,7 +72,8 @@ class JogPad:
         may_move: Callable[[], bool],
         command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
     ):
-        self._axes, self._names = machine.axes, machine.axis_names
+        self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
+        self._told = ''  # the end of travel that was told last
         self._nodes, self._may_move, self._command = nodes, may_move, command
         self._step = HOLD
         self._shown: list[bool] = []  # which axes are homed
@@ -81,10 +86,10 @@ class JogPad:
                     ui.label(name).classes('name')
                     self._key(name, 1)
             with ui.element('div').classes('slide'):
-                ui.label('speed')
-                self._speed = ui.slider(min=LEAST_SPEED, max=100, value=SPEED).props('dense')
+                ui.label('speed, mm/min or °/min')
+                self._speed = ui.toggle(list(SPEEDS), value=SPEED)
+                self._speed.props('dense no-caps unelevated color=blue-grey-9')
                 self._speed.props('data-mark="jog speed"')
-                ui.label().bind_text_from(self._speed, 'value', lambda value: f'{value:.0f}%')
             self._homes = self._home_keys(tuple(machine.homing.switches))
         self._pad.props(f'data-step={HOLD}').set_visibility(False)
         ui.on('jog', self._beat)
@@ -133,8 +138,39 @@ class JogPad:
 
     @property
     def speed(self) -> float:
-        """The share of the largest velocities that is chosen [-]."""
-        return float(self._speed.value) / 100
+        """The share of the largest velocities with which no axis passes the chosen speed [-]."""
+        return min(map(self._share, self._names))
+
+    def _share(self, name: str) -> float:
+        """Return the share of an axis' largest velocity, or of that along the tool [-]."""
+        speed = float(self._speed.value) / 60.0
+        if name == TOOL:
+            share = speed * MM / float(self._along_tool().limits[0, 0])
+        else:
+            axis = self._axes[self._names.index(name)]
+            share = speed * axis.shown_size / axis.max_velocity
+        return min(max(share, LEAST_SHARE), 1.0)
+
+    def _along_tool(self) -> Slides:
+        """Return the motion along the tool from where the axes stand."""
+        state = self._nodes.state
+        stands = np.zeros(len(self._names)) if state is None else np.array(state.positions)
+        return Slides.along_tool(self._machine, stands)
+
+    def _end(self, name: str, sign: int) -> str:
+        """Return at which end of its travel an axis stands, in words; empty if it can go on."""
+        state = self._nodes.state
+        if state is None or name not in (*self._names, TOOL):
+            return ''
+        if name == TOOL:
+            left, at = float(self._along_tool().travel[int(sign > 0)]), ''
+        else:
+            i = self._names.index(name)
+            axis = self._axes[i]
+            end = axis.travel[int(sign > 0)]
+            left = end - state.commanded_positions[i]
+            at = f': {axis.position_text(end)} {axis.shown_unit}'
+        return '' if abs(left) > AT_END else f'{name} is at the end of its travel{at}'
 
     def toggle(self) -> None:
         """Show the pad, or hide it."""
@@ -149,7 +185,8 @@ class JogPad:
         """Move by a step."""
         if self._step == HOLD:
             return
-        request = step_of(name, sign * float(self._step), self.speed, self._axes)
+        speed = self._share(name)
+        request = step_of(name, sign * float(self._step), speed, self._axes)
 
         async def moved() -> Answer:
             return await asyncio.wrap_future(self._nodes.move_axes(request))
@@ -161,8 +198,13 @@ class JogPad:
         name, sign, heard = (event.args[key] for key in ('name', 'sign', 'heard'))
         is_fresh = isinstance(heard, int | float) and time.monotonic() - heard <= STALE
         if self._may_move() and (is_fresh or not name):
-            share = (1 if sign > 0 else -1) * self.speed
+            known = name in (*self._names, TOOL)
+            share = (1 if sign > 0 else -1) * self._share(name) if known else 0.0
             self._nodes.beat(beat_of(str(name), share, self._names))
+            end = self._end(name, sign)
+            if end and end != self._told:
+                ui.notify(end, type='warning')
+            self._told = end
 
 
 TIP, AXIS = 'XYZ', 'IJK'

@@ -6,7 +6,7 @@ window.listing = {
   lines: [],
   number: 0,
   now: 0,
-  wrong: 0,
+  wrong: [], // numbers of refused lines
   start: 0,
   picked: 0,
   follows: true,
@@ -51,13 +51,13 @@ window.listing = {
   },
   go() {
     const [box] = this.parts();
-    const line = this.wrong || this.now;
+    const line = this.wrong[0] || this.now;
     if (box && this.follows && line) box.scrollTop = (line - 1) * this.ROW - 0.35 * box.clientHeight;
     this.draw();
   },
   say() {
     const key = document.querySelector('[data-mark="to the line"]');
-    if (key) key.style.visibility = this.follows || !(this.wrong || this.now) ? 'hidden' : '';
+    if (key) key.style.visibility = this.follows || !(this.wrong[0] || this.now) ? 'hidden' : '';
   },
   draw() {
     const [box, list] = this.parts();
@@ -75,7 +75,8 @@ window.listing = {
     const label = document.createElement('i');
     label.textContent = number;
     row.append(label, text);
-    for (const kind of ['picked', 'start', 'now', 'wrong']) if (number === this[kind]) row.className = kind;
+    for (const kind of ['picked', 'start', 'now']) if (number === this[kind]) row.className = kind;
+    if (this.wrong.includes(number)) row.className = 'wrong';
     return row;
   },
 };

@@ -163,7 +163,7 @@ class Planner:
         Raises
         ------
         InterpError
-            With the line that `cnc-interp plan` says; it names the program without its folder.
+            With what `cnc-interp plan` says, one reason in a line; without the program's folder.
 
         """
         if setup:
@@ -211,9 +211,10 @@ class Planner:
             raise InterpError('another program was loaded')
         self._process = None
         if process.returncode not in fine:
-            last = lines[-1] if lines else f'exit code {process.returncode}'
-            folder = f'{self._folder.name}/'
-            raise InterpError(last.removeprefix('cnc-interp: ').replace(folder, ''))
+            said = '\n'.join(lines) or f'exit code {process.returncode}'
+            _, found, reasons = said.rpartition('cnc-interp: ')  # one in a line
+            reasons = reasons if found else lines[-1] if lines else said
+            raise InterpError(reasons.replace(f'{self._folder.name}/', ''))
         return out.decode(), lines
 
     def stop(self) -> None:

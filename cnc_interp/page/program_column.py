@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -19,7 +20,7 @@ class Listing:
 
     def __init__(self) -> None:
         self._number = -1
-        self._marked = (0, 0, 0)
+        self._marked: tuple[int, tuple[int, ...], int] = (0, (), 0)
         ui.html('<ol></ol>', sanitize=False).classes('lines').props('tabindex=0 data-mark="lines"')
         key = ui.button('to the line').props('dense no-caps unelevated color=blue-grey-8')
         key.props('data-mark="to the line"').classes('to-line')
@@ -40,11 +41,11 @@ class Listing:
 
         """
         number = job.number if job is not None else 0
-        marked = line, job.fault_line if job is not None else 0, start
+        marked = line, job.fault_lines if job is not None else (), start
         if number != self._number:
             ui.run_javascript(f'listing.load({number})')
         if (number, marked) != (self._number, self._marked):
-            ui.run_javascript(f'listing.mark({", ".join(map(str, marked))})')
+            ui.run_javascript(f'listing.mark({", ".join(map(json.dumps, marked))})')
         self._number, self._marked = number, marked
 
     def show_again(self) -> None:

@@ -9,14 +9,16 @@ from nicegui import ui
 
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.operator_client import MachineState
-from cnc_interp.client.setup_client import shown, work_coordinates
+from cnc_interp.client.setup_client import shown
 from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.page.desk import Desk
+from cnc_interp.page.desk import TIP_CODE, Desk
 from cnc_interp.page.preview import Preview
 from cnc_interp.wire.machine_report import state_of
 
 NOTHING = '–'
+#: Shifts and turns of the program, whose amounts no node tells.
+NOT_SHOWN = ('G52', 'TRANS', 'ROT', 'G68', 'G68.2', 'CYCLE800')
 
 
 def readings(desk: Desk) -> dict[str, str]:
@@ -60,16 +62,14 @@ def axis_words(state: MachineState, machine: Machine) -> dict[str, str]:
 
 
 def work_words(desk: Desk, state: MachineState) -> dict[str, str]:
-    """Return coordinates with the active offset, and which offset and tool these are."""
-    table, setup = desk.setup.table, desk.setup.setup
-    if table is None:
-        return {}
-    words = {
-        f'work {letter}': shown(letter, value)
-        for letter, value in work_coordinates(table, setup, state.positions).items()
-    }
-    g92 = ' + G92' if setup.g92_on and setup.g92 else ''
-    words['setup'] = f'{setup.offset}{g92}, {f"tool {setup.tool}" if setup.tool else "no tool"}'
+    """Return the program's coordinates, and the offset and tool with which they read so."""
+    reads, setup = desk.program_coordinates(state), desk.setup.setup
+    words = {f'work {letter}': shown(letter, value) for letter, value in reads.items()}
+    codes = desk.codes()
+    parts = [desk.offset(), *(['G92'] if setup.g92_on and setup.g92 else [])]
+    parts += [f'without {code}' for code in codes if code in NOT_SHOWN]
+    tool = f'tool {setup.tool}' if setup.tool else 'no tool'
+    words['setup'] = f'{" + ".join(parts)}, {tool}{", tip" if TIP_CODE in codes else ""}'
     return words
 
 

@@ -217,6 +217,7 @@ class MachineView:
         self._shown = self._done = -1
         self._direction = np.array(VIEWS['iso'])
         self._triad: Any = None
+        self._zero: tuple[float, ...] = (0.0,) * 4  # X Y Z of the work offset in W [m], turn [rad]
         self._legs: tuple[tuple[str, FloatArray], ...] = ()
         self._drawn_way: Any = None
         self._hidden: list[Any] = []
@@ -293,6 +294,21 @@ class MachineView:
         self._show_triad()
         self.look_at_part(self._of_part)
 
+    def clear_path(self) -> None:
+        """Show no path: the program was refused."""
+        if self._path is not None:
+            self._path.delete()
+            self._path = None
+        self._shown = -1
+
+    def show_zero(self, place: FloatArray, turn: float) -> None:
+        """Show the axes of the workpiece at the zero of the work offset [m], turned [rad]."""
+        zero = (*(round(float(x), 6) for x in place), round(turn, 6))
+        if zero != self._zero:
+            self._zero = zero
+            if self._triad is not None:
+                self._show_triad()
+
     def show_done(self, point: int) -> None:
         """Show the path up to one of its drawn points as executed."""
         if self._path is None or point == self._done:
@@ -352,14 +368,15 @@ class MachineView:
         return (low + high) / 2, max(0.03, float(np.linalg.norm(high - low)) * 0.62)
 
     def _show_triad(self) -> None:
-        """Show the axes of the workpiece at its zero, as large as the path asks for."""
+        """Show the axes at the zero of the work offset, as large as the path asks for."""
         if self._triad is not None:
             self._triad.delete()
         low, high = self._extent
         size = max(0.03, float(np.linalg.norm(high - low)))
         length, radius = TRIAD_LENGTH * size, TRIAD_RADIUS * size
         with self._scene, self._workpiece:
-            self._triad = self._scene.group()
+            *place, turn = self._zero
+            self._triad = self._scene.group().move(*place).rotate(0.0, 0.0, turn)
             with self._triad:
                 for along, (name, colour) in zip(np.eye(3), TRIAD.items(), strict=True):
                     self._bar(radius, length, along * length / 2, along, colour)

@@ -9,6 +9,7 @@ from typing import Any
 from nicegui import events, ui
 
 from cnc_interp.client.operator_client import SWITCHES, Answer
+from cnc_interp.client.setup_client import work_zero
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.page.access import Access
 from cnc_interp.page.charts import Charts
@@ -38,6 +39,7 @@ class Page:
         self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted
         self._labels: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
+        self._zeros: list[Any] = []
         self._count = 0
         self._waits = False
         access.enter(tab, trusted)
@@ -82,14 +84,14 @@ class Page:
     def _build_readouts(self) -> None:
         axes = self._desk.machine.axes if self._desk.machine else ()
         with ui.element('div').classes('two'):
-            ui.html('<h2>machine axes</h2>', sanitize=False)
             self._label('setup', 'work')
+            ui.html('<h2>machine</h2>', sanitize=False)
         for axis in axes:
             with ui.element('div').classes('place'):
                 ui.label(axis.name).classes('name')
-                self._label(f'axis {axis.name}')
-                ui.label('mm' if axis.linear else '°').classes('unit')
-                self._label(f'work {axis.name}', 'work')
+                self._label(f'work {axis.name}').tooltip('in the program, mm or °')
+                self._label(f'axis {axis.name}', 'at').tooltip('of the machine, mm or °')
+                self._zero_keys(axis.name)
         for title, mark, letters in (
             ('tool tip in the workpiece, mm', 'tip', 'XYZ'), ('tool axis', 'tool', 'IJK'),
         ):  # fmt: skip
@@ -117,6 +119,18 @@ class Page:
             self._pair('largest contour error', 'largest contour', '')
             self._pair('without compensation', 'uncompensated', '')
         self._compensation.set_visibility(False)
+
+    def _zero_keys(self, letter: str) -> None:
+        """Make the keys that set a coordinate to zero here, and that go to its zero."""
+        desk = self._desk
+        for text, mark, act, hint in (
+            ('0', f'zero {letter}', lambda: desk.zero(letter), 'reads 0 here from now on'),
+            ('→0', f'go to zero {letter}', lambda: desk.give_line(f'G90 G0 {letter}0'),
+             'moves there at once, as a rapid'),
+        ):  # fmt: skip
+            key = ui.button(text, on_click=lambda _, act=act: self._command_in_sight(act))
+            key.props('dense flat no-caps').tooltip(f'{mark}: {hint}')
+            self._zeros.append(marked(key.classes('moves' if 'go' in mark else ''), mark))
 
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
@@ -368,6 +382,13 @@ class Page:
         self._show_lists()
         if state is not None and self._view is not None and desk.machine is not None:
             self._view.show(dict(zip(desk.machine.axis_names, state.positions, strict=False)))
+            if desk.setup.table is not None:
+                where = work_zero(desk.setup.table, desk.setup.setup, desk.offset())
+                self._view.show_zero(*where)
+            if job is not None and job.failed and job.plan is None:
+                self._view.clear_path()
+                if self._changed('scale', ''):
+                    self._labels['scale'].set_text('no path: the program was refused')
             if job is not None and job.plan is not None:
                 self._view.show_path(desk.tube_number, job.plan)
                 if desk.shown_plan(state) is not None:
@@ -403,7 +424,7 @@ class Page:
                 *self._override.elements,
                 *self._rapids.keys.values(),
             )
-            for element in (*self._keys, *switches, *buttons, *fields):
+            for element in (*self._keys, *switches, *buttons, *fields, *self._zeros):
                 element.set_enabled(self._in_charge)
             self._stop.set_enabled(self._trusted)
         for switch in self._switches:

@@ -230,9 +230,13 @@ def test_two_programs_get_the_same_notice_each():
 def test_a_program_that_is_refused_marks_its_line(tmp_path):
     job = Job('part.ngc', [], tmp_path / 'part.ngc', Settings())
     job.refuse('part.ngc:3: F0: a feed above 0 is needed')
-    assert job.failed and job.fault_line == 3
+    assert job.failed and job.fault_lines == (3,)
+    job.refuse('part.ngc:3: Q5 (also lines 7, 9)\npart.ngc:5: F0: a feed above 0 is needed')
+    assert job.fault_lines == (3, 5, 7, 9) and job.status.endswith(
+        '(and 1 more, see the messages)'
+    )
     job.refuse('the nodes do not answer')
-    assert job.failed and job.fault_line == 0
+    assert job.failed and job.fault_lines == ()
 
 
 def test_a_program_that_is_not_started_shows_its_cycle_time(planned):

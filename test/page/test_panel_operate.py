@@ -204,7 +204,8 @@ def moves(panel, tab, device):
 
 
 def rests(panel):
-    """See the axes come to rest and stay there."""
+    """See the axes come to rest and stay there, once no beat that was on its way counts."""
+    time.sleep(2 * STALE)
     panel.until(MachineState.IDLE)
     before = np.array(panel.next_state().commanded_positions)
     for _ in range(20):

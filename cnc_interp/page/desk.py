@@ -317,9 +317,7 @@ class Desk:
         if planner is None or job is None:
             return Answer(False, 'no program is loaded: press load')
         if job.plan is None:
-            return Answer(
-                False, job.status if job.failed else 'the program is being planned'
-            )
+            return Answer(False, job.status if job.failed else 'the program is being planned')
         job.status = 'checking'
         self._begin(self._check(planner, job))
         return Answer(True, 'checking')

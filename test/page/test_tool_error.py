@@ -11,8 +11,8 @@ pytest.importorskip('websockets', reason='needs requirements/panel.txt')
 from browser import found
 from page_under_test import PanelUnderTest
 
-from cnc_interp.processes.node_processes import NODES
 from cnc_interp.page.readings import NOTHING
+from cnc_interp.processes.node_processes import NODES
 
 pytestmark = pytest.mark.skipif(
     found() is None, reason='needs a browser: apt-get install chromium'

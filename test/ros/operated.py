@@ -6,6 +6,7 @@ import signal
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from limit_use import limit_use
 from nodes_under_test import PATIENCE, NodesUnderTest
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
@@ -112,10 +113,7 @@ class Bench(NodesUnderTest):
         self.spin_until(lambda: sum(len(m.sequences) for m in told()) >= count)
         q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
         s = np.concatenate([m.path_positions for m in told()])
-        held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
-        for order, limit in enumerate(LIMITS, start=1):
-            use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
-            assert use.max() <= 1.001, (order, use)
+        assert limit_use(q, LIMITS) <= 1.001
         path = path_of(self.text)
         on = s >= 0.0
         assert np.abs(q[on] - evaluate(path, s[on])[0]).max(initial=0.0) < 1e-9

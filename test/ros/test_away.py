@@ -13,7 +13,8 @@ import rclpy
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import MoveAxes
-from operated import LIMITS, PROGRAM, TRANSFORM, Bench, T, path_of
+from limit_use import limit_use
+from operated import LIMITS, PROGRAM, TRANSFORM, Bench, path_of
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorder import Recorder
@@ -74,10 +75,7 @@ def told(bench):
     q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in mine()])
     s = np.concatenate([m.path_positions for m in mine()])
     block = np.concatenate([m.sequences for m in mine()])
-    held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
-    for order, limit in enumerate(LIMITS, start=1):
-        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
-        assert use.max() <= 1.001, (order, use)
+    assert limit_use(q, LIMITS) <= 1.001
     path = path_of(bench.text)
     mine_of_program = block > 0
     s, places = s[mine_of_program], evaluate(path, s[mine_of_program])[0]

@@ -8,7 +8,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from diagnostic_msgs.msg import KeyValue
-from operated import LIMITS, PROGRAM, Bench, T, path_of
+from limit_use import limit_use
+from operated import LIMITS, PROGRAM, Bench, path_of
 
 from cnc_interp.kinematics.axis_path import evaluate
 
@@ -48,10 +49,7 @@ def executed(bench, reasons, **choices):
 
     bench.spin_until(lambda: sum(len(m.sequences) for m in told()) >= state.samples)
     q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
-    held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
-    for order, limit in enumerate(LIMITS, start=1):
-        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
-        assert use.max() <= 1.001, (order, use)
+    assert limit_use(q, LIMITS) <= 1.001
     s, line, block = (
         np.concatenate([getattr(m, name) for m in told()])
         for name in ('path_positions', 'line_numbers', 'sequences')

@@ -12,7 +12,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import Jog, MachineState
 from cnc_interp_msgs.srv import MoveAxes
-from operated import LIMITS, TRANSFORM, Bench, T
+from limit_use import limit_use
+from operated import LIMITS, TRANSFORM, Bench
 from sensor_msgs.msg import Joy
 
 from cnc_interp.nodes import qos
@@ -61,9 +62,7 @@ def proven(bench, start):
     bench.spin_until(lambda: last() >= state.samples)
     q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
     assert np.array_equal(q[-1], end)
-    held = np.concatenate([start[None].repeat(3, 0), q, end[None].repeat(3, 0)])
-    for order, limit in enumerate(LIMITS, start=1):
-        assert (np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit).max() <= 1.001
+    assert limit_use(q, LIMITS, start) <= 1.001
     return end
 
 

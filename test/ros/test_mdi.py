@@ -12,8 +12,9 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import MachineState, ModalState
 from cnc_interp_msgs.srv import MoveAxes
+from limit_use import limit_use
 from nodes_under_test import hear_ctrl_c
-from operated import LIMITS, TRANSFORM, Bench, Result, T
+from operated import LIMITS, TRANSFORM, Bench, Result
 
 from cnc_interp.nodes import qos
 
@@ -66,10 +67,7 @@ def prove(bench, result, before):
     bench.spin_until(lambda: sum(len(m.sequences) for m in told()) >= bench.state.samples)
     q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
     assert np.abs(q[0] - before).max() < 1e-12
-    held = np.concatenate([before[None].repeat(3, 0), q, q[-1:].repeat(3, 0)])
-    for order, limit in enumerate(LIMITS, start=1):
-        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / T**order / limit
-        assert use.max() <= 1.001, (order, use)
+    assert limit_use(q, LIMITS, before) <= 1.001
     return q
 
 

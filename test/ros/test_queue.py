@@ -9,6 +9,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
+from limit_use import limit_use
 from operated import LIMITS, Bench, T, path_of, waves
 
 from cnc_interp.client.session import RunRequest, run_session
@@ -82,9 +83,7 @@ def test_programs_that_wait_run_in_their_order_and_nothing_is_lost_between_them(
         assert np.abs(q[s >= 0.0] - evaluate(path, s[s >= 0.0])[0]).max() < 1e-9
         assert abs(s[-1] - path.s[-1]) < 1e-12
     whole = np.concatenate([q for q, _ in parts])
-    for order, limit in enumerate(LIMITS, start=1):
-        use = np.abs(np.diff(whole, order, axis=0)).max(axis=0) / T**order / limit
-        assert use.max() <= 1.001, order
+    assert limit_use(whole, LIMITS) <= 1.001
 
 
 @pytest.mark.thorough

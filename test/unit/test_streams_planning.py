@@ -5,6 +5,8 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
+from limit_use import limit_use
+
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
@@ -65,10 +67,7 @@ def sampled(planner):
         np.concatenate([getattr(chunk.samples, name) for chunk in chunks])
         for name in ('position', 's', 'block')
     )
-    held = np.concatenate([q[:1].repeat(3, 0), q, q[-1:].repeat(3, 0)])
-    for order, limit in enumerate(MACHINE.limits, start=1):
-        use = np.abs(np.diff(held, order, axis=0)).max(axis=0) / 1e-3**order / limit
-        assert use.max() <= 1.001
+    assert limit_use(q, MACHINE.limits) <= 1.001
     return q, s, block
 
 

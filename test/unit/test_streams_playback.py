@@ -5,6 +5,8 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
+from limit_use import limit_use
+
 from cnc_interp.core.errors import Refusal, StreamError, TravelError
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
@@ -66,15 +68,6 @@ def feed(play, chunks):
         play.push(chunk, [1] * len(chunk.samples), [2] * len(chunk.tail))
 
 
-def use_of(positions):
-    """Largest use of each limit from rest to rest."""
-    q = np.concatenate([positions[:1].repeat(3, 0), positions, positions[-1:].repeat(3, 0)])
-    return max(
-        (np.abs(np.diff(q, order, axis=0)).max(axis=0) / T**order / limit).max()
-        for order, limit in enumerate(LIMITS, start=1)
-    )
-
-
 def setpoint_after_step(play):
     play.step()
     return play.feedback.setpoint[-1]
@@ -99,7 +92,7 @@ def test_approach_holds_all_limits_and_ends_at_rest(target):
     samples = samples_to(target)
     assert np.array_equal(samples.position[-1], target)
     assert not samples.velocity[-1].any() and not samples.acceleration[-1].any()
-    assert use_of(samples.position) <= 1.001
+    assert limit_use(samples.position, LIMITS) <= 1.001
     assert (samples.block == 0).all() and samples.s[-1] == 0.0
     straight = samples.position @ np.array(target) / (np.array(target) @ np.array(target))
     assert np.abs(samples.position - straight[:, None] * target).max() < 1e-12
@@ -166,13 +159,13 @@ def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
     heard = step_until(play, lambda: play.state.plan_over)
     assert play.state.state is State.STARVED and play.starvations == 1
     assert f'no setpoints after {10 * given}' in play.state.text
-    assert use_of(heard) <= 1.001
+    assert limit_use(heard, LIMITS) <= 1.001
     assert np.array_equal(heard[-1], chunks[given - 1].tail.position[-1])
     play.make_room(P.next_plan())
     play.begin_plan(P.next_plan())
     feed(play, chunks_to(target, start=heard[-1]))
     more = step_until(play, lambda: play.state.completed)
-    assert use_of(np.concatenate([heard, more])) <= 1.001
+    assert limit_use(np.concatenate([heard, more]), LIMITS) <= 1.001
     assert np.array_equal(more[-1], target)
 
 
@@ -188,14 +181,14 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
     heard = np.concatenate([before, step_until(play, lambda: play.state.resting)])
     of = (at - 1) // 10
     assert len(heard) - at <= 11 + len(chunks[of].tail)
-    assert use_of(heard) <= 1.001 and play.state.plan_over
+    assert limit_use(heard, LIMITS) <= 1.001 and play.state.plan_over
     play.begin_plan(P.next_plan())
     feed(play, chunks_to(target, start=heard[-1]))
     for _ in range(50):
         assert state_after_step(play) is State.HELD
     play.start()
     more = step_until(play, lambda: play.state.completed)
-    assert use_of(np.concatenate([heard, more])) <= 1.001
+    assert limit_use(np.concatenate([heard, more]), LIMITS) <= 1.001
 
 
 @pytest.mark.parametrize(
@@ -227,7 +220,7 @@ def test_a_rest_that_was_planned_for_single_block_is_passed_when_it_is_off():
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.SINGLE_BLOCK))
     feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
     heard = step_until(play, lambda: play.state.completed)
-    assert heard[-1][0] == 0.02 and use_of(heard) <= 1.001 and play.starvations == 0
+    assert heard[-1][0] == 0.02 and limit_use(heard, LIMITS) <= 1.001 and play.starvations == 0
 
 
 def test_an_override_of_zero_rests_without_starving():
@@ -263,7 +256,7 @@ def test_emergency_stop_ends_in_fault_on_the_path_and_reset_clears_it(first):
             play.reset()
         heard += list(step_until(play, lambda: play.state.resting))
     assert play.state.state is State.FAULT and 'emergency stop' in play.state.text
-    assert use_of(np.array(heard)) <= 1.001
+    assert limit_use(np.array(heard), LIMITS) <= 1.001
     with pytest.raises(StreamError, match='emergency stop'):
         play.start()
     play.reset()
@@ -321,7 +314,7 @@ def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
     if ask == 'hold':
         play.hold()
     heard = np.array(heard + list(step_until(play, lambda: play.state.resting)))
-    assert use_of(heard) <= 1.001
+    assert limit_use(heard, LIMITS) <= 1.001
     if ask == 'hold':
         assert play.state.state is State.HELD and play.state.plan_over
         return
@@ -337,7 +330,7 @@ def test_a_plan_that_joins_and_does_not_go_on_starves_within_limits():
     join(play, 150, stop[:1])
     heard = np.array(heard + list(step_until(play, lambda: play.state.resting)))
     assert play.state.state is State.STARVED and play.starvations == 1
-    assert use_of(heard) <= 1.001
+    assert limit_use(heard, LIMITS) <= 1.001
     assert np.array_equal(heard[-1], stop[0].tail.position[-1])
 
 
@@ -369,7 +362,8 @@ def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():
     play.begin_plan(P.next_attempt())
     feed(play, move)
     heard = step_until(play, lambda: play.state.completed)
-    assert use_of(heard) <= 1.001 and np.array_equal(heard[-1], [0.02, 0.0, 0.0, 0.1, 0.0])
+    assert limit_use(heard, LIMITS) <= 1.001
+    assert np.array_equal(heard[-1], [0.02, 0.0, 0.0, 0.1, 0.0])
 
 
 def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():

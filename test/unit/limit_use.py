@@ -1,0 +1,17 @@
+"""How much of the limits of the axes a motion uses, by differences of its setpoints."""
+
+import numpy as np
+
+
+def limit_use(q, limits, start=None, period=1e-3):
+    """
+    Return the largest use of velocity, acceleration and jerk of any axis, from rest to rest.
+
+    The axes rest at ``start``, or at the first setpoint, and after the last one.
+    """
+    first = q[0] if start is None else start
+    held = np.concatenate([[first] * 3, q, [q[-1]] * 3])
+    return max(
+        (np.abs(np.diff(held, order, axis=0)) / period**order / limit).max()
+        for order, limit in enumerate(limits, start=1)
+    )

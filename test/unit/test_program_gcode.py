@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.program import JobSetup, Tool, columns, read_program, read_text
+from cnc_interp.program import JobSetup, Tool, read_program, read_text, targets
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
 from cnc_interp.settings.choices import Settings
 
@@ -271,7 +271,7 @@ def test_the_batch_size_changes_nothing_beside_arcs(rows, monkeypatch):
 
 
 def same_in_batches_of(rows, lines, whole, monkeypatch):
-    monkeypatch.setattr(columns, '_BATCH_ROWS', rows)
+    monkeypatch.setattr(targets, '_BATCH_ROWS', rows)
     parts = read('\n'.join(lines)).blocks
     for name in whole.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name), name)

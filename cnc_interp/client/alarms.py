@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
+from threading import Lock
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -53,13 +54,15 @@ class AlarmList:
         self._clock = clock
         self._told: dict[str, tuple[str, float]] = {}  # who told a message lately, and when
         self._alarms: deque[Alarm] = deque(maxlen=KEPT)
+        self._lock = Lock()  # alarms come from the thread of ROS and from those of the page
         self._last: dict[str, tuple[bytes, str]] = {}
         self._cleared: set[Alarm] = set()
 
     @property
     def history(self) -> list[Alarm]:
         """All alarms, the newest first."""
-        return list(self._alarms)[::-1]
+        with self._lock:
+            return list(self._alarms)[::-1]
 
     @property
     def newest_first(self) -> list[Alarm]:
@@ -72,13 +75,17 @@ class AlarmList:
 
     def hide(self, gone: Callable[[Alarm], bool]) -> None:
         """Hide some of what there is now, as ``clear``."""
-        before, now = self._cleared, list(self._alarms)
+        before, now = self._cleared, self.history
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def add(self, level: str, source: str, message: str) -> None:
         """Add an alarm with the time of day, unless it is serious and was just told by another."""
         alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
-        now = self._clock()
+        with self._lock:
+            self._add(alarm, message)
+
+    def _add(self, alarm: Alarm, message: str) -> None:
+        now, level, source = self._clock(), alarm.level, alarm.source
         told_by, told_at = self._told.get(message, (source, -math.inf))
         if level != 'notice' and told_by != source and now - told_at < TOGETHER:
             return

@@ -52,6 +52,8 @@ RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
 CYCLES = {'G73', 'G74', 'G81', 'G82', 'G83', 'G84', 'G85', 'G86', 'G89'}
 
 _OFF = 'nothing to switch off'
+#: What a start of the spindle is told as, because the tool moves all the same.
+NO_SPINDLE = 'WARNING: the spindle is NOT started; start it by hand before the tool cuts'
 HARMLESS_G: dict[str, str] = {
     'G15': _OFF,
     'G50': _OFF,

@@ -375,7 +375,10 @@ class GcodeReader:
             self.mover.switch_tcp('')
         elif code not in (codes.END_M | codes.STOP_M.keys() | codes.FLOW_M):
             self._outputs |= codes.OUTPUTS.get(code, {})
-            self.notice(code, 'no effect, it does not move the tool')
+            if code in ('M3', 'M4'):
+                self.notice(code, codes.NO_SPINDLE)
+            else:
+                self.notice(code, 'no effect, it does not move the tool')
 
     def _program_stop(self, code: str) -> None:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""

@@ -2,6 +2,8 @@
 
 import io
 import signal
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -225,6 +227,24 @@ def test_two_programs_get_the_same_notice_each():
     alarms.add('notice', 'one.ngc', 'M8: no effect')
     alarms.add('notice', 'two.ngc', 'M8: no effect')
     assert [a.source for a in alarms.history] == ['two.ngc', 'one.ngc']
+
+
+def test_alarms_are_added_and_cleared_by_several_threads():
+    alarms, usual = AlarmList(), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+
+    def press():
+        for k in range(300):
+            alarms.add('notice', 'page', f'{"abcde"[k % 5]} was pressed')
+            alarms.clear()
+
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            for ended in [threads.submit(press) for _ in range(4)]:
+                ended.result()
+    finally:
+        sys.setswitchinterval(usual)
+    assert sum(alarm.count for alarm in alarms.history) == 4 * 300
 
 
 def test_a_program_that_is_refused_marks_its_line(tmp_path):

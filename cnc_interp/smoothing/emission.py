@@ -114,7 +114,7 @@ class Emission:
         line = rows.count[1 : last + 1] == 0
         kept = np.flatnonzero(
             line & np.where(resting, length > 0.0, end - start > 1e-12 * legs.length[:last])
-            | (line & stop[1 : last + 1] & (end - start > 0.0))
+            | (line & ~resting & stop[1 : last + 1] & (end - start > 0.0))
         )
         share = np.where(resting, 0.0, start / np.where(resting, 1.0, legs.length[:last]))
         rotation = legs.rotation[:last]

@@ -109,6 +109,7 @@ class LookAhead:
         """Return the segments of every line, curve and corner that is final."""
         if self._rows is not None:
             rows = Rows.concatenate([self._rows, rows])
+        rows = rows.moving(self._settings.flank_height)
         self._rows, blocks = rows, rows.blocks
         if len(blocks) < 2:
             return self._none

@@ -14,8 +14,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners
 from cnc_interp.smoothing.corners.axis_legs import AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
-from cnc_interp.smoothing.dense.path_rows import Rows
-from cnc_interp.smoothing.dense.skeleton import STANDSTILL
+from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 from cnc_interp.smoothing.pole_room import shares_near_pole
 

@@ -2,11 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.smoothing.orientation import norm
+
+#: What moves less than this does not move [m]; angles count at flank height.
+STANDSTILL = 1e-9
+
+
+def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
+    """
+    Return how far poses are apart: tip, tool axis, rotary and extra axes, shape (n,) [m].
+
+    Rotary positions that are named only after the block may be anywhere: the way is infinite.
+    """
+    begin = np.where(np.isnan(after.rotary_from), before.rotary, after.rotary_from)
+    turn = np.abs(after.rotary - begin)
+    turn = np.where(np.isnan(after.rotary), 0.0, np.where(np.isnan(turn), np.inf, turn))
+    ways = (
+        norm(after.tip - before.tip),
+        height * norm(after.axis - before.axis),
+        height * turn.max(axis=1),
+        np.abs(after.extra - before.extra).max(axis=1, initial=0.0),
+    )
+    return np.asarray(np.max(ways, axis=0))
 
 
 class Spans(Table):
@@ -45,6 +69,31 @@ class Rows(Table):
             self.blocks[rows], self.row[rows], self.used[rows], self.smooth[rows],
             self.leads[rows], self.count[rows], self.spans[ends[first] : ends[max(first, last)]],
         )  # fmt: skip
+
+    def moving(self, height: float) -> Rows:
+        """
+        Leave out lines that do not move; the row before them takes their exact stops.
+
+        The way counts from the last row that stays, so small steps may add up to a motion.
+        """
+        line = (self.count == 0) & ~self.smooth & ~self.leads
+        still = line[1:] & (way_between(self.blocks[:-1], self.blocks[1:], height) < STANDSTILL)
+        if not still.any():
+            return self
+        kept, stop = [0], self.blocks.exact_stop.copy()
+        for i in range(1, len(self)):
+            last = kept[-1]
+            if last < i - 1 and line[i]:
+                away = way_between(self.blocks[last : last + 1], self.blocks[i : i + 1], height)
+                still[i - 1] = away[0] < STANDSTILL
+            if still[i - 1]:
+                stop[last] |= stop[i]
+            else:
+                kept.append(i)
+        at = np.array(kept)
+        blocks = replace(self.blocks, exact_stop=stop)[at]
+        columns = (self.row, self.used, self.smooth, self.leads, self.count)
+        return Rows(blocks, *(column[at] for column in columns), self.spans)
 
     @staticmethod
     def plain(blocks: Blocks, first: int) -> Rows:

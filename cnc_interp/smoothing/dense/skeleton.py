@@ -10,12 +10,9 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense import thinning
+from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 
-#: A tip that moves less than this does not move [m].
-STANDSTILL = 1e-9
-#: Poses with a smaller difference are one pose [m].
-REPEATED = 1e-10
 #: Kinds of segments: short enough for a curve, too long, or never part of a curve.
 SHORT, LONG, FIXED = 0, 1, 2
 #: A block longer than this always stays a straight line [tolerances].
@@ -201,7 +198,7 @@ class SkeletonBuilder:
         before = np.concatenate([[0], kept[:-1]])
         step = np.abs(raw.tip[kept] - raw.tip[before]).max(axis=1)
         step = np.maximum(step, np.abs(top[kept] - top[before]).max(axis=1))
-        repeated = (step < REPEATED) & (kind[kept] != FIXED)
+        repeated = (step < STANDSTILL) & (kind[kept] != FIXED)
         feed = self._feeds(raw, before, kept)
         if repeated.any():
             for k in np.flatnonzero(repeated)[::-1]:

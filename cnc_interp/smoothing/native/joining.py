@@ -25,10 +25,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import start_derivatives
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import hermite
+from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between
-
-#: A line shorter than this has no direction [m].
-STANDSTILL = 1e-9
 
 
 @dataclass(frozen=True)

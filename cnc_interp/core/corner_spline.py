@@ -77,6 +77,17 @@ def sum_of(terms: Iterable[FloatArray]) -> FloatArray:
     return first
 
 
+def corner_pieces(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Bezier points of both halves of corner splines, shape (n, 5 or more, d)."""
+    p0, p1, p2, p3, p4 = (points[:, i] for i in range(5))
+    before, after = 0.5 * (p1 + p2), 0.5 * (p2 + p3)
+    middle = 0.5 * (before + after)
+    return (
+        np.stack([p0, p1, before, middle], axis=1),
+        np.stack([middle, after, p3, p4], axis=1),
+    )
+
+
 def corner_end_derivatives(points: FloatArray) -> FloatArray:
     """
     Return C', C'' and C''' of corner splines at u = 0 [B2013, Eq. A.2].

@@ -92,8 +92,10 @@ class Rows(Table):
                 kept.append(i)
         at = np.array(kept)
         blocks = replace(self.blocks, exact_stop=stop)[at]
-        columns = (self.row, self.used, self.smooth, self.leads, self.count)
-        return Rows(blocks, *(column[at] for column in columns), self.spans)
+        return Rows(
+            blocks, self.row[at], self.used[at], self.smooth[at], self.leads[at], self.count[at],
+            self.spans,
+        )  # fmt: skip
 
     @staticmethod
     def plain(blocks: Blocks, first: int) -> Rows:

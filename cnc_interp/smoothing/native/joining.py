@@ -17,12 +17,12 @@ deviation from the programmed curves is therefore bounded by coefficients of the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import comb
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import start_derivatives
+from cnc_interp.core.hull_bounds import least_length, weighted_largest
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import hermite
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
@@ -147,19 +147,11 @@ def connected(
             lacking[side] = _lacking(*inward, jets)
     # A moved tip changes D also far from a join. E need not correct that, only the join.
     connection = hermite(lacking[0], lacking[1], points)
-    tip = _largest(moved - bottom)
-    tool = tip + _largest(connection)
-    ratio = tool / shortest_tool(bottom, top)
+    tip = weighted_largest(moved - bottom)
+    tool = tip + weighted_largest(connection)
+    ratio = tool / np.maximum(least_length(top - bottom), 1e-300)
     chord = np.where(ratio < 1.0, 2.0 * np.sin(0.5 * np.arcsin(np.minimum(ratio, 1.0))), np.inf)
     return Connected(moved, connection, np.stack([tip, tip + height * chord], axis=1))
-
-
-def _largest(points: FloatArray) -> FloatArray:
-    """Bound the length of curves, shape (n,), by the maxima of the Bernstein polynomials [m]."""
-    k, degree = np.arange(points.shape[1]), points.shape[1] - 1
-    share = k / degree
-    weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
-    return np.asarray((weight * norm(points)).sum(axis=1))
 
 
 def _take_up_tip(bottom: FloatArray, jets: Jets) -> None:
@@ -230,16 +222,3 @@ def line_between(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
     rate = rotations_between(start.axis, end.axis) / length
     row = end if at_end else start
     return line_jets(row.tip, step / length, row.axis, rate)
-
-
-def shortest_tool(bottom: FloatArray, top: FloatArray) -> FloatArray:
-    """
-    Return a lower bound of the length of the tool vector D on spans.
-
-    D lies in the hull of its Bezier points. In the direction of their mean, its component is at
-    least that of the nearest Bezier point.
-    """
-    tool = top - bottom
-    mean = tool.sum(axis=1)
-    direction = mean / np.maximum(norm(mean), 1e-300)[:, None]
-    return np.asarray(np.maximum(dot(tool, direction[:, None]).min(axis=1), 1e-300))

@@ -17,9 +17,10 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import divided, elevated
 from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.hull_bounds import least_length
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
-from cnc_interp.smoothing.native.joining import Jets, shortest_tool
+from cnc_interp.smoothing.native.joining import Jets
 from cnc_interp.smoothing.native.spline_piece import Piece, absorbed, joins_gently, same_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary
@@ -189,7 +190,7 @@ class SplineRun:
                 'tool in a G1 block',
                 int(rows.line_number[own[bad[0]]]),
             )
-        bad = np.flatnonzero(shortest_tool(bottom, top) <= 1e-300)
+        bad = np.flatnonzero(least_length(top - bottom) <= 0.0)
         if len(bad):
             raise BlockError(
                 'the two curves of this spline come too close to each other to give a tool axis; '

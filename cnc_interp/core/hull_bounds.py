@@ -1,0 +1,68 @@
+"""
+Proven bounds of Bezier curves from their points.
+
+A curve lies in the convex hull of its Bezier points, and each derivative in the hull of its own
+points, which are differences. So no place of the curve is missed.
+"""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+
+
+def largest(points: FloatArray) -> FloatArray:
+    """Return the largest length among the vectors of each curve, shape (..., k, d) to (...)."""
+    return np.asarray(np.sqrt((points**2).sum(axis=-1)).max(axis=-1, initial=0.0))
+
+
+def weighted_largest(points: FloatArray) -> FloatArray:
+    """
+    Bound the lengths of curves by the maxima of the Bernstein polynomials, (n, k, d) to (n,).
+
+    This is sharper than the largest point where few of the points are far from zero.
+    """
+    k, degree = np.arange(points.shape[1]), points.shape[1] - 1
+    share = k / degree
+    weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
+    return np.asarray((weight * np.sqrt((points**2).sum(axis=-1))).sum(axis=1))
+
+
+def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
+    """
+    Bound the first three derivatives of Bezier curves.
+
+    Parameters
+    ----------
+    points : ndarray, shape (..., k, d)
+        Bezier points of degree k - 1.
+    length : float
+        Length of the parameter interval of each curve.
+
+    Returns
+    -------
+    ndarray, shape (3, ...)
+        Upper bounds of the lengths of C', C'' and C'''.
+
+    """
+    degree, found = points.shape[-2] - 1, []
+    for order in range(3):
+        points = np.diff(points, axis=-2) * ((degree - order) / length)
+        found.append(largest(points))
+    return np.stack(found)
+
+
+def least_length(points: FloatArray) -> FloatArray:
+    """
+    Return a lower bound of the distance of Bezier curves from zero, shape (..., k, d) to (...).
+
+    In the direction of the mean of the points, the component of the curve is at least that of the
+    nearest point. Where the hull contains zero, the bound is not positive.
+    """
+    mean = points.sum(axis=-2)
+    size = np.sqrt((mean**2).sum(axis=-1))
+    direction = mean / np.maximum(size, 1e-300)[..., None]
+    return np.asarray((points * direction[..., None, :]).sum(axis=-1).min(axis=-1))

@@ -14,21 +14,26 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 
 
+def _size(v: FloatArray) -> FloatArray:
+    """Return the lengths of vectors, shape (..., 3) to (...); the order of the sum is fixed."""
+    return np.asarray(np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2 + v[..., 2] ** 2))
+
+
 def largest(points: FloatArray) -> FloatArray:
-    """Return the largest length among the vectors of each curve, shape (..., k, d) to (...)."""
-    return np.asarray(np.sqrt((points**2).sum(axis=-1)).max(axis=-1, initial=0.0))
+    """Return the largest length among the vectors of each curve, shape (..., k, 3) to (...)."""
+    return np.asarray(_size(points).max(axis=-1, initial=0.0))
 
 
 def weighted_largest(points: FloatArray) -> FloatArray:
     """
-    Bound the lengths of curves by the maxima of the Bernstein polynomials, (n, k, d) to (n,).
+    Bound the lengths of curves by the maxima of the Bernstein polynomials, (n, k, 3) to (n,).
 
     This is sharper than the largest point where few of the points are far from zero.
     """
     k, degree = np.arange(points.shape[1]), points.shape[1] - 1
     share = k / degree
     weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
-    return np.asarray((weight * np.sqrt((points**2).sum(axis=-1))).sum(axis=1))
+    return np.asarray((weight * _size(points)).sum(axis=1))
 
 
 def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
@@ -37,7 +42,7 @@ def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
 
     Parameters
     ----------
-    points : ndarray, shape (..., k, d)
+    points : ndarray, shape (..., k, 3)
         Bezier points of degree k - 1.
     length : float
         Length of the parameter interval of each curve.
@@ -57,12 +62,13 @@ def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
 
 def least_length(points: FloatArray) -> FloatArray:
     """
-    Return a lower bound of the distance of Bezier curves from zero, shape (..., k, d) to (...).
+    Return a lower bound of the distance of Bezier curves from zero, shape (..., k, 3) to (...).
 
     In the direction of the mean of the points, the component of the curve is at least that of the
     nearest point. Where the hull contains zero, the bound is not positive.
     """
-    mean = points.sum(axis=-2)
-    size = np.sqrt((mean**2).sum(axis=-1))
-    direction = mean / np.maximum(size, 1e-300)[..., None]
-    return np.asarray((points * direction[..., None, :]).sum(axis=-1).min(axis=-1))
+    mean = points[..., 0, :]
+    for k in range(1, points.shape[-2]):
+        mean = mean + points[..., k, :]
+    along = points * (mean / np.maximum(_size(mean), 1e-300)[..., None])[..., None, :]
+    return np.asarray((along[..., 0] + along[..., 1] + along[..., 2]).min(axis=-1))

@@ -393,9 +393,9 @@ class PathAtPole:
         """Tell whether the rotary axes rest or follow the tool axis on a segment."""
         return int(self.motion[i]) in (RESTING, FOLLOWING)
 
-    def ends_of(self, first: int, last: int) -> FloatArray:
-        """Return the path length at the ends of segments, counted from the first one [m]."""
-        ends: FloatArray = np.concatenate([[0.0], np.cumsum(self.lengths[first:last])])
+    def ends_of(self, first: int, last: int, begun: float) -> FloatArray:
+        """Return the path length at the ends of segments; the first begins at ``begun`` [m]."""
+        ends: FloatArray = np.cumsum(np.concatenate([[begun], self.lengths[first:last]]))
         return ends
 
     # Places ----------------------------------------------------------------------------------

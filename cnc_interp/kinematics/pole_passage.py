@@ -84,6 +84,9 @@ class PolePassages:
         self._waiting: PathAtPole | None = None  # segments that are not released
         self._open = 0  # the first of them in which a stretch may begin
         self._begins, self._stopped = True, True
+        #: Path length from the last stop to the first segment that waits: the same bits however
+        #: the segments arrive [m].
+        self._begun = 0.0
         #: Source lines in which travel keeps the tilt from changing its sign.
         self.forbidden: list[int] = []
 
@@ -164,7 +167,7 @@ class PolePassages:
 
     def _pass(self, path: PathAtPole, first: int, last: int, closed: bool) -> int:
         """Decide on the passages in the segments ``first`` to ``last``, which join smoothly."""
-        ends = path.ends_of(first, last)
+        ends = path.ends_of(first, last, self._begun)
         total, hold = float(ends[-1]), np.inf
         moves = bool((path.motion[first:last] == FOLLOWING).any())
         cores = self._cores(path, first, last, ends, closed)
@@ -183,11 +186,14 @@ class PolePassages:
                 self._give(path, first, best)
         if closed:
             self._arrive(path, last - 1, total)
+            self._begun = 0.0
             return last
         if not moves and len(cores) == 1 and cores[0].end < total and cores[0].rests_after:
             hold = total
         hold = min(hold, total) - REACH
-        return first + int(np.searchsorted(ends[1:], hold, 'right'))
+        ready = int(np.searchsorted(ends[1:], hold, 'right'))
+        self._begun = float(ends[ready])
+        return first + ready
 
     def _slowest_turning(
         self, path: PathAtPole, first: int, last: int, ends: FloatArray, cores: list[_Core]

@@ -13,6 +13,8 @@ from cnc_interp.smoothing.dense import thinning
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 
+#: Poses of a curve with a smaller difference are one pose [m]; small steps do not add up here.
+REPEATED = 0.1 * STANDSTILL
 #: Kinds of segments: short enough for a curve, too long, or never part of a curve.
 SHORT, LONG, FIXED = 0, 1, 2
 #: A block longer than this always stays a straight line [tolerances].
@@ -198,7 +200,7 @@ class SkeletonBuilder:
         before = np.concatenate([[0], kept[:-1]])
         step = np.abs(raw.tip[kept] - raw.tip[before]).max(axis=1)
         step = np.maximum(step, np.abs(top[kept] - top[before]).max(axis=1))
-        repeated = (step < STANDSTILL) & (kind[kept] != FIXED)
+        repeated = (step < REPEATED) & (kind[kept] != FIXED)
         feed = self._feeds(raw, before, kept)
         if repeated.any():
             for k in np.flatnonzero(repeated)[::-1]:

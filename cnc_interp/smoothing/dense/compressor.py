@@ -334,7 +334,7 @@ class Compressor:
     def _forget(self) -> None:
         """Drop vertices that no later result depends on."""
         skeleton = self._skeleton
-        widest = float(skeleton.tolerance[-1].max())
+        widest = float(skeleton.tolerance.max())
         behind = skeleton.u[self._corners.turned - 1] - 20.0 * widest
         kept = int(np.searchsorted(skeleton.u, behind))
         # A run that has begun never needs its first vertices again, however long it becomes.

@@ -22,7 +22,7 @@ class CornerSearch:
         # A repeated point that arrives later may still close the last vertex.
         closed = np.flatnonzero(skeleton.closed[: n if final else n - 1])
         known = int(closed[-1]) + 1 if len(closed) else 0
-        widest = float(tolerance[-1].max())
+        widest = float(tolerance[self.decided :].max())
         turned = n
         if not final:
             seen = np.searchsorted(skeleton.u, skeleton.u[-1] - thinning.REACH * widest, 'right')

@@ -131,9 +131,6 @@ class Run:
         if not final:
             self.whole = self.line
         line, end = self.line, float(self.line.u[-1])
-        first = max(int(np.searchsorted(line.u, self.t, 'right')) - 1, 0)
-        near = int(np.searchsorted(line.u, self.t + AHEAD * self._longest))
-        least = float(line.tolerance[first : max(near, first + 1)].min())
         limit = end
         if not final:  # the spacing at a vertex depends on the vertices up to AHEAD after it
             known = int(np.searchsorted(line.u, end - AHEAD * self._longest, 'right')) - 1
@@ -146,13 +143,12 @@ class Run:
             angle = line.tolerance[:, 1] / self._height
             left[:, 1] *= shares_near_pole(self._pole, line.axis[:-1], turn, angle)
         wanted = knots.knot_spacings(
-            line.tip, line.axis, line.u, left, self._height, self._longest, FINEST * least
-        )
+            line.tip, line.axis, line.u, left, self._height, self._longest,
+            FINEST * line.tolerance.min(axis=1),
+        )  # fmt: skip
         worst = self.t
         for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
-            found = knots.place_knots(
-                line.u, wanted, self.t, limit, factor, factor * FINEST * least, LAST
-            )
+            found = knots.place_knots(line.u, wanted, self.t, limit, factor, LAST)
             whole = found[-1] >= limit
             if not final and (len(found) <= WINDOW or found[WINDOW] > limit):
                 if attempt == 0:
@@ -160,7 +156,7 @@ class Run:
                 continue
             last = final and whole
             found = self._to_the_end(found, end) if last else found[: WINDOW + 1]
-            fitted = self._fitted(found, left, least, last, (fewest, most), aim)
+            fitted = self._fitted(found, left, last, (fewest, most), aim)
             if not isinstance(fitted, float):
                 return fitted
             worst = fitted
@@ -179,7 +175,6 @@ class Run:
         self,
         found: FloatArray,
         left: FloatArray,
-        least: float,
         last: bool,
         sweeps: tuple[int, int],
         aim: float,
@@ -190,7 +185,8 @@ class Run:
         full = clamped_knots(found)
         matrices = quintic_bezier_matrices(full, spans)
         samples = knots.sample_points(line.tip, line.axis, line.u, left, found, height)
-        stiffness = tube_fit.STIFFNESS * least / tube_fit.TYPICAL
+        narrow = self._narrowest(found)
+        stiffness = tube_fit.STIFFNESS * narrow.min() / tube_fit.TYPICAL
         coefficients, _ = tube_fit.fit(
             full, matrices, found, self._jet, self._end_jet if last else self._jet[:0], samples,
             self.turning, sweeps, aim, stiffness,
@@ -207,11 +203,18 @@ class Run:
         if not excess.max() <= 1.0:  # also true for NaN, if the solution broke down
             worst = int(np.argmax(excess))
             return float(0.5 * (found[worst] + found[worst + 1]))
-        first = np.searchsorted(line.u, found[:count], 'right') - 1
-        after = np.maximum(np.searchsorted(line.u, found[1 : count + 1]), first + 1)
-        tolerance = [line.tolerance[a:b, 1].min() for a, b in zip(first, after, strict=True)]
-        room = np.array(tolerance) - deviation[:, 1]
-        source, cut, speed, segment = polyline.pieces(points, found, line.u, line.feed, line.row)
+        # A bound that not all tolerances of a span admit must hold in each of them by itself.
+        apart = (deviation > narrow[:count]).any(axis=1)
+        source, cut, ends, speed, segment = polyline.pieces(
+            points, found, line.u, line.feed, line.tolerance, apart
+        )
+        deviation, narrow = deviation[source], narrow[source]
+        if apart.any():
+            deviation, _, _ = certificate.certify(
+                cut, ends, line.tip, line.axis, line.u, line.used, height, self.turning,
+                self._share * line.tolerance,
+            )  # fmt: skip
+            narrow = self._narrowest(ends)
         # The motion starts in the first block and ends in the last one, however short they are.
         if not self.begun:
             segment[0, 0] = 0
@@ -227,17 +230,26 @@ class Run:
             top = bottom + height * axis
         jet = quintic_end_jet(points[-1], found[count] - found[count - 1])
         self.t = float(found[count])
+        here = min(int(np.searchsorted(line.u, self.t, 'right')), len(line.row)) - 1
+        self._longest = LONGEST * float(line.tolerance[here].min())
         self._jet = jet if self.turning else np.concatenate([jet, np.zeros((5, 3))], axis=1)
         if not last:
             self._drop()
         return Window(
             Spans(
                 bottom, top, np.repeat(speed[:, None], 2, axis=1), line.row[segment],
-                line.line[segment[:, 1]], deviation[source],
-                room[source],
+                line.line[segment[:, 1]], deviation, narrow[:, 1] - deviation[:, 1],
             ),
             axis, last, self.t,
         )  # fmt: skip
+
+    def _narrowest(self, knots: FloatArray) -> FloatArray:
+        """Return the smallest tolerances between these parameters, shape (n - 1, 2) [m]."""
+        line = self.line
+        first = np.searchsorted(line.u, knots[:-1], 'right') - 1
+        after = np.maximum(np.searchsorted(line.u, knots[1:]), first + 1)
+        known = np.vstack([line.tolerance, line.tolerance[-1:]])
+        return np.asarray(np.minimum.reduceat(known, np.stack([first, after], 1).ravel())[::2])
 
     def _drop(self) -> None:
         """Drop vertices that no later window depends on."""

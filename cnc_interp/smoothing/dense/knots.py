@@ -45,7 +45,7 @@ def _write_pose(
 @njit(cache=True, nogil=True)
 def knot_spacings(
     tip: FloatArray, axis: FloatArray, u: FloatArray, tolerance: FloatArray, height: float,
-    longest: float, finest: float,
+    longest: float, finest: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """
     Return the wanted spacing of knots at each vertex of a polyline.
@@ -61,8 +61,10 @@ def knot_spacings(
         Contour and orientation tolerance of its segments [m].
     height : float
         Flank height [m].
-    longest, finest : float
-        Longest and shortest spacing [m].
+    longest : float
+        Longest spacing [m].
+    finest : ndarray, shape (n - 1,)
+        Shortest spacing on the segments [m].
 
     Returns
     -------
@@ -75,17 +77,14 @@ def knot_spacings(
     before, here, after = np.empty(6), np.empty(6), np.empty(6)
     d = longest
     for _ in range(LADDER):
-        if d < finest:
-            break
-        half = max(0.5 * d, finest)
         back, forth = 0, 0
         for j in range(n):
             while back < n - 2 and u[back + 1] < u[j] - d:
                 back += 1
             while forth < n - 2 and u[forth + 1] < u[j] + d:
                 forth += 1
-            if wanted[j] == d:  # longer spacings have been rejected
-                k = min(j, n - 2)
+            k = min(j, n - 2)
+            if wanted[j] == d and d >= finest[k]:  # longer spacings have been rejected
                 _write_pose(tip, axis, u, back, u[j] - d, height, before)
                 _write_pose(tip, axis, u, k, u[j], height, here)
                 _write_pose(tip, axis, u, forth, u[j] + d, height, after)
@@ -95,7 +94,7 @@ def knot_spacings(
                     top += (before[3 + i] - 2.0 * here[3 + i] + after[3 + i]) ** 2
                 least = tolerance[k]
                 if sqrt(bottom) > BEND * least[0] or sqrt(top) > BEND * least[1]:
-                    wanted[j] = half
+                    wanted[j] = max(0.5 * d, finest[k])
         d *= 0.5
     for j in range(1, n):
         wanted[j] = min(wanted[j], wanted[j - 1] + GROWTH * (u[j] - u[j - 1]))
@@ -106,8 +105,7 @@ def knot_spacings(
 
 @njit(cache=True, nogil=True)
 def place_knots(
-    u: FloatArray, wanted: FloatArray, start: float, end: float, factor: float, finest: float,
-    most: int,
+    u: FloatArray, wanted: FloatArray, start: float, end: float, factor: float, most: int,
 ) -> FloatArray:  # fmt: skip
     """
     Place knots one after the other, with the wanted spacing.
@@ -122,8 +120,6 @@ def place_knots(
         First knot, and the parameter at which the knots may end [m].
     factor : float
         Factor on the wanted spacing [-].
-    finest : float
-        Shortest spacing [m].
     most : int
         Largest number of spans.
 
@@ -149,7 +145,7 @@ def place_knots(
             d = min(d, wanted[j] + GROWTH * (u[j] - x))
             j += 1
         count += 1
-        knots[count] = x + max(factor * d, finest)
+        knots[count] = x + factor * d
     return knots[: count + 1].copy()
 
 

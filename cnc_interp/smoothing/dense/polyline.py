@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import quintic_part
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between, turned_by
 
@@ -136,10 +136,11 @@ class Polyline:
 
 @njit(cache=True, nogil=True)
 def pieces(
-    points: FloatArray, knots: FloatArray, u: FloatArray, feed: FloatArray, row: IntArray
-) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
+    points: FloatArray, knots: FloatArray, u: FloatArray, feed: FloatArray,
+    tolerance: FloatArray, apart: BoolArray,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
     """
-    Divide the spans of a curve where the programmed feed changes.
+    Divide the spans of a curve where the programmed feed changes, or the tolerances.
 
     Parameters
     ----------
@@ -149,8 +150,10 @@ def pieces(
         Curve parameters at the ends of the spans [m].
     u : ndarray, shape (k + 1,)
         Curve parameters of the polyline vertices [m].
-    feed, row : ndarray, shape (k,)
-        Programmed speed [m/s] and program row of its segments.
+    feed, tolerance : ndarray, shapes (k,) and (k, 2)
+        Programmed speed [m/s] and tolerances [m] of its segments.
+    apart : ndarray of bool, shape (n,)
+        Spans that are divided where the tolerances change.
 
     Returns
     -------
@@ -158,6 +161,8 @@ def pieces(
         Span of each piece.
     cut : ndarray, shape (m, 6, d)
         Bezier points of the pieces [m].
+    ends : ndarray, shape (m + 1,)
+        Curve parameters at the ends of the pieces [m].
     speed : ndarray, shape (m,)
         Programmed speed of the pieces [m/s].
     segment : ndarray of int, shape (m, 2)
@@ -167,7 +172,7 @@ def pieces(
     n = len(points)
     most = 2 * n + len(u)
     source, cut = np.empty(most, dtype=np.int64), np.empty((most, 6, points.shape[2]))
-    speed, segment = np.empty(most), np.empty((most, 2), dtype=np.int64)
+    ends, speed, segment = np.empty(most + 1), np.empty(most), np.empty((most, 2), dtype=np.int64)
     count, k = 0, 0
     for s in range(n):
         start, end = knots[s], knots[s + 1]
@@ -183,12 +188,17 @@ def pieces(
                 low, high = min(least, following), max(most_feed, following)
                 if high > low * (1.0 + SAME_FEED):
                     break
+                if apart[s] and (
+                    tolerance[k, 0] != tolerance[k + 1, 0]
+                    or tolerance[k, 1] != tolerance[k + 1, 1]
+                ):
+                    break
                 least, most_feed = low, high
                 k += 1
                 b = min(u[k + 1], end)
             if end - b < least_piece or k == len(feed) - 1:
                 b = end
-            source[count], speed[count] = s, least
+            source[count], speed[count], ends[count] = s, least, a
             left, right = (a - start) / (end - start), (b - start) / (end - start)
             quintic_part(points[s], left, right, cut[count])
             for half in range(2):
@@ -198,7 +208,10 @@ def pieces(
                     j -= 1
                 segment[count, half] = j
             count += 1
-            a = b
+            a = ends[count] = b
             while k < len(feed) - 1 and u[k + 1] <= b:
                 k += 1
-    return source[:count].copy(), cut[:count].copy(), speed[:count].copy(), segment[:count].copy()
+    return (
+        source[:count].copy(), cut[:count].copy(), ends[: count + 1].copy(), speed[:count].copy(),
+        segment[:count].copy(),
+    )  # fmt: skip

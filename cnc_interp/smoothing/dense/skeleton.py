@@ -121,7 +121,8 @@ class SkeletonBuilder:
             self.skeleton = self._start(raw, top)
         kind, stop, closed = self._marks(raw, top, final, joined)
         must = stop | closed | (kind != SHORT)
-        must[:-1] |= kind[1:] != SHORT
+        # A line of the skeleton replaces only rows with equal tolerances.
+        must[:-1] |= (kind[1:] != SHORT) | (tolerance[:-1] != tolerance[1:]).any(axis=1)
         # The kind of a vertex is known only when the block after it is known.
         m = n if final else n - 1
         kept, used = thinning.select_vertices(raw.tip[:m], top[:m], tolerance[:m], must[:m])
@@ -173,9 +174,6 @@ class SkeletonBuilder:
         stop[:-1][resting] = True
         closed = kind == FIXED
         closed[:-1] |= kind[1:] == FIXED
-        for name in ('contour_tolerance', 'orientation_tolerance'):
-            column = getattr(raw, name)
-            closed[1:-1] |= column[1:-1] != column[2:]
         if final:
             stop[-1] = True
         return kind, stop, closed | stop

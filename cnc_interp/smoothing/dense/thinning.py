@@ -274,5 +274,6 @@ def longest_chord(
             off, off_top = max(off, bottom), max(off_top, upper)
         if off > share * tolerance[0] or off_top > share * tolerance[1]:
             break
-        best, best_off, best_top = k, off, off_top
+        if _distance(tip, a, k) > _distance(tip, a, best):  # blocks may lead back to their start
+            best, best_off, best_top = k, off, off_top
     return best, best_off, best_top

@@ -45,7 +45,7 @@ class SlowPlanner(FeedPlanner):
     """A feed planner with an override of feeds and rapids."""
 
     def __init__(self, machine: Machine, override: float, tool: ToolLimit | None):
-        super().__init__(limits_at(machine, PERIOD), PlanOptions(bound=False, tool=tool))
+        super().__init__(limits_at(machine, PERIOD), PlanOptions(bound=False), tool=tool)
         self._velocity, self._override = machine.max_velocity, override
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:

@@ -24,7 +24,6 @@ from make_pictures import BLUE, INK, ORANGE, PICTURES, QUIET, STYLE
 from matplotlib import pyplot as plt
 from scipy.optimize import fsolve
 
-from cnc_interp.cam.classical import classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
@@ -32,7 +31,6 @@ from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.next_posture import conditions, nearest_places, resting
-from cnc_interp.cam.paper_scallop import march_to_scallops
 from cnc_interp.cam.passes import Pass, constant_tilt
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder
@@ -44,6 +42,8 @@ from cnc_interp.cam.work import across
 from cnc_interp.cli import main as command
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.papers.classical import classical_paths
+from cnc_interp.papers.marched_scallop import march_to_scallops
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / 'examples'

@@ -32,10 +32,10 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import arc_length, shapes_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.papers.parametrization import STEP as PAPER_STEP
 from cnc_interp.program import Program, read_program
 from cnc_interp.run.chain import Plan, plan_program, summary_of
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.corners.connection import PAPER_STEP
 from cnc_interp.smoothing.corners.corner_curves import top_parameters
 from cnc_interp.smoothing.segments import CORNER
 

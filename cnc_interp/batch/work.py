@@ -26,7 +26,7 @@ from cnc_interp.program import JobSetup, open_program
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.run.planner_process import LostProcessError
+from cnc_interp.run.parallel_planner import LostProcessError
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import with_texts
 

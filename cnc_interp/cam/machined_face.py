@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cnc_interp.cam.classical import ClassicalPaths
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.milled import kept_ranges
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.spline_pass import SplinePass
+from cnc_interp.cam.spline_pass import SplinePass, Strips
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM
@@ -25,14 +23,14 @@ class MachinedFace:
     number: int  #: Number of the face.
     surface: Surface  #: Its surface.
     across: FloatArray  #: (3,): Unit normal N of the guiding planes [-].
-    paths: IsoScallopPaths | ClassicalPaths  #: The passes.
+    paths: Strips  #: The passes.
     parts: list[list[SplinePass]]  #: The milled parts of each pass that has any.
     seconds: float  #: Computing time [s].
     notes: list[str] = field(default_factory=list)  #: What the user should know.
 
 
 def cut_back(
-    paths: IsoScallopPaths | ClassicalPaths, cutter: Cutter, overrun: float,
+    paths: Strips, cutter: Cutter, overrun: float,
     fixed_axis: FloatArray | None, others: Neighbours | None,
 ) -> tuple[list[list[SplinePass]], list[str]]:  # fmt: skip
     """Fit splines to the milled parts of all passes."""

@@ -9,10 +9,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from cnc_interp.cam.classical import ClassicalPaths
 from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
+from cnc_interp.cam.spline_pass import Strips
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
@@ -96,7 +96,7 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
     return with_axes(figure)
 
 
-def path_figure(paths: IsoScallopPaths | ClassicalPaths) -> Any:
+def path_figure(paths: Strips) -> Any:
     """Draw contact lines and tool axes of the passes in space."""
     figure = go.Figure()
     gap = np.full((1, 3), np.nan)

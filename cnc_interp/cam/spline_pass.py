@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -61,6 +61,10 @@ class Strip(Protocol):
 
         """
 
+    @property
+    def postures(self) -> Postures:
+        """The postures at these places."""
+
     def tool(self, s: FloatArray) -> Postures:
         """
         Return the postures at places of the pass.
@@ -76,6 +80,14 @@ class Strip(Protocol):
             m postures.
 
         """
+
+
+class Strips(Protocol):
+    """The passes of any strategy over a surface."""
+
+    @property
+    def passes(self) -> Sequence[Strip]:
+        """The passes in order."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.cam.classical import ClassicalPaths
+from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.machined_face import MachinedFace
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.pole_turn import PoleTurn
@@ -40,7 +40,7 @@ def _facts_of(face: MachinedFace) -> dict[str, Any]:
         'milled_parts': sum(map(len, face.parts)),
         'milled_length': sum(x.ends[1] - x.ends[0] for parts in face.parts for x in parts),
     }
-    if isinstance(paths, ClassicalPaths):
+    if not isinstance(paths, IsoScallopPaths):
         return found
     tilt = np.concatenate([p.angles.tilt for p in paths.passes])
     planes = np.abs(np.diff([p.plane for p in paths.passes]))

@@ -7,12 +7,12 @@ import json
 import sys
 import time
 from dataclasses import asdict
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.cam.classical import ClassicalPaths, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
@@ -31,6 +31,7 @@ from cnc_interp.cam.simulation import (
     planned,
     programmed,
 )
+from cnc_interp.cam.spline_pass import Strips
 from cnc_interp.cam.step_part import Part
 from cnc_interp.cam.summary import describe, face_facts, facts_of, heights_in_words, results
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
@@ -187,16 +188,16 @@ def _part(options: argparse.Namespace) -> Part:
 
 def _followed(
     surface: Surface, cutter: Cutter, normal: FloatArray, options: argparse.Namespace
-) -> IsoScallopPaths | ClassicalPaths:
+) -> Strips:
     """Compute the passes of the chosen strategy."""
     progress = _progress(options)
     show = progress.of('passes')
-    paths: IsoScallopPaths | ClassicalPaths
     if options.strategy == 'planes':
-        paths = iso_scallop_paths(surface, cutter, normal, _choices(options), show)
+        planes = iso_scallop_paths(surface, cutter, normal, _choices(options), show)
         progress.end(complete=True)
-        return paths
-    paths = classical_paths(
+        return planes
+    classical = import_module('cnc_interp.papers.classical').classical_paths
+    paths = classical(
         surface, cutter, normal, options.scallop * UM, options.tilt * DEG, progress=show
     )
     progress.end(complete=not paths.loop)
@@ -205,7 +206,8 @@ def _followed(
             f'the classical path cannot cover this surface: {paths.loop}; take another direction '
             'or --strategy planes'
         )
-    return paths
+    strips: Strips = paths
+    return strips
 
 
 def _model(options: argparse.Namespace) -> Machine | None:
@@ -278,7 +280,7 @@ def _cut(
     return heights, cross_sections(surface, cutter, motion, normal, options.margin * MM)
 
 
-def _path_figures(paths: IsoScallopPaths | ClassicalPaths) -> list[tuple[str, str, Any]]:
+def _path_figures(paths: Strips) -> list[tuple[str, str, Any]]:
     from cnc_interp.cam.page import path_figure, tilt_figure
 
     figures = [('Passes', 'Contact lines and tool axes.', path_figure(paths))]

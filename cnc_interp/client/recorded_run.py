@@ -20,7 +20,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.start_line import StartBlock, StartLine
-from cnc_interp.run.chunk import rows_of
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
@@ -86,7 +85,7 @@ class RecordedRun:
             rows = np.flatnonzero(part.block > 0)
             if len(rows):
                 time = np.arange(count, count + len(rows)) * self.period
-                yield replace(rows_of(part, rows), time=time)
+                yield replace(part[rows], time=time)
                 count += len(rows)
 
     def beside(self, machine: Machine) -> list[FloatArray]:

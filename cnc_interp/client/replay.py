@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.core.errors import InterpError
-from cnc_interp.feedrate.tool_limit import ToolLimit
+from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
@@ -126,7 +126,7 @@ def _compare_run(
         transform, blocks[0].flank_height, period,
         float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
         _place(float(told[0].s[0]), float(blocks[0].continue_at)) if goes_on else math.nan,
-        followed, wanted.retract, wanted.plunge_feed, ToolLimit.wanted(transform.machine, wanted),
+        followed, wanted.retract, wanted.plunge_feed, wanted_tool(transform.machine, wanted),
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)

@@ -6,19 +6,25 @@ evaluated on the true curve at several instants of every cell. Where a limit is 
 cell, the limit of this cell is lowered by the excess, and the part is solved again. If only few
 cells are concerned, only the cells around them are solved again, between the states of the last
 law. A law is accepted only if it keeps every limit at all these instants.
+
+A law must leave something to brake with, too. On a circle of radius r at speed v, the jerk of an
+axis, q_s s_dddot + 3 q_ss s_dot s_ddot + q_sss s_dot^3 [B2013, Eq. 8], is v^3/r^2 by its last term
+alone. A law that spends the whole limit on it, all the way round, has no short stop. The same
+holds for the acceleration. The braking left at a state is the most negative s_dddot (s_ddot) that
+every axis allows, divided by that on a straight line. Short losses do no harm: the machine goes on
+as planned until it can brake. So the mean over ``LASTING`` seconds counts.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.limit_table import has_loads
-from cnc_interp.feedrate import tool_limit
-from cnc_interp.feedrate.braking import without_braking
+from cnc_interp.core.limit_table import COULOMB, DRIVE, has_loads, limits_along
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
@@ -26,7 +32,68 @@ from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle_widths, spread_law
+from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath
+
+LASTING = 0.25
+"""Time without braking that a law may take [s]."""
+
+LEAST = 0.15
+"""Smallest mean of the braking left, relative to a straight line [-]."""
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _braking_left(jet: FloatArray, v: FloatArray, a: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return the braking left at states, relative to a straight line, shape (2, n) [-]."""
+    n, n_axes = len(v), jet.shape[2]
+    out = np.ones((2, n))
+    for i in range(n):
+        for row in range(2):
+            least, straight = np.inf, np.inf
+            for k in range(n_axes):
+                q_s, q_ss, q_sss = jet[1, i, k], jet[2, i, k], jet[3, i, k]
+                slope = abs(q_s)
+                limit = limits[row, i if limits.shape[1] > 1 else 0, k]
+                # An axis that hardly moves along the path allows any deceleration.
+                if not limit / slope < np.inf:
+                    continue
+                bent = q_ss * v[i] * v[i]
+                if row == 1:
+                    bent = 3 * q_ss * v[i] * a[i] + q_sss * v[i] ** 3
+                least = min(least, (limit + np.sign(q_s) * bent) / slope)
+                straight = min(straight, limit / slope)
+            if straight < np.inf:
+                out[row, i] = min(max(least / straight, 0.0), 1.0)
+    return out
+
+
+def without_braking(
+    jet: FloatArray, v: FloatArray, a: FloatArray, duration: FloatArray, table: FloatArray
+) -> BoolArray:
+    """Find the cells of a law in which braking is not possible for long."""
+    time = np.concatenate([[0.0], np.cumsum(duration)])
+    found = np.zeros((2, len(duration)), dtype=bool)
+    if time[-1] < LASTING:
+        return found
+    limits = limits_along(table, jet[0])[1:].copy()
+    limits[0] = np.minimum(limits[0], table[DRIVE, :, 0] + table[COULOMB, :, 0])
+    for row, left in enumerate(_braking_left(jet, v, a, limits)):
+        if left.min() >= LEAST:
+            continue
+        so_far = np.concatenate([[0.0], np.cumsum(left * duration)])
+        ends = np.minimum(time[:-1] + LASTING, time[-1])
+        begins = ends - LASTING
+        mean = (np.interp(ends, time, so_far) - np.interp(begins, time, so_far)) / LASTING
+        low = np.flatnonzero(mean < LEAST)
+        count = np.zeros(len(duration) + 1)
+        np.add.at(count, np.searchsorted(time, begins[low], side='right') - 1, 1)
+        np.add.at(count, np.minimum(np.searchsorted(time, ends[low]), len(duration)), -1)
+        found[row] = np.cumsum(count[:-1]) > 0
+    return found
+
+
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
 """Part of each limit (velocity, acceleration, jerk, feed) that stays unused at the nodes."""
@@ -36,9 +103,6 @@ AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
 
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
 """The same two for cells of an older plan, and the part by which their limits are relaxed."""
-
-RELAXED_TOOL = 1e-3
-"""Part by which the limit on the error at the tool is relaxed for cells of an older plan."""
 
 TOOL_PASSES = 8
 """Further corrections where the error at the tool is limited."""
@@ -102,6 +166,7 @@ class StretchProblem:
         start: tuple[float, float],
         options: PlanOptions,
         kept: KeptCells,
+        tool: ToolLimit | None = None,
     ):
         self.grid, self.table, self.options = grid, table, options
         path, nodes = grid.path, grid.nodes
@@ -121,22 +186,15 @@ class StretchProblem:
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         guess = grid.guess
         if options.below_ceiling:
-            # Importing toppra takes a third of a second, and a live run seldom needs it.
-            from cnc_interp.feedrate.time_bound import time_bound
-
             squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = _first_coefficients(self.h, grid.bounds, guess)
         self.use = np.empty((2, n, 4, n_axes))
         self.loaded = has_loads(table)
-        self.tool_rows, self.tool_part, self.tool_use = np.empty((0, 4, n)), np.empty((2, n)), 0.0
-        if options.tool is not None:
-            self.tool_rows = options.tool.rows(self.left, self.right)
-            self.tool_part[:] = tool_limit.FIRST_PART
-            if kept.tool is not None:
-                self.tool_part[:, :k] = np.minimum(kept.tool + RELAXED_TOOL, 1.0)
-        self.places = 4 if self.loaded or options.tool is not None else 3
-        self.slack = np.ones((2 * self.places * (n_axes + len(self.tool_rows)) + 2, n))
+        self.tool = None if tool is None else tool.stretch_rows(self.left, self.right, kept.tool)
+        self.more_rows = 0 if self.tool is None else len(self.tool.rows)
+        self.places = 4 if self.loaded or self.tool is not None else 3
+        self.slack = np.ones((2 * self.places * (n_axes + self.more_rows) + 2, n))
         self.dual = np.zeros_like(self.slack)
         self.changed = np.zeros(n, dtype=np.bool_)  # cells whose limits fell since the last law
         self.width, self.v, self.a = self.h, np.zeros(n + 1), np.zeros(n + 1)  # of the last law
@@ -196,11 +254,11 @@ class StretchProblem:
         )
         n_axes = left.shape[2]
         factors = 13 if self.places > 3 else 9
-        rows = np.zeros((n_axes + len(self.tool_rows), factors, end - first))
+        rows = np.zeros((n_axes + self.more_rows, factors, end - first))
         build_rows(left, right, self.table, scale, rows[:n_axes])
-        if len(self.tool_rows) and end - first > 2:
+        if self.tool is not None and end - first > 2:
             # The first node of the solved cells is given.
-            rows[n_axes:, 9:, 1:] = self.rows_of_tool()[:, :, first + 1 : end]
+            rows[n_axes:, 9:, 1:] = self.tool.within_parts()[:, :, first + 1 : end]
         part = np.minimum(scale[:, 0].min(axis=1), scale[:, 3, 0])
         fast = self.grid.bounds[cells, 4:] * part[:, None]
         node = fast[:, 0].copy()
@@ -223,28 +281,14 @@ class StretchProblem:
         self.slack[:, cells], self.dual[:, cells] = slack, dual
         return int(status)
 
-    def rows_of_tool(self) -> FloatArray:
-        """Return the rows of the error at the tool for their parts of the limit."""
-        rows = self.tool_rows / np.repeat(self.tool_part, tool_limit.NORMALS, axis=0)[:, None]
-        most = tool_limit.STEADY_PART
-        rows[:, 3] = np.clip(rows[:, 3], -most, most)
-        return rows
-
     def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
         """Simulate the drives on a law; lower the tool rows where the error is too large."""
-        tool, nodes = self.options.tool, self.grid.nodes[:-1]
-        if tool is None:
+        if self.tool is None:
             return stretch, False
-        v, a = stretch.v[nodes], stretch.a[nodes]
-        factors = self.tool_rows
-        terms = factors[:, 0] * a + factors[:, 1] * v * v + factors[:, 2] * v + factors[:, 3]
-        predicted = np.abs(terms).reshape(2, tool_limit.NORMALS, -1).max(axis=1)
-        simulated, predicted = tool.use(stretch, predicted)
-        found = tool_limit.lowered(self.tool_part, simulated, predicted)
-        less = (found < self.tool_part).any(axis=0)
-        part, self.tool_part = self.tool_part, found
+        part = self.tool.part
+        use, less = self.tool.lower(stretch)
         self.changed |= less
-        return replace(stretch, tool=part, tool_use=float(simulated.max())), bool(less.any())
+        return replace(stretch, tool=part, tool_use=use), bool(less.any())
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
         """
@@ -349,20 +393,20 @@ def plan(
     start: tuple[float, float] = (0.0, 0.0),
     options: PlanOptions | None = None,
     kept: KeptCells | None = None,
+    tool: ToolLimit | None = None,
 ) -> Stretch | None:
     """Plan from a state of motion to rest at the end of the path."""
     options = options or PlanOptions()
     kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])))
-    inside = int(np.searchsorted(kept.ends, path.s[-1]))
-    kept = KeptCells(kept.ends[:inside], kept.scale[:inside])
+    kept = kept.before(path.s[-1])
     grid = planning_grid(
         path, table, start, options.cell_time, options.share, options.bend, kept.ends
     )
-    problem = StretchProblem(grid, table, start, options, kept)
+    problem = StretchProblem(grid, table, start, options, kept, tool)
     best: Stretch | None = None
     kept_all: Stretch | None = None
     m, warm, reserved = problem.m.copy(), False, False
-    passes = options.passes + (TOOL_PASSES if options.tool is not None else 0)
+    passes = options.passes + (TOOL_PASSES if tool is not None else 0)
     for attempt in range(passes + 1):
         stretch, converged = problem.solve(m, warm)
         warm = converged

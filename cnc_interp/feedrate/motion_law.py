@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.columns import Table, column
 
 
-@dataclass(frozen=True)
-class MotionLaw:
+class MotionLaw(Table):
     """
     The motion along the path as K consecutive pieces of constant jerk.
 
@@ -19,22 +17,14 @@ class MotionLaw:
     s, s_dot and s_ddot are continuous between pieces. The jerk is not.
     """
 
-    time: FloatArray  #: (K,): Start time of each piece [s].
-    duration: FloatArray  #: (K,): Duration of each piece [s].
-    #: (K,): State at the start of each piece [m, m/s, m/s2].
-    s: FloatArray
-    s_dot: FloatArray
-    s_ddot: FloatArray
-    jerk: FloatArray  #: (K,): Constant ``s_dddot`` of each piece [m/s3].
-    cell: IntArray  #: (K,): Index of the AxisPath cell that contains the piece.
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            getattr(self, field.name).flags.writeable = False
-
-    def __len__(self) -> int:
-        """Return the number of pieces."""
-        return len(self.time)
+    time: FloatArray = column()  #: Start time of each piece [s].
+    duration: FloatArray = column()  #: Duration of each piece [s].
+    #: State at the start of each piece [m, m/s, m/s2].
+    s: FloatArray = column()
+    s_dot: FloatArray = column()
+    s_ddot: FloatArray = column()
+    jerk: FloatArray = column()  #: Constant ``s_dddot`` of each piece [m/s3].
+    cell: IntArray = column()  #: Index of the AxisPath cell that contains the piece.
 
     @property
     def end_time(self) -> float:
@@ -99,22 +89,3 @@ class MotionLaw:
         dt = np.clip(time - self.time[piece], 0.0, self.duration[piece])
         v, a, j = self.s_dot[piece], self.s_ddot[piece], self.jerk[piece]
         return np.asarray(dt * (v + dt * (a / 2 + dt * (j / 6))))
-
-    @staticmethod
-    def join(parts: list[MotionLaw]) -> MotionLaw:
-        """
-        Join consecutive laws into one.
-
-        Parameters
-        ----------
-        parts : list of MotionLaw
-            Laws in order. Their cell indices must already count from the same first cell.
-
-        Returns
-        -------
-        MotionLaw
-            All pieces in one law.
-
-        """
-        names = [field.name for field in fields(MotionLaw)]
-        return MotionLaw(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))

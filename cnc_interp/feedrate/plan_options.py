@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.settings.choices import Settings
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
@@ -31,10 +35,8 @@ class PlanOptions:
     below_ceiling: bool = False
     #: Part of a limit that stays free where the law could not brake otherwise [-].
     reserve: float = 0.029
-    law: str = 'optimal'  #: 'optimal' for the jerk stage, 'vpop' for steps forward (``vpop.py``).
+    law: str = 'optimal'  #: 'optimal' for the jerk stage, else a module of ``papers``: 'vpop'.
     step: float = 1e-3  #: Longest step of 'vpop' [s].
-    #: Limit on the error at the tool, and the drives at the start of the path.
-    tool: ToolLimit | None = None
 
     def finer(self) -> PlanOptions:
         """Return options with half the cell times and a start below the ceiling."""
@@ -57,3 +59,29 @@ class KeptCells:
     scale: FloatArray
     #: (2, k): Parts of the limit on the error at the tool, likewise [-].
     tool: FloatArray | None = None
+
+    def before(self, s: float) -> KeptCells:
+        """Return the cells that end before a place [m]."""
+        count = int(np.searchsorted(self.ends, s))
+        tool = None if self.tool is None else self.tool[:, :count]
+        return KeptCells(self.ends[:count], self.scale[:count], tool)
+
+
+def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
+    """
+    Return the limit on the error at the tool that the settings ask for, None for none.
+
+    Raises
+    ------
+    MachineError
+        If the model of the drives does not fit the machine.
+    SettingsError
+        If the law has no such limit.
+
+    """
+    if settings.tool_error is None:
+        return None
+    # The simulated drives take a fifth of a second to load, and few plans need them.
+    from cnc_interp.feedrate.tool_limit import ToolLimit
+
+    return ToolLimit.of_settings(machine, settings)

@@ -303,8 +303,9 @@ def stop_law(
         return None  # as good as at rest
     part = cut_between(path, begin, end, np.array([begin, end]))
     begins = time + np.concatenate([[0.0], np.cumsum(duration)[:-1]])
-    law = MotionLaw(begins, duration, s, v, a, j, (cell - cell[0]).astype(np.int64))
-    return PlannedPiece(part, law)
+    # A stop that ends within rounding of a border ends at it: the cell after it is cut off.
+    cells = np.minimum(cell - cell[0], len(part.s) - 2).astype(np.int64)
+    return PlannedPiece(part, MotionLaw(begins, duration, s, v, a, j, cells))
 
 
 def grid_place(path: AxisPath, s: float) -> float:

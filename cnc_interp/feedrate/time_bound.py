@@ -11,8 +11,8 @@ Per axis, with q_dot = q_s s_dot:
     to s_1             fast at both ends as the ceiling allows
 
 The second line is the integral of d(q_dot^2) = 2 q_ddot dq. It holds for steps of any length.
-Therefore toppra may take every third node, and the result is still a bound. Where limits depend on
-the position, the second and third line take the largest V and A in each cell.
+So TOPP-RA may take every third node, and the result is still a bound. Where limits depend on the
+position, the second and third line take the largest V and A in each cell.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.limit_table import ACCELERATION, FAR, PLACE, VELOCITY, limit_at
 from cnc_interp.feedrate.speed_guess import FASTEST
-from cnc_interp.feedrate.toppra_stage import controllable
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
 
 STEP = 3
-"""Number of planner cells in one step of toppra."""
+"""Number of planner cells in one step of TOPP-RA."""
+
+ROOM = 1e-9
+"""Part of the largest b by which a step may miss its rows without being solved [-]."""
 
 ROUNDING = 4e-16
 """Rounding error of a difference of two positions, relative to the positions [-]."""
@@ -195,6 +197,44 @@ def _step_rows(
     return start, end
 
 
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _last_conflict(
+    start: FloatArray, end: FloatArray, b: FloatArray, room: float, last: int
+) -> int:
+    """Return the last step up to ``last`` that no b at its end allows from its b; -1 if none."""
+    for i in range(last, -1, -1):
+        low, high = 0.0, b[i + 1]
+        for k in range(start.shape[1]):
+            from_here = start[i, k] * b[i]
+            if end[i, k] > 0.0:
+                low = max(low, (from_here - 1.0) / end[i, k])
+                high = min(high, (from_here + 1.0) / end[i, k])
+            elif from_here > 1.0:
+                return i
+        if low > high + room:
+            return i
+    return -1
+
+
+def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
+    """
+    Return the largest squared speeds from which the rest of a path can be driven.
+
+    This is the backward pass of TOPP-RA. Most steps can be driven from their largest speed. Only
+    the others are linear programs, and toppra is loaded only for them.
+    """
+    found, room, last = cap.copy(), ROOM * float(cap.max()), len(start) - 1
+    solver = None
+    while (last := _last_conflict(start, end, found, room, last)) >= 0:
+        if solver is None:
+            from cnc_interp.feedrate.toppra_stage import BackwardPass
+
+            solver = BackwardPass(start, end, cap)
+        found[last] = solver.largest(last, float(found[last + 1]))
+        last -= 1
+    return found
+
+
 def time_bound(
     path: AxisPath, nodes: IntArray, table: FloatArray, start: float, rests: bool
 ) -> TimeBound:
@@ -211,6 +251,6 @@ def time_bound(
     points = np.unique(np.append(nodes[::STEP], nodes[-1]))
     if b.max() > 0.0:
         first, last = _step_rows(points, left, right, ways, largest)
-        b[points] = controllable(first, last, b[points])
+        b[points] = _controllable(first, last, b[points])
         _both_passes(left, right, rooms, b)
     return TimeBound(b, _least_times(h, left, right, feed, largest, b))

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
@@ -43,6 +43,9 @@ NORMALS = 4
 
 FIRST_PART, LEAST_PART = 0.97, 0.2
 """Part of the limit that rows get at first, and the least one [-]."""
+
+RELAXED = 1e-3
+"""Part by which the limit is relaxed for cells of an older plan [-]."""
 
 STEADY_PART = 0.8
 """Largest part of its limit that friction and backlash may take of a row [-]."""
@@ -75,20 +78,9 @@ class ToolLimit:
     wait: float = 0.0  #: Time from the start of the path to the next setpoint [s].
 
     @staticmethod
-    def wanted(machine: Machine, settings: Settings) -> ToolLimit | None:
-        """
-        Return the limit that the settings ask for, None for none.
-
-        Raises
-        ------
-        MachineError
-            If the model of the drives does not fit the machine.
-        SettingsError
-            If the law has no such limit.
-
-        """
-        if settings.tool_error is None:
-            return None
+    def of_settings(machine: Machine, settings: Settings) -> ToolLimit:
+        """Return the limit that the settings ask for; raises as ``wanted_tool``."""
+        assert settings.tool_error is not None, 'there is a limit'
         if settings.law != 'optimal':
             raise SettingsError('tool_error', f'the law {settings.law} has none; use optimal')
         name = settings.compensation
@@ -121,9 +113,17 @@ class ToolLimit:
         rates = velocity + acceleration * recent
         before = q + velocity * time + acceleration * recent * (time - 0.5 * recent)
         at = before[0] if count else q
-        motion = ToolMotion(self.machine, self.period, np.ascontiguousarray(at), self.model)
+        motion = self.motion_from(np.ascontiguousarray(at))
         motion.push(before, rates)
         return replace(self, motion=motion, wait=0.0)
+
+    def motion_from(self, position: FloatArray) -> ToolMotion:
+        """Return the drives at rest at a position, shape (n_axes,) [m, rad]."""
+        return ToolMotion(self.machine, self.period, position, self.model)
+
+    def afresh(self, path: AxisPath) -> ToolLimit:
+        """Return the limit with drives that rest at the start of a path."""
+        return replace(self, motion=None).begun(path, (0.0, 0.0))
 
     def after(self, stretch: Stretch, last: int) -> ToolLimit:
         """Return the limit with the drives where a stretch has been committed to a grid point."""
@@ -170,6 +170,12 @@ class ToolLimit:
         )
         rows: FloatArray = np.einsum('vnk,fnk->vfn', across, errors) / self.largest
         return np.ascontiguousarray(rows)
+
+    def stretch_rows(
+        self, left: FloatArray, right: FloatArray, kept: FloatArray | None
+    ) -> ToolRows:
+        """Return the rows of a stretch; its first cells have the parts of an older plan."""
+        return ToolRows(self, self.rows(left, right), kept)
 
     def _across(self, q: FloatArray, q_s: FloatArray) -> FloatArray:
         """Return the error in each normal by the errors of the axes, shape (8, n, n_axes)."""
@@ -252,12 +258,34 @@ class ToolLimit:
         return simulated, by_rows
 
 
-def lowered(part: FloatArray, simulated: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Return the parts of the limit that the rows of each cell get after a correction."""
-    reached = np.clip(predicted, 0.5 * part, part)
-    less = reached * AIM / (1.0 + EXCESS_FACTOR * (simulated - 1.0))
-    found: FloatArray = np.where(simulated > 1.0, np.maximum(less, LEAST_PART), part)
-    return np.minimum(found, part)
+class ToolRows:
+    """The rows of one stretch, and the parts of the limit that corrections lower."""
+
+    def __init__(self, limit: ToolLimit, rows: FloatArray, kept: FloatArray | None):
+        self._limit, self.rows = limit, rows
+        self.part = np.full((2, rows.shape[2]), FIRST_PART)  #: Of tip and axis in each cell [-].
+        if kept is not None:
+            self.part[:, : kept.shape[1]] = np.minimum(kept + RELAXED, 1.0)
+
+    def within_parts(self) -> FloatArray:
+        """Return the rows for their parts of the limit."""
+        rows: FloatArray = self.rows / np.repeat(self.part, NORMALS, axis=0)[:, None]
+        rows[:, 3] = np.clip(rows[:, 3], -STEADY_PART, STEADY_PART)
+        return rows
+
+    def lower(self, stretch: Stretch) -> tuple[float, BoolArray]:
+        """Simulate a law; return its largest use of the limit, and the cells with a lower one."""
+        nodes, factors = stretch.nodes[:-1], self.rows
+        v, a = stretch.v[nodes], stretch.a[nodes]
+        terms = factors[:, 0] * a + factors[:, 1] * v * v + factors[:, 2] * v + factors[:, 3]
+        predicted = np.abs(terms).reshape(2, NORMALS, -1).max(axis=1)
+        simulated, predicted = self._limit.use(stretch, predicted)
+        reached = np.clip(predicted, 0.5 * self.part, self.part)
+        less = np.maximum(reached * AIM / (1.0 + EXCESS_FACTOR * (simulated - 1.0)), LEAST_PART)
+        found = np.minimum(np.where(simulated > 1.0, less, self.part), self.part)
+        fell = (found < self.part).any(axis=0)
+        self.part = found
+        return float(simulated.max()), fell
 
 
 def _sampled(path: AxisPath, law: MotionLaw, time: FloatArray) -> tuple[FloatArray, FloatArray]:

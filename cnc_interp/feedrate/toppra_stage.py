@@ -9,27 +9,20 @@ it, both divided by the largest b. So they lie between -1 and 1, whatever the un
 from __future__ import annotations
 
 import sys
-from types import ModuleType
+from importlib.util import find_spec, module_from_spec
 from typing import Any
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 
-# toppra imports matplotlib for its plots, which takes longer than all the rest. It gets a module
-# without content instead, unless matplotlib is there already.
-_PLOTS = [name for name in ('matplotlib', 'matplotlib.pyplot') if name not in sys.modules]
-for _name in _PLOTS:
-    sys.modules[_name] = ModuleType(_name)
-if _PLOTS:
-    sys.modules['matplotlib'].pyplot = sys.modules['matplotlib.pyplot']  # type: ignore[attr-defined]
-try:
-    from toppra.constraint import LinearConstraint
-    from toppra.interpolator import AbstractGeometricPath
-    from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
-finally:
-    for _name in _PLOTS:
-        del sys.modules[_name]
+if 'toppra' not in sys.modules and (_spec := find_spec('toppra')) is not None:
+    # The package without what stands in its __init__: plots with matplotlib, which take a second.
+    sys.modules['toppra'] = module_from_spec(_spec)
+
+from toppra.constraint import LinearConstraint
+from toppra.interpolator import AbstractGeometricPath
+from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
 ROUNDING = 1e-7
 """Share of the largest b that is added, because the solver compares with fixed small numbers."""
@@ -65,20 +58,22 @@ class _Rows(LinearConstraint):  # type: ignore[misc]
         return self.change, self.b, np.zeros_like(self.b), both, np.ones(2 * axes), None, bounds
 
 
-def controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
-    """Return the largest squared speeds from which the rest of a path can be driven."""
-    largest = float(cap.max())
-    scaled = cap / largest
-    n = len(start)
-    rows = _Rows(start * largest, end * largest, scaled)
-    solver = seidelWrapper([rows], _Steps(n), 0.5 * np.arange(n + 1))
-    fastest = np.array([-1e-9, -1.0])
-    found = scaled.copy()
-    solver.setup_solver()
-    for i in range(n - 1, -1, -1):
-        b = solver.solve_stagewise_optim(i, None, fastest, np.nan, np.nan, 0.0, found[i + 1])[1]
-        if np.isfinite(b):
-            found[i] = min(found[i], b + ROUNDING)
-    solver.close_solver()
-    squared: FloatArray = found * largest
-    return squared
+class BackwardPass:
+    """The linear programs of the steps between some points of a path; each is solved alone."""
+
+    def __init__(self, start: FloatArray, end: FloatArray, cap: FloatArray):
+        self._largest = float(cap.max())
+        self._scaled = cap / self._largest
+        rows = _Rows(start * self._largest, end * self._largest, self._scaled)
+        n = len(start)
+        self._solver = seidelWrapper([rows], _Steps(n), 0.5 * np.arange(n + 1))
+        self._solver.setup_solver()
+        self._fastest = np.array([-1e-9, -1.0])
+
+    def largest(self, i: int, after: float) -> float:
+        """Return the largest b at point i from which at most ``after`` is reached at the next."""
+        b = self._solver.solve_stagewise_optim(
+            i, None, self._fastest, np.nan, np.nan, 0.0, after / self._largest
+        )[1]
+        cap = float(self._scaled[i])
+        return self._largest * (min(cap, b + ROUNDING) if np.isfinite(b) else cap)

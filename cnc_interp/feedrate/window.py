@@ -6,7 +6,7 @@ the first part of its plan is committed. Committed motion is never changed. The 
 planned again in the next window. Windows depend only on the path, and neither on how it was
 divided into parts nor on when these arrived. So the same path always gives the same bits.
 
-``PlanOptions.law`` chooses how a window is solved: by the jerk stage, or by steps forward (VPOp).
+``PlanOptions.law`` chooses what solves a window: the jerk stage, or a module of ``papers``.
 
 If the solver does not converge, its law keeps the limits but may be far too slow. Then the window
 is divided by a rest where that law is slowest, if this is faster.
@@ -14,25 +14,146 @@ is divided by a rest where that law is slowest, if this is faster.
 A window fails if no law within the limits was found from the committed state. Then half of the
 older plan is committed instead, and after a second failure all of it. The older plan ends at
 rest. If even this is impossible, the path is refused with its block after a stop before it.
+
+Where a window ends, and how much of it is committed, follows from stopping distances. A state is
+committed only if several of them lie between it and the stop at the end of the plan. Then more
+path would hardly have made it faster. One window holds a few such horizons.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
-from cnc_interp.feedrate import jerk_stage, vpop
-from cnc_interp.feedrate.horizon import WindowScan, commit_node
-from cnc_interp.feedrate.limit_kinks import with_kinks
+from cnc_interp.feedrate import jerk_stage
+from cnc_interp.feedrate.grid import with_kinks
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
-from cnc_interp.feedrate.speed_guess import speed_bounds
+from cnc_interp.feedrate.speed_guess import reach, speed_bounds
 from cnc_interp.feedrate.stretch import Stretch
+from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
+
+HORIZON = 3.0
+"""Stopping distances that must lie between a committed state and the end of its plan [-]."""
+
+SHORT, LEAST = 2e-4, 1 / 8
+"""Cells shorter than this time [s] are grouped, so they count in part; the smallest part [-]."""
+
+SETTLE = 0.1
+"""Time added to every stop in a horizon [s]. Without it, slow windows would be ramps only."""
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
+    """Return an upper bound of the stopping distance from speed v along a straight path [m]."""
+    return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _window_end(
+    s: FloatArray, bounds: FloatArray, ratio: float, most_cells: int, state: FloatArray
+) -> int:
+    """
+    Continue the search for the window end; return its grid point in ``s``, or -1.
+
+    A window is full after ``ratio`` horizons at the fastest speed of an optimistic guess. It is
+    also full after ``most_cells`` cells. ``state`` holds the start of the window [m], the guessed
+    speed [m/s], the longest stopping distance [m] and the number of cells counted.
+    """
+    for i in range(len(bounds)):
+        # The guess uses twice the jerk and more acceleration: a window may be too long, not short.
+        v = reach(state[1], s[i + 1] - s[i], 2 * bounds[i, 2], 4 * bounds[i, 3])
+        v = min(bounds[i, 1], v)
+        state[1] = v
+        state[2] = max(state[2], _stopping_distance(v, bounds[i, 2], bounds[i, 3]))
+        state[3] += min(1.0, max(LEAST, (s[i + 1] - s[i]) / (v * SHORT)))
+        if s[i + 1] - state[0] >= ratio * HORIZON * state[2] or state[3] >= most_cells:
+            return i + 1
+    return -1
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
+    """Find the last grid point with a whole horizon between it and the end of the plan."""
+    n = len(bounds)
+    farthest = 0.0
+    for i in range(n - 1, 0, -1):
+        speed = max(v[i], v[i + 1])
+        farthest = max(farthest, _stopping_distance(speed, bounds[i, 2], bounds[i, 3]))
+        if s[n] - s[i] >= HORIZON * farthest:
+            return i
+    return 0
+
+
+class WindowScan:
+    """Find the end of a planning window while its path arrives; each cell is examined once."""
+
+    def __init__(self, table: FloatArray, v_start: float, ratio: float, most_cells: int):
+        self.table, self.ratio, self.most_cells = table, ratio, most_cells
+        self.state = np.array([np.nan, v_start, 0.0, 0.0])
+        self.cells = 0
+        self.full: int | None = None
+        self.stop: int | None = None
+
+    @property
+    def crowded(self) -> bool:
+        """Whether the window contains its largest number of cells."""
+        return bool(self.state[3] >= self.most_cells)
+
+    def extend(self, part: AxisPath) -> None:
+        """Examine the next part of the path."""
+        if self.cells == 0:
+            self.state[0] = part.s[0]
+        elif part.stop[0] and self.stop is None:
+            self.stop = self.cells
+        before = self.cells
+        self.cells += len(part.s) - 1
+        if self.stop is not None:
+            return
+        stops = np.flatnonzero(part.stop[1:])
+        last = int(stops[0]) + 1 if len(stops) else len(part.s) - 1
+        if len(stops):
+            self.stop = before + last
+        if self.full is not None:
+            return
+        cells = slice(0, last)
+        s = part.s[: last + 1]
+        bounds = speed_bounds(
+            np.diff(s),
+            part.cell_left[:, cells],
+            part.cell_right[:, cells],
+            part.cell_feed[cells],
+            self.table,
+        )
+        found = _window_end(s, bounds, self.ratio, self.most_cells, self.state)
+        if found > 0:
+            self.full = before + found
+
+    def end(self, finished: bool) -> tuple[int, bool] | None:
+        """
+        Return the last grid point of the window and whether the motion must rest there.
+
+        If the window is full exactly at the last known point, the answer is None for now. The
+        next part of the path may declare that point a stop.
+        """
+        full, stop = self.full, self.stop
+        if full is not None and full < (self.cells if stop is None else stop):
+            return full, False
+        if stop is not None:
+            return stop, True
+        return (self.cells, True) if finished else None
+
+
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 AT_REST = (0.0, 0.0)
 
@@ -75,7 +196,7 @@ class PlannedPiece:
         least = sum(part.least_time for part in parts)
         solved = max((part.solved for part in parts), key=SOLVED_BY.index)
         path = AxisPath.join([part.path for part in parts])
-        return PlannedPiece(path, MotionLaw.join(laws), least, solved)
+        return PlannedPiece(path, MotionLaw.concatenate(laws), least, solved)
 
 
 def _unsound_cell(path: AxisPath) -> int | None:
@@ -100,6 +221,8 @@ class FeedPlanner:
         belong to a law within the same limits and feeds, otherwise no law may exist.
     time : float
         Time at the start of the path [s].
+    tool : ToolLimit, optional
+        Limit on the error that the drives leave at the tool.
 
     """
 
@@ -109,6 +232,7 @@ class FeedPlanner:
         options: PlanOptions | None = None,
         start: tuple[float, float] = AT_REST,
         time: float = 0.0,
+        tool: ToolLimit | None = None,
     ):
         self.options = options or PlanOptions()
         self._table = limit_table(limits)
@@ -120,12 +244,9 @@ class FeedPlanner:
         self._older: Stretch | None = None
         self._failed = False
         self._problem: PlanningError | None = None
-        if self.options.bound:
-            # It imports toppra, which takes a third of a second: now, not in the first window.
-            from cnc_interp.feedrate.time_bound import time_bound
-
-            self._time_bound = time_bound
-        self._law = {'optimal': jerk_stage.plan, 'vpop': vpop.plan}[self.options.law]
+        law = self.options.law
+        self._law = jerk_stage if law == 'optimal' else import_module(f'cnc_interp.papers.{law}')
+        self._tool = tool  # with the drives at the start of the path
         self._scan_again(self.options.window_ratio)
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
@@ -234,13 +355,15 @@ class FeedPlanner:
 
     def _solve(self, known: AxisPath) -> Stretch | None:
         """Plan from the committed state to rest; after a failure, once more on a finer grid."""
-        if self.options.tool is not None:
-            begun = self.options.tool.begun(known, self._start)
-            self.options = replace(self.options, tool=begun)
-        stretch = self._law(known, self._table, self._start, self.options, self._kept)
+        if self._tool is not None:
+            self._tool = self._tool.begun(known, self._start)
+        state = self._table, self._start
+        stretch: Stretch | None = self._law.plan(
+            known, *state, self.options, self._kept, self._tool
+        )
         if stretch is None:
             finer = self.options.finer()
-            stretch = self._law(known, self._table, self._start, finer, self._kept)
+            stretch = self._law.plan(known, *state, finer, self._kept, self._tool)
         return stretch
 
     def _plan_window(self, last: int, at_stop: bool) -> list[PlannedPiece]:
@@ -291,12 +414,12 @@ class FeedPlanner:
             return None
         place, end = int(slow[np.argmin(v[slow])]), len(known.s) - 1
         before, after = cut(known, 0, place), cut(known, place, end)
-        first = self._law(before, self._table, self._start, self.options, self._kept)
-        options = self.options
-        if options.tool is not None:
-            afresh = replace(options.tool, motion=None).begun(after, AT_REST)
-            options = replace(options, tool=afresh)
-        second = self._law(after, self._table, AT_REST, options, None)
+        options, tool = self.options, self._tool
+        first: Stretch | None = self._law.plan(
+            before, self._table, self._start, options, self._kept, tool
+        )
+        afresh = None if tool is None else tool.afresh(after)
+        second: Stretch | None = self._law.plan(after, self._table, AT_REST, options, None, afresh)
         if first is None or second is None:
             return None
         if not first.converged:
@@ -331,8 +454,8 @@ class FeedPlanner:
         last = int(stretch.nodes[cells])
         least = self._least_time(stretch, last, rests) if self.options.bound else 0.0
         law = stretch.law(self._time, last)
-        if self.options.tool is not None:
-            self.options = replace(self.options, tool=self.options.tool.after(stretch, last))
+        if self._tool is not None:
+            self._tool = self._tool.after(stretch, last)
         piece = PlannedPiece(cut(stretch.path, 0, last), law, least, solved)
         self._time = piece.law.end_time
         s = stretch.path.s
@@ -355,7 +478,7 @@ class FeedPlanner:
     def _least_time(self, stretch: Stretch, last: int, rests: bool) -> float:
         """Return the least time up to a grid point, at any speed that is possible before it."""
         path, nodes = stretch.path, stretch.nodes
-        bound = self._time_bound(path, nodes, self._table, self._fastest_sq, rests)
+        bound = time_bound(path, nodes, self._table, self._fastest_sq, rests)
         self._fastest_sq = float(bound.squared[last])
         return float(bound.time[:last].sum())
 
@@ -373,6 +496,7 @@ def plan_path(
     limits: AxisLimits,
     options: PlanOptions | None = None,
     start: tuple[float, float] = AT_REST,
+    tool: ToolLimit | None = None,
 ) -> PlannedPiece:
     """
     Plan a complete path with a ``FeedPlanner``.
@@ -387,6 +511,8 @@ def plan_path(
         Settings of the planner.
     start : tuple of float, optional
         s_dot and s_ddot at the start of the path [m/s, m/s2]; default is rest.
+    tool : ToolLimit, optional
+        Limit on the error that the drives leave at the tool.
 
     Returns
     -------
@@ -399,5 +525,5 @@ def plan_path(
         If no law within the limits exists.
 
     """
-    planner = FeedPlanner(limits, options, start)
+    planner = FeedPlanner(limits, options, start, tool=tool)
     return PlannedPiece.join(planner.push(path) + planner.finish())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import RunId
 
@@ -26,7 +26,7 @@ class Rows:
 
     def part(self, first: int, last: int) -> Rows:
         """Return the rows from ``first`` to the one before ``last``."""
-        return Rows(part_of(self.samples, first, last), self.lines[first:last])
+        return Rows(self.samples[first:last], self.lines[first:last])
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.core.units import MS
-from cnc_interp.feedrate.tool_limit import ToolLimit
+from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
@@ -34,11 +34,9 @@ from cnc_interp.nodes.stream_inlet import Inlet
 from cnc_interp.nodes.stream_outlet import Outlet
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import PlanningSession
-from cnc_interp.run.planning_states import Activity
+from cnc_interp.run.planning_session import Activity, ChunkSender, PlanningSession, Received
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
-from cnc_interp.run.session_port import ChunkSender, Received
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
 from cnc_interp.wire.machine_report import machine_report
@@ -72,7 +70,7 @@ class FeedrateNode(LifecycleNode):
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(values['machine'], period)
-        ToolLimit.wanted(self._transform.machine, parameters.settings_of(values))  # refuse it now
+        wanted_tool(self._transform.machine, parameters.settings_of(values))  # refuse it now
         self._diagnostics = Diagnostics(self)
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
@@ -184,7 +182,7 @@ class FeedrateNode(LifecycleNode):
     ) -> RunPlanner:
         """Make the planner of the run that begins with a segment."""
         wanted = replace(parameters.settings_of(self._values), flank_height=first.flank_height)
-        tool = ToolLimit.wanted(self._transform.machine, wanted)
+        tool = wanted_tool(self._transform.machine, wanted)
         return RunPlanner(
             self._transform, first.flank_height, self._values['interpolation_period'],
             self._values['chunk_time'], stands, place, settings,

@@ -27,7 +27,7 @@ from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.leg import LIVE
 from cnc_interp.run.motion_plan import OperatorSettings
@@ -149,7 +149,7 @@ def resting_chunk(position: FloatArray, period: float) -> Chunk:
     samples = Setpoints(
         number * period, still + position, still, still, still, number, np.zeros(4)
     )
-    return Chunk(samples, part_of(samples, 0, 0), Wait.END)
+    return Chunk(samples, samples[:0], Wait.END)
 
 
 @cache

@@ -10,7 +10,7 @@ from importlib import import_module
 from threading import Thread
 from typing import Any
 
-from cnc_interp.run.session_port import Task
+from cnc_interp.run.planning_session import Task
 
 #: Longest time that the sending thread waits for the planning thread [s].
 SWITCH = 5e-4

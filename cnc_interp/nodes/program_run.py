@@ -18,8 +18,7 @@ from cnc_interp.nodes.preparation import Preparation
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.program import JobSetup
 from cnc_interp.program.targets import ProgramChange
-from cnc_interp.run.loss_recovery import LossRecovery
-from cnc_interp.run.machine_report import MachineReport
+from cnc_interp.run.machine_report import LossRecovery, MachineReport
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, Step, refused
 from cnc_interp.run.run_state import State

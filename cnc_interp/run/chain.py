@@ -16,19 +16,17 @@ from typing import Any
 
 from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.feedrate.limits import limits_at
-from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.tool_limit import ToolLimit
+from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.interpolator import Interpolator, Setpoints
-from cnc_interp.run.parallel_planner import MotionPlanner, ParallelPlanner
+from cnc_interp.run.parallel_planner import MotionPlanner, ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.run.planner_process import Planning
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -66,12 +64,9 @@ class Chain:
         self._watch, self._start = Stopwatch(clock), start
         self._path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
-        options = PlanOptions(
-            law=settings.law,
-            step=min(period, LONGEST_STEP),
-            tool=ToolLimit.wanted(machine, settings),
-        )
-        planning = Planning(limits_at(machine, period), options)
+        options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
+        tool = wanted_tool(machine, settings)
+        planning = Planning(limits_at(machine, period), options, tool)
         self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
         self._planner: MotionPlanner = self._parallel or planning.planner()
         self._interpolator = Interpolator(settings.interpolation_period)

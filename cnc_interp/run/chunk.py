@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections import deque
+from dataclasses import dataclass
 from enum import IntEnum
 
-from cnc_interp.core.arrays import IntArray
 from cnc_interp.run.interpolator import Setpoints
 
 
@@ -42,26 +42,63 @@ class Chunk:
 
     def head(self, count: int) -> Chunk:
         """Return a chunk of the first setpoints; its stop tail is the others and the old tail."""
-        rest = part_of(self.samples, count, len(self.samples))
+        rest = self.samples[count:]
         tail = Setpoints.concatenate([rest, self.tail])
-        return Chunk(part_of(self.samples, 0, count), tail, Wait.NOTHING)
+        return Chunk(self.samples[:count], tail, Wait.NOTHING)
 
 
-def part_of(samples: Setpoints, first: int, last: int) -> Setpoints:
+class ChunkCutter:
     """
-    Take consecutive setpoints.
+    Cut the setpoints of one plan into chunks.
 
-    Parameters
-    ----------
-    samples : Setpoints
-        All setpoints, length K.
-    first, last : int
-        First row, and the row after the last one.
-
+    The tail of a chunk follows the plan to the next setpoint with a known stop, then that stop.
+    Setpoints after the last known stop are kept until a further stop is known.
     """
-    return Setpoints(*(getattr(samples, field.name)[first:last] for field in fields(Setpoints)))
 
+    def __init__(self, size: int, number: int):
+        self._size = size
+        self._first = self.next_number = number
+        self._kept: deque[Setpoints] = deque()  # from setpoint _first on
+        self._stops: deque[tuple[int, Setpoints | None]] = deque()
+        self._waits: dict[int, Wait] = {}
 
-def rows_of(samples: Setpoints, rows: IntArray) -> Setpoints:
-    """Return some rows of setpoints."""
-    return Setpoints(*(getattr(samples, field.name)[rows] for field in fields(Setpoints)))
+    def take(self, samples: Setpoints) -> None:
+        """Add further setpoints."""
+        if len(samples):
+            self._kept.append(samples)
+            self.next_number += len(samples)
+
+    def add_stop(self, number: int, stop: Setpoints) -> None:
+        """Store the stop that begins after a setpoint."""
+        self._stops.append((number, stop))
+
+    def end_leg(self, wait: Wait) -> None:
+        """Record that the last setpoint is at rest, and what the machine waits for there."""
+        self._stops.append((self.next_number - 1, None))
+        self._waits[self.next_number - 1] = wait
+
+    def cut(self) -> list[Chunk]:
+        """Return the chunks that are complete: those whose tail is known."""
+        if not self._stops:
+            return []
+        kept = Setpoints.concatenate(list(self._kept))
+        chunks: list[Chunk] = []
+        base = begin = self._first
+        while self._stops:
+            end = begin + self._size
+            end = min(end, min((n + 1 for n in self._waits if n >= begin), default=end))
+            while self._stops and self._stops[0][0] < end - 1:
+                self._stops.popleft()
+            if not self._stops:
+                break
+            number, stop = self._stops[0]
+            tail = kept[end - base : number + 1 - base]
+            if stop is not None:
+                tail = Setpoints.concatenate([tail, stop])
+            wait = self._waits.pop(end - 1, Wait.NOTHING)
+            chunks.append(Chunk(kept[begin - base : end - base], tail, wait))
+            begin = end
+        self._first = begin
+        rest = kept[begin - base :]
+        self._kept = deque([rest] if len(rest) else [])
+        return chunks

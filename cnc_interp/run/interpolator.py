@@ -3,42 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.columns import Table, column
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate_along
 
 
-@dataclass(frozen=True)
-class Setpoints:
+class Setpoints(Table):
     """Commanded positions and their derivatives, one row per interpolation period."""
 
-    #: (K,): Time since the start of the motion, whole multiples of the period [s].
-    time: FloatArray
-    #: (K, n_axes): Commanded axes and their time derivatives [m or rad, per s, per s2, per s3].
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
-    block: IntArray  #: (K,): Row of the block being executed.
-    s: FloatArray  #: (K,): Path position [m].
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            getattr(self, field.name).flags.writeable = False
-
-    def __len__(self) -> int:
-        """Count the samples."""
-        return len(self.time)
-
-    @staticmethod
-    def concatenate(parts: list[Setpoints]) -> Setpoints:
-        """Join chunks end to end."""
-        names = [field.name for field in fields(Setpoints)]
-        return Setpoints(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
+    time: FloatArray = column()  #: Since the start of the motion, multiples of the period [s].
+    #: Commanded axes and their time derivatives [m or rad, per s, per s2, per s3].
+    position: FloatArray = column('axes')
+    velocity: FloatArray = column('axes')
+    acceleration: FloatArray = column('axes')
+    jerk: FloatArray = column('axes')
+    block: IntArray = column()  #: Row of the block being executed.
+    s: FloatArray = column()  #: Path position [m].
 
 
 class Interpolator:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cnc_interp.core.arrays import IntArray
 from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
+
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 LIVE = PlanOptions(bound=False)
 """Settings of the planner in a run, where nothing shows the least time."""
@@ -37,14 +39,8 @@ def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
     stretch = np.floor((law.time - law.time[0]) / SLICE)
     borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
     return [
-        PlannedPiece(piece.path, rows_of(law, np.arange(first, last)))
-        for first, last in pairwise(borders)
+        PlannedPiece(piece.path, law[np.arange(first, last)]) for first, last in pairwise(borders)
     ]
-
-
-def rows_of(law: MotionLaw, rows: IntArray) -> MotionLaw:
-    """Return some rows of a motion law."""
-    return MotionLaw(*(getattr(law, field.name)[rows] for field in fields(MotionLaw)))
 
 
 def without_long_rows(law: MotionLaw) -> MotionLaw:
@@ -57,7 +53,7 @@ def without_long_rows(law: MotionLaw) -> MotionLaw:
     duration = law.duration[row] / parts[row]
     time = law.time[row] + place * duration
     s, s_dot, s_ddot, _ = law.evaluate(time, row)
-    cut_law = rows_of(law, row)
+    cut_law = law[row]
     return replace(cut_law, time=time, duration=duration, s=s, s_dot=s_dot, s_ddot=s_ddot)
 
 
@@ -73,8 +69,7 @@ class Leg:
         tool: ToolLimit | None = None,
     ):
         self.period = period
-        options = replace(LIVE, tool=tool)
-        self.planner = FeedPlanner(limits, options, start, max(begun - 1, 0) * period)
+        self.planner = FeedPlanner(limits, LIVE, start, max(begun - 1, 0) * period, tool)
         self.interpolator = Interpolator(period, begun)
         self.slices: deque[PlannedPiece] = deque()
         self.wait: Wait | None = None

@@ -11,16 +11,19 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
-from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import finely
 from cnc_interp.run.leg import Leg
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings, PlanContext
+
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 #: No revision begins within this time before rest [s]. It waits, because the jerk stage cannot
 #: resolve the path of a few periods.

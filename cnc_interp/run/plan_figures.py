@@ -5,15 +5,14 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
-from cnc_interp.drives.tool_error import ToolError, ToolMotion
-from cnc_interp.feedrate.tool_limit import ToolLimit
+from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
@@ -23,6 +22,9 @@ from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import values_of
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
+
+if TYPE_CHECKING:
+    from cnc_interp.drives.tool_error import ToolError, ToolMotion
 
 
 class PlanFigures:
@@ -39,7 +41,7 @@ class PlanFigures:
         self._curved = self._spans = 0  # blocks that became curves, and spans of these
         self._on_curve, self._last_row = False, 0  # where the last segment ended
         self._tolerances = ToleranceUse()
-        self._tool = ToolLimit.wanted(machine, settings)
+        self._tool = wanted_tool(machine, settings)
         self._tool_motion: ToolMotion | None = None
         self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
         self.start: StartPlace | None = None  # where the run started, if not at the top
@@ -95,8 +97,7 @@ class PlanFigures:
         if self._tool is None:
             return
         if self._tool_motion is None:
-            start, model = samples.position[0], self._tool.model
-            self._tool_motion = ToolMotion(self._machine, self._period, start, model)
+            self._tool_motion = self._tool.motion_from(samples.position[0])
         self._note_error(self._tool_motion.push(samples.position, samples.velocity))
 
     def _note_error(self, error: ToolError) -> None:
@@ -131,8 +132,9 @@ class PlanFigures:
         held = np.concatenate([before, position])
         shares = np.abs(limit_shares(held, self._machine.limit_table, self._period))
         self._use = np.maximum(self._use, shares.max(axis=1))
-        torques = torque_shares(held, self._machine.limit_table, self._period)
-        self._torque_use = np.maximum(self._torque_use, torques.max(axis=0))
+        if self._machine.loads:
+            torques = torque_shares(held, self._machine.limit_table, self._period)
+            self._torque_use = np.maximum(self._torque_use, torques.max(axis=0))
         self._last = held[-BEFORE:]
 
     def summary(

@@ -12,7 +12,6 @@ import shutil
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
 from zipfile import ZipFile
@@ -37,6 +36,8 @@ from cnc_interp.smoothing.segments import PathSegments
 Columns = Mapping[str, NDArray[Any]]
 #: Columns of shape (4, cells, axes): they grow along their second axis.
 _CELLS = ('cell_left', 'cell_right')
+#: Path cells, and setpoints, that are gathered before they are measured and written.
+CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 
 class PlanWriter:
@@ -69,7 +70,9 @@ class PlanWriter:
             for name in ('blocks', 'segments', 'path', 'setpoints')
         }
         self._tip: FloatArray | None = None  # of the last block
-        self._path: tuple[AxisPath, float] | None = None  # the last cell, and its s_dot
+        self._path: tuple[AxisPath, FloatArray] | None = None  # the last cell, and its s_dot
+        self._paths: list[tuple[AxisPath, FloatArray]] = []  # gathered, with their s_dot
+        self._samples: list[Setpoints] = []  # gathered
 
     def __enter__(self) -> PlanWriter:
         return self
@@ -92,8 +95,7 @@ class PlanWriter:
         """Write further segments."""
         self.figures.segments(segments)
         if len(segments):  # an empty batch has no columns of extra axes
-            columns = {field.name: getattr(segments, field.name) for field in fields(segments)}
-            self._archives['segments'].append(columns)
+            self._archives['segments'].append(segments.columns())
 
     def piece(self, piece: PlannedPiece) -> None:
         """
@@ -130,9 +132,18 @@ class PlanWriter:
             Path speed at the left end of every cell [m/s].
 
         """
-        if self._path is not None:
-            path = AxisPath.join([self._path[0], path])
-            speed = np.concatenate([[self._path[1]], speed])
+        self._paths.append((path, speed))
+        if sum(len(part.s) for part, _ in self._paths) >= CELLS_AT_ONCE:
+            self._write_path()
+
+    def _write_path(self) -> None:
+        """Write the parts that were gathered."""
+        if not self._paths:
+            return
+        before = [] if self._path is None else [self._path]
+        path = AxisPath.join([part for part, _ in (*before, *self._paths)])
+        speed = np.concatenate([s_dot for _, s_dot in (*before, *self._paths)])
+        self._paths = []
         new = slice(0 if self._path is None else 1, len(path.s) - 1)
         self._grid(path, np.append(speed, 0.0), new)
         cells = len(path.s) - 1
@@ -142,7 +153,7 @@ class PlanWriter:
                 'cell_right': path.cell_right[:, new.start :],
             }
         )
-        self._path = cut(path, cells - 1, cells), float(speed[-1])
+        self._path = cut(path, cells - 1, cells), speed[-1:]
 
     def _grid(self, path: AxisPath, feed: FloatArray, rows: slice) -> None:
         """Write columns at the grid points; their neighbours on both sides must be in the path."""
@@ -163,8 +174,17 @@ class PlanWriter:
 
     def setpoints(self, samples: Setpoints) -> None:
         """Write further samples."""
+        self._samples.append(samples)
+        if sum(map(len, self._samples)) >= SETPOINTS_AT_ONCE:
+            self._write_setpoints()
+
+    def _write_setpoints(self) -> None:
+        """Measure and write the samples that were gathered."""
+        if not self._samples:
+            return
+        samples, self._samples = Setpoints.concatenate(self._samples), []
         self.figures.setpoints(samples)
-        columns = {field.name: getattr(samples, field.name) for field in fields(samples)}
+        columns = samples.columns()
         del columns['jerk']  # the proof takes the jerk from the positions
         self._archives['setpoints'].append(columns)
 
@@ -176,6 +196,8 @@ class PlanWriter:
         setup: str = '',
     ) -> dict[str, Any]:
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
+        self._write_path()
+        self._write_setpoints()
         if self._path is not None:
             self._grid(self._path[0], np.zeros(2), slice(1, 2))
         for name, archive in self._archives.items():

@@ -12,16 +12,128 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from enum import Enum, IntEnum
+from typing import Any, Protocol
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
-from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision, RunPlanner
-from cnc_interp.run.session_port import Received, SessionPort, Task
+from cnc_interp.smoothing.segments import PathSegments
+
+
+class ChunkSender(Protocol):
+    """The sender of the setpoints, as far as planning depends on it."""
+
+    sent: int
+    """Number after the last setpoint that was sent."""
+
+    next_number: int
+    """Number after the last setpoint that was queued."""
+
+    @property
+    def unsent(self) -> int:
+        """Setpoints queued but not sent."""
+
+    def begin(self, run_id: RunId) -> None:
+        """Start with setpoint 0 of a plan; forget what is queued."""
+
+    def put(self, item: Chunk, count: int = 1) -> None:
+        """Queue a chunk of so many setpoints."""
+
+
+class SessionPort(Protocol):
+    """What a planning session asks of the node around it."""
+
+    sender: ChunkSender
+
+    def make_planner(
+        self, first: Any, stands: FloatArray, continue_at: float, settings: OperatorSettings
+    ) -> RunPlanner:
+        """Make the planner of the run that begins with a segment message; see RunPlanner."""
+
+    def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait]]:
+        """Read segment messages; returns also the blocks after which cycle_start is waited for."""
+
+    def join(self, run_id: RunId, first: int) -> None:
+        """Send a plan that joins the plan being sent, from a number on."""
+
+    def take_back(self) -> None:
+        """Continue with the plan before the one that was to join."""
+
+    def consumed(self, count: int) -> None:
+        """Open the window of the segments."""
+
+    def refuse(self, kind: Refusal, reason: str) -> None:
+        """Inform the sender of the segments that the run is over."""
+
+
+@dataclass(frozen=True)
+class Received:
+    """What the machine reported about the setpoints it receives."""
+
+    run_id: RunId = NO_RUN  #: The plan that it receives.
+    executed: float = -math.inf  #: Number of the next setpoint that it executes, by now.
+    turned_away: bool = False  #: The plan sent last was to join where the machine has passed.
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task, and the function that receives its result."""
+
+    work: Callable[[], Any]
+    then: Callable[[Any, float], None]
+
+
+class Activity(Enum):
+    """What the planning of a run is doing."""
+
+    NONE = 'no run'
+    WAITING = 'waits for the machine to rest'
+    PLANNING = 'plans ahead'
+    REVISING = 'plans with other settings; the old plan goes on'
+    JOINING = 'has sent a plan that joins the one before'
+    RESUMING = 'plans anew from rest'
+    ENDED = 'the run is over'
+
+
+class Step(Enum):
+    """What changes the activity."""
+
+    BEGIN = 'the first segment of a run came'
+    PLACE = 'the machine told where it rests'
+    REVISE = 'the operator changed a setting'
+    JOIN = 'the plan with other settings is in time'
+    RESUME = 'the machine left the plan and rests'
+    DONE = 'the plan is there'
+    END = 'the run was executed, refused or given up'
+
+
+A, S = Activity, Step
+TABLE: dict[tuple[Activity, Step], Activity] = {
+    (A.WAITING, S.PLACE): A.PLANNING,
+    (A.PLANNING, S.REVISE): A.REVISING,
+    (A.REVISING, S.DONE): A.PLANNING,
+    (A.REVISING, S.JOIN): A.JOINING,
+    (A.JOINING, S.DONE): A.PLANNING,
+    (A.PLANNING, S.RESUME): A.RESUMING,
+    (A.RESUMING, S.DONE): A.PLANNING,
+    **{(activity, S.BEGIN): A.WAITING for activity in A},
+    **{(activity, S.END): A.ENDED for activity in A if activity is not A.NONE},
+}
+
+
+class PathEnd(IntEnum):
+    """How far the end of the path has got through planning."""
+
+    OPEN = 0  # further segments come
+    KNOWN = 1  # the last segment is there
+    PLANNED = 2  # it is planned, down to rest
+    QUEUED = 3  # its last setpoint is handed to the sender
+
 
 SEGMENTS_PER_TASK = 64
 """Segments taken over together."""

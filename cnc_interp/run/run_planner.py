@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.limits import limits_at
-from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
@@ -21,6 +20,9 @@ from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
 from cnc_interp.smoothing.segments import PathSegments
+
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 #: Largest distance of a machine that stands on the path [m, rad].
 ON_PATH = 1e-8

@@ -14,7 +14,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run import path_chain
-from cnc_interp.run.chunk import Wait, part_of
+from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
@@ -99,7 +99,7 @@ def test_every_chunk_can_be_stopped_behind(name):
     count, stops = 0, 0
     for chunk in chunks:
         count += len(chunk.samples)
-        before = part_of(samples, max(0, count - 4), count)
+        before = samples[max(0, count - 4) : count]
         assert_sound(Setpoints.concatenate([before, chunk.tail]), path, from_rest=count <= 4)
         stops += len(chunk.tail) > 0
     assert chunks[-1].wait is Wait.END and len(chunks[-1].tail) == 0
@@ -150,9 +150,7 @@ def test_stopped_by_the_last_tail_the_run_ends_at_the_end_of_the_path(name):
     stream.resume(float(tail.s[-1]), stream.settings)
     rest = drain(stream)
     assert rest[-1].wait is Wait.END
-    assert_sound(
-        Setpoints.concatenate([part_of(tail, len(tail) - 1, len(tail)), joined(rest)]), path
-    )
+    assert_sound(Setpoints.concatenate([tail[-1:], joined(rest)]), path)
     assert np.abs(joined(rest).position[-1] - path.cell_right[0, -1]).max() < 1e-12
 
 

@@ -75,8 +75,8 @@ def test_a_grid_too_coarse_is_refined(monkeypatch):
     """Cells of 50 ms cannot keep what bends inside them; half of them and less can."""
     asked, plan = [], jerk_stage.plan
 
-    def counting(path, table, start, options, kept):
-        stretch = plan(path, table, start, options, kept)
+    def counting(path, table, start, options, *rest):
+        stretch = plan(path, table, start, options, *rest)
         asked.append((start[0] > 0.0, options.share, stretch is not None))
         return stretch
 

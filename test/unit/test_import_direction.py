@@ -1,6 +1,8 @@
 """Imports run the way the data flows; rclpy stays in two rooms."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,7 @@ FLOW = (
     'report',
     'description',
     'cam',
+    'papers',
     'batch',
     'nodes',
     'client',
@@ -136,6 +139,28 @@ def test_package_itself_imports_nothing_but_the_choice_of_the_kernel_cache():
     source = (PACKAGE / '__init__.py').read_text()
     ours = {n for n in imported_names(source, 'cnc_interp', True) if n.startswith('cnc_')}
     assert ours <= {'cnc_interp', 'cnc_interp.core.kernel_cache'}
+
+
+def test_what_exists_to_compare_is_loaded_by_name_in_its_ports_only():
+    """The stages, the nodes and the commands start without the room ``papers``."""
+    ports = {
+        dotted_name(path): path.read_text().count("import_module('cnc_interp.papers.")
+        + path.read_text().count("import_module(f'cnc_interp.papers.")
+        for path in modules()
+        if 'cnc_interp.papers' in path.read_text() and room_of(dotted_name(path)) != 'papers'
+    }
+    assert ports == {
+        'cnc_interp.cam.work': 1,
+        'cnc_interp.feedrate.window': 1,
+        'cnc_interp.smoothing.corners.connection': 1,
+    }
+    script = (
+        'import sys, cnc_interp.nodes.feedrate_node, cnc_interp.nodes.lookahead_node, '
+        'cnc_interp.run.chain, cnc_interp.cam.work\n'
+        "print([name for name in sys.modules if name.startswith('cnc_interp.papers')])"
+    )
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
+    assert done.stdout == '[]\n', done.stderr
 
 
 @pytest.mark.parametrize(

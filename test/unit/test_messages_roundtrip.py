@@ -19,7 +19,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run import path_chain
-from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
@@ -222,7 +222,7 @@ def sound(kind):
         still = Setpoints(
             np.arange(10) * 0.001, *np.zeros((4, 10, 5)), np.ones(10, dtype=int), np.zeros(10)
         )
-        chunk = Chunk(still, part_of(still, 0, 7), Wait.NOTHING)
+        chunk = Chunk(still, still[:7], Wait.NOTHING)
         return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, P, 0, 0.001)
     blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, Settings()).blocks
     if kind is G1Block:

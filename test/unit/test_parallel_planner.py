@@ -18,11 +18,15 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
-from cnc_interp.run import rest_sections
+from cnc_interp.run import parallel_planner
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.run.parallel_planner import ParallelPlanner
-from cnc_interp.run.planner_process import LostProcessError, PlannerProcess, Planning
-from cnc_interp.run.rest_sections import RestSections
+from cnc_interp.run.parallel_planner import (
+    LostProcessError,
+    ParallelPlanner,
+    PlannerProcess,
+    Planning,
+    RestSections,
+)
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')
@@ -31,7 +35,7 @@ FILES = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 
 @pytest.fixture(autouse=True)
 def small_sections(monkeypatch):
-    monkeypatch.setattr(rest_sections, 'ENOUGH', 40)
+    monkeypatch.setattr(parallel_planner, 'ENOUGH', 40)
 
 
 def path_with_rests(corners=24, every=3):
@@ -187,7 +191,7 @@ def test_the_first_refusal_of_the_program_is_told(tmp_path, monkeypatch):
         seen.append(path)
         return push(self, path)
 
-    monkeypatch.setattr(rest_sections, 'ENOUGH', 10**9)  # nothing is planned before it is asked
+    monkeypatch.setattr(parallel_planner, 'ENOUGH', 10**9)  # nothing is planned before it is asked
     monkeypatch.setattr(ParallelPlanner, 'push', spoilt)
     with pytest.raises(PlanningError, match='no finite path'):
         planned_files(file, tmp_path / 'out', 2, Settings())

@@ -16,13 +16,16 @@ from cnc_interp.run.planning_session import (
     MARGIN,
     REFILLED,
     REFILLING,
+    TABLE,
+    Activity,
+    PathEnd,
     PlanningSession,
+    Received,
+    Step,
 )
-from cnc_interp.run.planning_states import TABLE, Activity, PathEnd, Step
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import State
-from cnc_interp.run.session_port import Received
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')

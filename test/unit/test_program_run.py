@@ -12,7 +12,7 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.program_run import PATIENCE, ProgramRun
-from cnc_interp.run.loss_recovery import FILLED, SETTLED
+from cnc_interp.run.machine_report import FILLED, SETTLED
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import TABLE, Code, Phase, Step
 from cnc_interp.run.run_state import AT_REST, State

@@ -11,7 +11,7 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
-from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_stream import MotionStream
 
@@ -153,3 +153,20 @@ def test_the_reserve_costs_nothing_where_braking_is_possible(seed):
     kept = plan_path(path, XYZAC)
     without = plan_path(path, XYZAC, PlanOptions(reserve=0.0))
     assert np.array_equal(kept.law.s_dot, without.law.s_dot)
+
+
+def test_a_stop_that_ends_within_rounding_of_a_border_has_no_cell_after_it():
+    """In the smallest motions a border may lie anywhere in the last picometres of a stop."""
+    table, plain, late = limit_table(XYZAC), line_path(0.2, 0.05), 0
+    for v in np.geomspace(1e-8, 1e-6, 12):
+        state = (0.1, float(v), 0.0)
+        whole = stop_law(plain, state, table, 0.0)
+        if whole is None:
+            continue
+        for gap in np.linspace(1e-13, 3e-12, 30):
+            border = whole.path.s[-1] - gap
+            stop = stop_law(refine(plain, np.array([border])), state, table, 0.0)
+            if stop is not None:
+                assert stop.law.cell.max() <= len(stop.path.s) - 2
+                late += stop.path.s[-1] == border
+    assert late > 10, 'stops that end at the border'

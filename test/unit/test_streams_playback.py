@@ -17,7 +17,7 @@ from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
-from cnc_interp.run.chunk import Chunk, Wait, part_of
+from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
 from cnc_interp.run.motion_plan import OperatorSettings
@@ -125,7 +125,7 @@ def program_on_the_spot(count):
     still, ones = np.zeros((count, 5)), np.ones(count, dtype=int)
     position = np.tile([0.02, 0.0, 0.0, 0.1, 0.0], (count, 1))
     rows = Setpoints(np.arange(count) * T, position, still, still, still, ones, np.zeros(count))
-    return Chunk(rows, part_of(rows, 0, 0), Wait.NOTHING)
+    return Chunk(rows, rows[:0], Wait.NOTHING)
 
 
 @pytest.mark.parametrize('there', [0, 49])
@@ -408,7 +408,7 @@ def test_figures_of_the_program_leave_the_approach_out():
     ones = np.ones(20, dtype=int)
     rest = Setpoints(np.arange(20) * T, position, still, still, still, ones, np.zeros(20))
     play.begin(P)
-    feed(play, [*fast, Chunk(rest, part_of(rest, 0, 0), Wait.END)])
+    feed(play, [*fast, Chunk(rest, rest[:0], Wait.END)])
     step_until(play, lambda: play.state.completed)
     assert (play.approach_samples, play.played) == (count, count + 20)
     assert play.axes.largest_use[0].max() < 1e-9

@@ -13,8 +13,9 @@ from cnc_interp.cli import main
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.error_series import error_series
 from cnc_interp.drives.tool_error import tool_error
+from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.tool_limit import ToolLimit
+from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.machine.simulated import simulate
@@ -177,7 +178,7 @@ def test_the_speed_on_a_circle_is_that_of_the_closed_form():
     # Equal loops cut a circle: x + (1 + tau kv) ... gives c2 = -tau / kv, so E = c2 v^2 / r.
     radius, largest = 20 * MM, 2 * UM
     tool = ToolLimit.of(IDEAL, T, largest, HEIGHT)
-    piece = plan_path(circle(radius, 2.0, 0.5), IDEAL, PlanOptions(tool=tool))
+    piece = plan_path(circle(radius, 2.0, 0.5), IDEAL, tool=tool)
     speed = np.sqrt(largest * radius / 2e-5)
     assert np.median(piece.law.s_dot) == pytest.approx(speed, rel=0.05)
     assert 0.9 * largest < error_of(sampled([piece]), IDEAL) <= largest
@@ -190,8 +191,7 @@ def test_the_error_is_held_and_used_in_windows(model, largest):
     tool = ToolLimit.of(TIRED, T, largest, HEIGHT, model)
     found = []
     for size in (60, len(path.s)):
-        options = PlanOptions(tool=tool, bound=False)
-        planner = FeedPlanner(TIRED, options)
+        planner = FeedPlanner(TIRED, PlanOptions(bound=False), tool=tool)
         pieces = []
         for first in range(0, len(path.s) - 1, size):
             pieces += planner.push(cut(path, first, min(first + size, len(path.s) - 1)))
@@ -201,6 +201,25 @@ def test_the_error_is_held_and_used_in_windows(model, largest):
     assert found[0].position.tobytes() == found[1].position.tobytes()
     assert plain > 1.2 * largest
     assert 0.8 * largest < error_of(found[0], TIRED, model) <= 1.001 * largest
+
+
+def test_windows_that_follow_keep_the_parts_of_the_limit():
+    """What corrections have lowered once holds for the cells that the next window keeps."""
+    path, kept, plan = s_path(), [], jerk_stage.plan
+
+    def watched(path, table, start, options, older, tool):
+        stretch = plan(path, table, start, options, older, tool)
+        if older is not None and len(older.ends):
+            count = len(older.before(path.s[-1]).ends)
+            kept.append((older.tool[:, :count], stretch.tool[:, :count]))
+        return stretch
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jerk_stage, 'plan', watched)
+        plan_path(path, TIRED, tool=ToolLimit.of(TIRED, T, 150 * UM, HEIGHT))
+    assert any((older < FIRST_PART).any() for older, _ in kept)
+    for older, now in kept:
+        assert (now <= np.minimum(older + RELAXED, 1.0)).all()
 
 
 def test_revisions_in_motion_hold_it():

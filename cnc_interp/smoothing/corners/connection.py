@@ -11,22 +11,20 @@ to that order, where the length rho of D is free. There are three methods:
             derivatives (three with the septic) becomes the end condition of the Hermite
             polynomial E, which is zero at both ends. Tip and axis are then C2 (C3).
 ``linear``  f(u) = u and E = 0. Industrial controls do this by default; [B2013] compares with it.
-``paper``   The first and last three values of f are found one after the other by Newton's method
-            on the discrete third derivative of the axis (Eq. 11). A cubic spline joins them.
+``paper``   Newton's method on the discrete third derivative of the axis (Eq. 11); see
+            ``papers/parametrization.py``.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.bezier import elevated
-from cnc_interp.core.corner_spline import corner_end_derivatives, corner_spline_points
+from cnc_interp.core.corner_spline import corner_end_derivatives
 from cnc_interp.smoothing.corners.corner_curves import Curves
-from cnc_interp.smoothing.orientation import cross, dot, norm, turned_by
-
-#: Step of the discrete derivative in the bottom parameter [-]; [B2013] does not state a value.
-PAPER_STEP = 0.02
+from cnc_interp.smoothing.orientation import cross, dot, norm
 
 
 def connect(
@@ -34,7 +32,8 @@ def connect(
 ) -> None:
     """Compute the connection E and the parametrization f of corners in place."""
     if method == 'paper':
-        curves.parametrization[:] = _paper_spans(curves, axes, rates)
+        paper = import_module('cnc_interp.papers.parametrization')
+        curves.parametrization[:] = paper.spans(curves, axes, rates)
     if method != 'exact':
         return
     ends = (
@@ -168,63 +167,3 @@ def hermite(first: FloatArray, last: FloatArray, points: int) -> FloatArray:
         if degree == 7:
             values[:, 3] = 3.0 * values[:, 2] - 3.0 * values[:, 1] + end[2] / 210.0
     return found
-
-
-def _first_values(
-    bottom: FloatArray, top: FloatArray, axis: FloatArray, rate: FloatArray
-) -> FloatArray:
-    """
-    Return the first three values of u_top by the method of the paper, shape (3, n).
-
-    [B2013, section 3.3, Eq. 11]. The bottom points are ``PAPER_STEP`` apart in u. Before the
-    corner, the axis is that of the line at equal steps of arc length. Gauss-Newton converges fast,
-    because the third difference is almost linear in u_top.
-    """
-    n = len(axis)
-    speed = norm(corner_end_derivatives(bottom)[0])
-    before = [turned_by(axis, rate, (k - 2) * PAPER_STEP * speed) for k in range(3)]
-    values = np.empty((3, n))
-
-    def tool_at(u: FloatArray, point: FloatArray) -> FloatArray:
-        # Unit tool axis from the bottom point to the top curve at u, shape (n, 3).
-        tool = corner_spline_points(top, u) - point
-        return np.asarray(tool / norm(tool)[:, None])
-
-    for k in range(3):
-        u = np.full(n, (k + 1) * PAPER_STEP)
-        point = corner_spline_points(bottom, u)
-        expected = 3.0 * before[2] - 3.0 * before[1] + before[0]
-        step = 1e-6
-        for _ in range(8):
-            slope = (tool_at(u + step, point) - tool_at(u - step, point)) / (2.0 * step)
-            square = dot(slope, slope)
-            change = dot(slope, tool_at(u, point) - expected)
-            u = u - np.where(square > 0.0, change / np.where(square > 0.0, square, 1.0), 0.0)
-        values[k] = u
-        before = [*before[1:], tool_at(u, point)]
-    return values
-
-
-def _paper_spans(curves: Curves, axes: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return f as a cubic spline through the six points of the paper, shape (n, 7, 8)."""
-    steps = PAPER_STEP * np.arange(1, 4)
-    x = np.concatenate([[0.0], steps, 1.0 - steps[::-1], [1.0]])
-    first = _first_values(curves.bottom, curves.top, axes[:, 0], rates[:, 0])
-    last = _first_values(curves.bottom[:, ::-1], curves.top[:, ::-1], axes[:, 1], -rates[:, 1])
-    n = len(axes)
-    y = np.concatenate([np.zeros((1, n)), first, 1.0 - last[::-1], np.ones((1, n))]).T
-    h = np.diff(x)
-    system = np.zeros((8, 8))  # for the second derivatives, with not-a-knot ends
-    system[0, :3] = h[1], -h[0] - h[1], h[0]
-    system[7, 5:] = h[6], -h[5] - h[6], h[5]
-    for i in range(1, 7):
-        system[i, i - 1 : i + 2] = h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]
-    right = np.zeros((n, 8))
-    right[:, 1:7] = 6.0 * np.diff(np.diff(y, axis=1) / h, axis=1)
-    bend = np.linalg.solve(system, right.T).T
-    slope = np.diff(y, axis=1) / h - h * (2.0 * bend[:, :-1] + bend[:, 1:]) / 6.0
-    b1 = y[:, :-1] + slope * h / 3.0
-    b2 = 2.0 * b1 - y[:, :-1] + bend[:, :-1] * h**2 / 6.0
-    values = np.stack([y[:, :-1], b1, b2, y[:, 1:]], axis=2)
-    values = elevated(values.reshape(-1, 4, 1), 6).reshape(n, 7, 7)
-    return np.concatenate([np.broadcast_to(x[:-1, None], (n, 7, 1)), values], axis=2)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from cnc_interp.cam.classical import classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.shapes import Bumps, Cap, Plane, Torus
@@ -13,6 +12,7 @@ from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.surface_curve import SurfaceCurve, crossing
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.papers.classical import classical_paths
 
 MILL, BALL = Cutter(5 * MM, 1.5 * MM), Cutter(0.0, 5 * MM)
 HEIGHT = 10 * UM

@@ -27,7 +27,8 @@ from cnc_interp.feedrate.limits import limit_use
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.feedrate.stretch import Stretch
-from cnc_interp.feedrate.vpop_steps import (
+from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients
+from cnc_interp.papers.vpop_steps import (
     AT_END,
     BACKWARDS,
     CELL,
@@ -43,7 +44,6 @@ from cnc_interp.feedrate.vpop_steps import (
     V,
     go_forward,
 )
-from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients
 
 MARGIN = 8.0
 """Number of steps by which a difficult place must be passed."""
@@ -370,6 +370,7 @@ def plan(
     start: tuple[float, float] = (0.0, 0.0),
     options: PlanOptions | None = None,
     kept: KeptCells | None = None,
+    tool: object = None,
 ) -> Stretch | None:
     """Plan from a state of motion to rest at the end of the path, by steps forward."""
     options = options or PlanOptions()

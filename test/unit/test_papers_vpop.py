@@ -14,10 +14,10 @@ from feedrate_paths import XYZAC, line_path, polyline_path, random_polyline, sam
 from cnc_interp.cli import main
 from cnc_interp.command_options import FINE
 from cnc_interp.core.errors import SettingsError
-from cnc_interp.feedrate import vpop
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import DIVIDED, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.papers import vpop
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 

@@ -1,5 +1,6 @@
 """Batches: the same table whoever computes it, and no program ends it."""
 
+import contextlib
 import csv
 import json
 import os
@@ -316,11 +317,17 @@ def test_nothing_runs_any_more_once_the_command_has_ended(programs, tmp_path):
         env=os.environ | dict([mark.split('=')]), check=False,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    for environment in Path('/proc').glob('[0-9]*/environ'):
-        try:
-            assert mark.encode() not in environment.read_bytes().split(b'\0'), environment
-        except OSError:
-            continue  # it has just ended
+
+    def left():
+        for environment in Path('/proc').glob('[0-9]*/environ'):
+            with contextlib.suppress(OSError):  # it has just ended
+                if mark.encode() in environment.read_bytes().split(b'\0'):
+                    yield environment
+
+    deadline = time.monotonic() + 60.0  # they are ending, and a busy computer lets them wait
+    while found := list(left()):
+        assert time.monotonic() < deadline, found
+        time.sleep(0.05)
 
 
 def test_names_and_bad_input(programs, tmp_path, capsys):

@@ -13,7 +13,6 @@ from cnc_interp.cli import main
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.error_series import error_series
 from cnc_interp.drives.tool_error import tool_error
-from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
@@ -203,23 +202,21 @@ def test_the_error_is_held_and_used_in_windows(model, largest):
     assert 0.8 * largest < error_of(found[0], TIRED, model) <= 1.001 * largest
 
 
-def test_windows_that_follow_keep_the_parts_of_the_limit():
-    """What corrections have lowered once holds for the cells that the next window keeps."""
-    path, kept, plan = s_path(), [], jerk_stage.plan
+def test_windows_that_follow_keep_the_parts_of_the_limit(monkeypatch):
+    """What corrections have lowered once is where the cells of the next window begin."""
+    begun, stretch_rows = [], ToolLimit.stretch_rows
 
-    def watched(path, table, start, options, older, tool):
-        stretch = plan(path, table, start, options, older, tool)
-        if older is not None and len(older.ends):
-            count = len(older.before(path.s[-1]).ends)
-            kept.append((older.tool[:, :count], stretch.tool[:, :count]))
-        return stretch
+    def watched(self, left, right, kept):
+        rows = stretch_rows(self, left, right, kept)
+        if kept is not None:
+            begun.append((kept, rows.part[:, : kept.shape[1]].copy()))
+        return rows
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jerk_stage, 'plan', watched)
-        plan_path(path, TIRED, tool=ToolLimit.of(TIRED, T, 150 * UM, HEIGHT))
-    assert any((older < FIRST_PART).any() for older, _ in kept)
-    for older, now in kept:
-        assert (now <= np.minimum(older + RELAXED, 1.0)).all()
+    monkeypatch.setattr(ToolLimit, 'stretch_rows', watched)
+    plan_path(s_path(), TIRED, tool=ToolLimit.of(TIRED, T, 150 * UM, HEIGHT))
+    assert any((kept < FIRST_PART).any() for kept, _ in begun)
+    for kept, part in begun:
+        assert (part == np.minimum(kept + RELAXED, 1.0)).all()
 
 
 def test_revisions_in_motion_hold_it():

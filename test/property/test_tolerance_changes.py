@@ -13,8 +13,10 @@ from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_program, write_plan
-from cnc_interp.run.path_chain import PathChain
+from cnc_interp.run.path_chain import PathChain, segments_of
+from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.segments import SPLINE
 
 MACHINE = Machine.load('xyzac')
 #: Tolerances in the order in which they hold [mm], and after how many blocks each ends.
@@ -99,3 +101,15 @@ def test_segments_are_the_same_however_blocks_arrive(change):
         found.append(np.concatenate([part.segments.bottom for part in parts]))
     for other in found[1:]:
         np.testing.assert_array_equal(found[0], other)
+
+
+@pytest.mark.parametrize('change', ['smaller', 'larger'])
+def test_a_curve_crosses_a_border_of_tolerance(change):
+    transform = Transform.of(MACHINE)
+    blocks = read_text(text_of('arc', change), 'a.ngc', transform, Settings()).blocks
+    segments = segments_of(blocks[1:], transform, Settings())  # without the way to the arc
+    assert (segments.kind == SPLINE).all() and not segments.stop[:-1].any()
+    use = ToleranceUse()
+    use.blocks(blocks[1:])
+    use.segments(segments)
+    assert (use.largest <= 1.0).all()

@@ -15,6 +15,7 @@ from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
 from cnc_interp.run.path_chain import PathChain, path_of, segments_of, smoother_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.stop_choice import StopChoice
+from cnc_interp.smoothing.dense.thinning import longest_chord
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.motion_time import segment_times
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
@@ -157,3 +158,10 @@ def test_corners_that_are_known_are_not_chosen_again(make, compress, monkeypatch
     found = smoothed(replace(blocks, corner=corner), settings)
     assert (found.stop == tried.stop).all()
     np.testing.assert_array_equal(found.bottom, tried.bottom)
+
+
+def test_a_chord_at_the_end_of_a_curve_does_not_lead_back_to_its_start():
+    tip = np.array([[0, 0, 0], [20, 0, 0], [0, 0, 0]]) * UM  # aside by a fifth of the tolerance
+    tolerance = np.full(2, 100 * UM)
+    vertex, off, _ = longest_chord(tip, tip, tolerance, 0, 1, 2, 1 * MM, 0.3)
+    assert (vertex, off) == (1, 0.0)

@@ -142,9 +142,10 @@ class Run:
             turn = rotations_between(line.axis[:-1], line.axis[1:])
             angle = line.tolerance[:, 1] / self._height
             left[:, 1] *= shares_near_pole(self._pole, line.axis[:-1], turn, angle)
+        least = line.tolerance.min(axis=1)
         wanted = knots.knot_spacings(
             line.tip, line.axis, line.u, left, self._height, self._longest,
-            FINEST * line.tolerance.min(axis=1),
+            LONGEST * least, FINEST * least,
         )  # fmt: skip
         worst = self.t
         for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
@@ -185,7 +186,7 @@ class Run:
         full = clamped_knots(found)
         matrices = quintic_bezier_matrices(full, spans)
         samples = knots.sample_points(line.tip, line.axis, line.u, left, found, height)
-        narrow = self._narrowest(found)
+        narrow = self._tolerances(np.minimum, found)
         stiffness = tube_fit.STIFFNESS * narrow.min() / tube_fit.TYPICAL
         coefficients, _ = tube_fit.fit(
             full, matrices, found, self._jet, self._end_jet if last else self._jet[:0], samples,
@@ -203,8 +204,8 @@ class Run:
         if not excess.max() <= 1.0:  # also true for NaN, if the solution broke down
             worst = int(np.argmax(excess))
             return float(0.5 * (found[worst] + found[worst + 1]))
-        # A bound that not all tolerances of a span admit must hold in each of them by itself.
-        apart = (deviation > narrow[:count]).any(axis=1)
+        # Each piece lies in blocks of equal tolerances, and keeps its own.
+        apart = (self._tolerances(np.maximum, found) > narrow).any(axis=1)[:count]
         source, cut, ends, speed, segment = polyline.pieces(
             points, found, line.u, line.feed, line.tolerance, apart
         )
@@ -214,7 +215,7 @@ class Run:
                 cut, ends, line.tip, line.axis, line.u, line.used, height, self.turning,
                 self._share * line.tolerance,
             )  # fmt: skip
-            narrow = self._narrowest(ends)
+            narrow = self._tolerances(np.minimum, ends)
         # The motion starts in the first block and ends in the last one, however short they are.
         if not self.begun:
             segment[0, 0] = 0
@@ -243,13 +244,13 @@ class Run:
             axis, last, self.t,
         )  # fmt: skip
 
-    def _narrowest(self, knots: FloatArray) -> FloatArray:
-        """Return the smallest tolerances between these parameters, shape (n - 1, 2) [m]."""
+    def _tolerances(self, extreme: np.ufunc, knots: FloatArray) -> FloatArray:
+        """Return the extreme tolerances between these parameters, shape (n - 1, 2) [m]."""
         line = self.line
         first = np.searchsorted(line.u, knots[:-1], 'right') - 1
         after = np.maximum(np.searchsorted(line.u, knots[1:]), first + 1)
         known = np.vstack([line.tolerance, line.tolerance[-1:]])
-        return np.asarray(np.minimum.reduceat(known, np.stack([first, after], 1).ravel())[::2])
+        return np.asarray(extreme.reduceat(known, np.stack([first, after], 1).ravel())[::2])
 
     def _drop(self) -> None:
         """Drop vertices that no later window depends on."""

@@ -45,7 +45,7 @@ def _write_pose(
 @njit(cache=True, nogil=True)
 def knot_spacings(
     tip: FloatArray, axis: FloatArray, u: FloatArray, tolerance: FloatArray, height: float,
-    longest: float, finest: FloatArray,
+    longest: float, most: FloatArray, finest: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """
     Return the wanted spacing of knots at each vertex of a polyline.
@@ -63,8 +63,8 @@ def knot_spacings(
         Flank height [m].
     longest : float
         Longest spacing [m].
-    finest : ndarray, shape (n - 1,)
-        Shortest spacing on the segments [m].
+    most, finest : ndarray, shape (n - 1,)
+        Longest and shortest spacing on the segments by themselves [m].
 
     Returns
     -------
@@ -96,6 +96,8 @@ def knot_spacings(
                 if sqrt(bottom) > BEND * least[0] or sqrt(top) > BEND * least[1]:
                     wanted[j] = max(0.5 * d, finest[k])
         d *= 0.5
+    for j in range(n):
+        wanted[j] = min(wanted[j], most[min(j, n - 2)], most[max(j - 1, 0)])
     for j in range(1, n):
         wanted[j] = min(wanted[j], wanted[j - 1] + GROWTH * (u[j] - u[j - 1]))
     for j in range(n - 2, -1, -1):

@@ -95,7 +95,7 @@ def _write_rates(
     for i in range(out.shape[1]):
         q = jet.by_arc_length(axes[i], speed)
         out[0, i], out[1, i], out[2, i] = abs(q[1]), abs(q[2]), abs(q[3])
-    return float(speed[0])
+    return speed[0]
 
 
 @njit(cache=True, nogil=True)

@@ -63,8 +63,7 @@ class Rounding:
         emission = Emission(rows, legs, vertex, inner, outer, self.style, self._machine)
         segments = emission.segments(last)
         times = segment_times(segments, self._machine)
-        of_path = np.bincount(segments.block[:, 1] + 1, times, len(alternatives) + 1)
-        return np.asarray(of_path[1:], dtype=float)
+        return np.bincount(segments.block[:, 1] + 1, times, len(alternatives) + 1)[1:]
 
     def size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return L1, shape (n,), and L2, shape (n, 2), of every vertex [m]; 0 without a corner."""

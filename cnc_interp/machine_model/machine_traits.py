@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -39,9 +40,10 @@ class MachineTraits:
     geometry: Transform | None = None
     #: (5 + k,): Jerk limits of X Y Z, of the rotary axes and of the extra axes.
     max_jerk: FloatArray | None = None
-    #: (3, 5 + k): Velocity, acceleration and jerk that the axes keep everywhere. Without them no
-    #: motion times are compared.
-    limits: FloatArray | None = None
+    #: Time of the motion along a few blocks from rest to rest [s], as curves or corner by corner
+    #: (second argument); infinite where the machine cannot execute them. Without it nothing is
+    #: tried.
+    motion_time: Callable[[Any, bool], float] | None = None
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""
@@ -61,7 +63,6 @@ def traits_of(transform: Transform) -> MachineTraits:
         pole_cone=machine.singular_cone,
         geometry=transform if machine.has_rotary else None,
         max_jerk=machine.max_jerk if machine.has_rotary else None,
-        limits=machine.lowest_limits,
     )
 
 

@@ -23,7 +23,6 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
@@ -32,10 +31,9 @@ from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.leg import LIVE
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.motion_stream import MotionStream
-from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.path_chain import motion_time, segments_of
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
-from cnc_interp.smoothing.motion_time import segment_times
 from cnc_interp.smoothing.segments import PathSegments
 
 #: The tiny path has several windows, because some kernels are used after the first one only.
@@ -96,12 +94,11 @@ def _endless(transform: Transform) -> Transform:
 
 @cache
 def warm_lookahead(machine: str) -> PathSegments:
-    """Load the kernels of the look-ahead; return the tiny path."""
+    """Load the kernels of the look-ahead and its trials; return the tiny path."""
     transform = Transform.of(Machine.load(machine))
     segments_of(dense_program(transform), transform, Settings())
-    tiny = segments_of(tiny_program(transform), transform, Settings())
-    segment_times(tiny, traits_of(transform))
-    return tiny
+    motion_time(_endless(transform), Settings(), tiny_program(transform), False)
+    return segments_of(tiny_program(transform), transform, Settings())
 
 
 @cache

@@ -10,12 +10,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 from cnc_interp.core.arrays import IntArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine_traits import traits_of
@@ -119,7 +124,40 @@ class PathChain:
 
 def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
     """Return the first stage: it makes smooth segments of blocks for a machine."""
-    return PathSmoother(settings, traits_of(transform))
+    traits = replace(traits_of(transform), motion_time=partial(motion_time, transform, settings))
+    return PathSmoother(settings, traits)
+
+
+def motion_time(transform: Transform, settings: Settings, blocks: Blocks, curves: bool) -> float:
+    """
+    Plan a few blocks by themselves, each corner rounded unless it has an exact stop.
+
+    Parameters
+    ----------
+    transform : Transform
+        The machine's transformation.
+    settings : Settings
+        The choices of the run.
+    blocks : Blocks
+        The start pose and the blocks.
+    curves : bool
+        Whether runs of short blocks become curves.
+
+    Returns
+    -------
+    float
+        Time from rest to rest [s]; infinite if the machine cannot execute the blocks.
+
+    """
+    smoother = PathSmoother(replace(settings, compress=curves), traits_of(transform))
+    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
+    limits = limits_at(transform.machine, settings.interpolation_period)
+    try:
+        parts = [builder.push(s) for s in (smoother.push(blocks), smoother.finish())]
+        path = AxisPath.join([part for part in parts if part is not None])
+        return plan_path(path, limits, PlanOptions(bound=False)).law.end_time
+    except InterpError:
+        return np.inf
 
 
 def batches(blocks: Blocks) -> Iterator[Blocks]:

@@ -4,7 +4,7 @@ The look-ahead: from blocks to smooth segments.
 Runs of short blocks first become curves (``compressor.py``). Then each vertex between the
 remaining blocks is classified: a corner is rounded, at a stop the tool rests, and otherwise the
 path continues straight. Where a stop is faster than a rounded corner, the tool rests, too
-(``stop_choice.py``). A corner is final when the next corner has its size, because both share a
+(``stop_trials.py``). A corner is final when the next corner has its size, because both share a
 line between them that is too short. The result does not depend on how the blocks are divided
 into batches.
 """
@@ -13,16 +13,33 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.corners.stop_choice import StopChoice
-from cnc_interp.smoothing.corners.vertices import Legs, classify, refuse_reversals
+from cnc_interp.smoothing.corners import corner
+from cnc_interp.smoothing.corners.corner import PAPER_RATIO, Corners, Style
+from cnc_interp.smoothing.corners.ratio import ratios_at
+from cnc_interp.smoothing.corners.stop_trials import StopTrials
+from cnc_interp.smoothing.corners.vertices import (
+    ROUND,
+    Legs,
+    axis_corners,
+    classify,
+    corners_at,
+    refuse_reversals,
+)
 from cnc_interp.smoothing.dense.compressor import Compressor
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.emission import Emission, no_segments
-from cnc_interp.smoothing.rounding import Rounding
 from cnc_interp.smoothing.segments import PathSegments
+
+#: A line shorter than this share of its block goes to the corners [-].
+LEFT_OVER = 0.05
+#: The same with the paper's corners, which are enlarged by rounding errors only [-].
+ROUNDING = 1e-9
 
 
 class LookAhead:
@@ -36,16 +53,17 @@ class LookAhead:
         joined: bool = False,
         stops: list[int] | None = None,
     ):
-        # Corners that are made to be compared stay corners.
-        machine = replace(machine, limits=None) if settings.compares_corners else machine
         self._settings, self._machine = settings, machine
-        self._rounding = rounding = Rounding(settings, machine)
-        self._none = no_segments(rounding.style)
+        self._style = Style.of(settings)
+        self._ratio = settings.corner_ratio
+        if self._ratio is None and self._style.literal:
+            self._ratio = PAPER_RATIO
+        self._none = no_segments(self._style)
         self._rows: Rows | None = None
-        self._compressor = Compressor(settings, machine, rounding, row, joined)
-        self._choice = StopChoice(
-            rounding, machine, settings.flank_height, [] if stops is None else stops
-        )
+        # Corners that are made to be compared stay corners.
+        tried = replace(machine, motion_time=None) if settings.compares_corners else machine
+        self._compressor = Compressor(settings, tried, row, joined)
+        self._trials = StopTrials(tried, settings.flank_height, [] if stops is None else stops)
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -98,19 +116,72 @@ class LookAhead:
         legs = Legs.of(blocks, self._machine, self._settings.flank_height)
         refuse_reversals(rows, legs)
         vertex = classify(rows, legs, self._settings.flank_height, self._machine)
-        decided = self._choice.decide(rows, legs, vertex, final)
-        inner, outer = self._rounding.size(rows, legs, vertex)
+        decided = self._trials.decide(rows, legs, vertex, final)
+        inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
         # A vertex is final when its own corner and the next one have their size (left-overs).
         last = len(blocks) - 1 if final else min(len(blocks) - 3, decided - 2)
         if last < 1:
             return self._none
         own_share = float(outer[last, 1])
-        self._rounding.share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
-        style = self._rounding.style
-        emission = Emission(rows, legs, vertex, inner, outer, style, self._machine)
-        segments = emission.segments(last)
+        self._share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
+        segments = Emission(rows, legs, vertex, inner, outer, self._style, self._machine).segments(
+            last
+        )
         self._outer_before = own_share
         self._rows = rows[last:]
-        self._choice.keep(rows, vertex, last)
+        self._trials.keep(rows, vertex, last)
         return segments
+
+    def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return L1, shape (n,), and L2, shape (n, 2), of every vertex [m]; 0 without a corner."""
+        inner, outer = np.zeros(len(lines)), np.zeros((len(lines), 2))
+        rows = np.flatnonzero(vertex == ROUND)
+        rows = self._size_in_axes(lines, legs, rows, inner, outer)
+        if len(rows):
+            corners = corners_at(
+                lines.blocks, legs, rows, self._machine, self._settings.flank_height
+            )
+            half = self._available(lines, legs, rows)
+            ratios = self._ratios(corners)
+            start = corner.initial_lengths(corners, half, ratios, self._style.literal)
+            inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
+        return inner, outer
+
+    @staticmethod
+    def _available(lines: Rows, legs: Legs, rows: IntArray) -> FloatArray:
+        """Return how much of the lines before and after corners they may use, (n, 2) [m]."""
+        # A line with a curve at its other end belongs to one corner only.
+        alone = np.stack([lines.smooth[rows], lines.leads[rows + 1]], axis=1)
+        half = np.stack([legs.length[rows - 1], legs.length[rows]], axis=1)
+        return np.where(alone, half, 0.5 * half)
+
+    def _size_in_axes(
+        self, lines: Rows, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
+    ) -> IntArray:
+        """Write L1 and L2 of corners in coordinates; return the other corners."""
+        height, jerk = self._settings.flank_height, self._machine.max_jerk
+        corners = axis_corners(lines, legs, height, self._machine, rows)
+        if corners is None or jerk is None or not len(corners.row):
+            return rows
+        own = corners.row
+        lengths = self._available(lines, legs, own)
+        inner[own], outer[own] = corners.sizes(lengths, self._ratio, jerk)
+        return rows[~np.isin(rows, own)]
+
+    def _ratios(self, corners: Corners) -> FloatArray:
+        """Return L2/L1 on both sides of corners, shape (n, 2): the setting, or the best value."""
+        if self._ratio is not None:
+            return np.full((len(corners.tip), 2), self._ratio)
+        return ratios_at(corners, self._settings.flank_height, self._machine.axis_rates)
+
+    def _share_left_overs(self, legs: Legs, outer: FloatArray, known: int) -> None:
+        """Enlarge corners to cover the rest of a line that is too short to keep."""
+        used = outer[:known, 1] + outer[1 : known + 1, 0]
+        length = legs.length[:known]
+        rest = length - used
+        share = ROUNDING if self._style.literal else LEFT_OVER
+        stretch = (rest < share * length) & (used > 0.0)
+        factor = np.where(stretch, length / np.where(used > 0.0, used, 1.0), 1.0)
+        outer[:known, 1] *= factor
+        outer[1 : known + 1, 0] *= factor

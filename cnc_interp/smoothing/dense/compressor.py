@@ -11,16 +11,12 @@ the motion of the line: the tip moves straight and the tool axis on the great ci
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.corners.stop_choice import WORTH, turns_fast
-from cnc_interp.smoothing.corners.vertices import Legs
 from cnc_interp.smoothing.dense.corner_search import CornerSearch
 from cnc_interp.smoothing.dense.curve_fit import AHEAD, Run, Window
 from cnc_interp.smoothing.dense.end_lines import (
@@ -32,14 +28,11 @@ from cnc_interp.smoothing.dense.end_lines import (
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.dense.run_rows import curve_row, line_row
+from cnc_interp.smoothing.dense.run_trials import MOST_BLOCKS, is_tried, lines_are_faster
 from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
-from cnc_interp.smoothing.rounding import Rounding
 
 #: Smallest number of blocks in a run.
 FEWEST_BLOCKS = 3
-#: The times along a run of at most this many blocks are compared where the rotary axes turn fast,
-#: or where it is shorter than this [tolerances].
-MOST_BLOCKS, TINY = 8, 15.0
 #: Number of vertices that are kept before the last one sent.
 KEPT_VERTICES = 2048
 #: Shortest distance between the committed curve and the end of its run, in tolerances.
@@ -50,16 +43,11 @@ class Compressor:
     """Convert a stream of blocks to lines and curves."""
 
     def __init__(
-        self,
-        settings: Settings,
-        machine: MachineTraits,
-        rounding: Rounding,
-        row: int = 0,
-        joined: bool = False,
+        self, settings: Settings, machine: MachineTraits, row: int = 0, joined: bool = False
     ):
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
-        self._settings, self._machine, self._rounding = settings, machine, rounding
+        self._machine = machine
         self._builder = SkeletonBuilder(settings, row, joined)
         self._corners = CornerSearch(settings.corner_angle)
         self._first = row
@@ -185,39 +173,15 @@ class Compressor:
         return last, False, bool(long) and last - start >= FEWEST_BLOCKS
 
     def _is_faster(self, start: int, last: int, ended: bool) -> bool | None:
-        """
-        Tell whether a run is to become a curve; None if more blocks are necessary.
-
-        A curve needs room: a few spans, and a part of the lines beside it. On a run of a few
-        tolerances the lines and their corners may be shorter and straighter. Near the pole a curve
-        may use the whole orientation tolerance, and the outer rotary axis follows each of its
-        waves. So the times along such a run are compared (``motion_time.py``): as a curve, as
-        lines with rounded corners, and as lines with stops.
-        """
-        if self._machine.limits is None or last - start > MOST_BLOCKS:
+        """Tell whether a run is to become a curve; None if more blocks are necessary."""
+        if self._machine.motion_time is None or last - start > MOST_BLOCKS:
             return True
         skeleton = self._skeleton
         if not ended or (last + 1 == len(skeleton) and not skeleton.stop[last]):
             return None
-        blocks = skeleton.blocks[start : last + 1]
-        if skeleton.u[last] - skeleton.u[start] >= TINY * float(
-            skeleton.tolerance[start + 1 : last + 1].min()
-        ):
-            legs = Legs.of(blocks, self._machine, self._height)
-            if not turns_fast(blocks, legs, self._height, self._machine).any():
-                return True
-        first = start if skeleton.stop[start] else start - 1
-        end = last if skeleton.stop[last] else last + 1
-        blocks = skeleton.blocks[first : end + 1]
-        if blocks.by_rotary[1:].any():
+        if not is_tried(skeleton, start, last, self._height, self._machine):
             return True
-        stops = replace(blocks, exact_stop=np.ones(len(blocks), dtype=np.bool_))
-        plain = replace(self._machine, limits=None)
-        compressor = Compressor(self._settings, plain, self._rounding)
-        curve = Rows.concatenate([compressor.push(blocks), compressor.finish()])
-        ways = [Rows.plain(blocks, 0), Rows.plain(stops, 0), curve]
-        rounded, resting, curved = self._rounding.times(ways)
-        return bool(min(rounded, resting) >= (1.0 - WORTH) * curved)
+        return not lines_are_faster(skeleton, start, last, self._machine)
 
     def _line(
         self,

@@ -5,13 +5,14 @@ Rounding nearly always saves time. It may not where the axes move in another way
 than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
 axis half a turn round; beside a block on which the tip hardly moves while the tool turns; and
 where the path almost reverses. Beside a line of a micrometre a rounded corner is so small that
-passing it at low speed may take longer than resting. At such a corner the times of both ways over
-the next lines are estimated (``motion_time.py``), and the faster one is taken. The corners after
-it may need a stop, too. So both ways are taken twice: these are rounded, or all are stops.
+passing it at low speed may take longer than resting. No simple size of the corner tells how long
+the axes take there. So the motion over the next lines is planned both ways, and the faster one is
+taken. The corners after it may need a stop, too. So both ways are planned twice: these are
+rounded, or all are stops. Other corners are not tried.
 
-The estimate begins and ends at rest: at the last stop, or three lines before the corner, and at
-the next stop, or six lines after it. Which lines it knows does not depend on how the blocks
-arrive, and neither does its result.
+A trial begins and ends at rest: at the last stop, or three lines before the corner, and at the
+next stop, or six lines after it. Which lines it knows does not depend on how the blocks arrive,
+and neither does its result.
 """
 
 from __future__ import annotations
@@ -27,17 +28,16 @@ from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.orientation import angles_between, dot, norm
-from cnc_interp.smoothing.rounding import Rounding
 
-#: Most lines before and after the corner that an estimate knows.
+#: Most lines before and after the corner that a trial knows.
 BEFORE, AFTER = 3, 6
-#: A corner is doubtful where the outer rotary axis may turn faster than this on one side [rad/m].
+#: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
 FAST = 2.0 / MM
-#: A corner is doubtful where the path turns more than this [rad].
+#: A corner is tried where the path turns more than this [rad].
 SHARP = 160.0 * DEG
-#: A corner is doubtful beside a line shorter than this [m].
+#: A corner is tried beside a line shorter than this [m].
 MICRO = 3.0 * UM
-#: A stop must save this part of the estimated time [-].
+#: A stop must save this part of the time of its trial [-].
 WORTH = 5e-5
 
 
@@ -65,60 +65,46 @@ def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits
     return np.asarray(near | (rate > FAST * np.sin(angle)))  # the outer axis turns faster there
 
 
-class StopChoice:
-    """Rests at corners where this is faster."""
+class StopTrials:
+    """Rest at corners where this is faster."""
 
-    def __init__(
-        self, rounding: Rounding, machine: MachineTraits, height: float, found: list[int]
-    ):
-        self._rounding, self._machine = rounding, machine
-        self._height, self._found = height, found
-        self._stops: dict[int, bool] = {}  # of corners estimated, by program row
+    def __init__(self, machine: MachineTraits, height: float, found: list[int]):
+        self._machine, self._height, self._found = machine, height, found
+        self._stops: dict[int, bool] = {}  # of corners tried, by program row
         self._past: Blocks | None = None  # decided rows up to the first known one
         self._plain = np.zeros(0, dtype=np.bool_)  # which of them are lines of poses
 
     def decide(self, rows: Rows, legs: Legs, vertex: IntArray, final: bool) -> int:
-        """Turn rounded corners into stops where the tool is faster so; tell how many are known."""
-        known, count = rows.blocks.corner, len(rows)
+        """Turn rounded corners into stops where the tool is faster so."""
+        known = rows.blocks.corner
         vertex[(vertex == ROUND) & (known == STOP_CORNER)] = STOP
-        open_ones = (vertex == ROUND) & (known == OPEN_CORNER)
-        if self._machine.limits is None or not open_ones.any():
-            return count
-        open_ones &= doubtful(rows, legs, self._height, self._machine)
-        waiting: list[tuple[int, int]] = []  # vertices, and the ends of their lines
-        for v in np.flatnonzero(open_ones).tolist():
+        tried = (vertex == ROUND) & (known == OPEN_CORNER)
+        if self._machine.motion_time is None or not tried.any():
+            return len(rows)
+        tried &= doubtful(rows, legs, self._height, self._machine)
+        for v in np.flatnonzero(tried):
             row = int(rows.row[v])
             if row not in self._stops:
-                end = self._end(rows, vertex, v, final)
+                end = self._end(rows, vertex, int(v), final)
                 if end is None:
-                    count = v
-                    break
-                waiting.append((v, end))
-            elif self._stops[row]:
+                    return int(v)
+                blocks, plain = self._decided(rows[: end + 1], vertex)
+                at = len(blocks) - 1 - end + int(v)
+                begin = at - 1
+                while (
+                    begin > max(at - BEFORE, 0) and plain[begin] and not blocks.exact_stop[begin]
+                ):
+                    begin -= 1
+                self._stops[row] = self._is_faster(blocks[begin:], at - begin)
+                if self._stops[row]:
+                    self._found.append(row)
+            if self._stops[row]:
                 vertex[v] = STOP
-        if not waiting:
-            return count
-        blocks, plain = self._decided(rows, vertex)
-        stops, first = blocks.exact_stop.copy(), len(blocks) - len(rows)
-        while waiting:
-            # Corners before it that are not decided yet would change the time.
-            ready = [
-                (v, end)
-                for (v, end), before in zip(waiting, [(-BEFORE, 0), *waiting], strict=False)
-                if v - before[0] >= BEFORE
-            ]
-            for v, stop in self._faster(blocks, plain, stops, first, ready):
-                self._stops[int(rows.row[v])] = stop
-                if stop:
-                    vertex[v], stops[first + v] = STOP, True
-                    self._found.append(int(rows.row[v]))
-            waiting = [one for one in waiting if one not in ready]
-        self._found.sort()
-        return count
+        return len(rows)
 
     def keep(self, rows: Rows, vertex: IntArray, last: int) -> None:
         """Take note that the rows up to ``last`` are decided; the next rows begin there."""
-        if self._machine.limits is None:
+        if self._machine.motion_time is None:
             return
         blocks, plain = self._decided(rows[: last + 1], vertex)
         self._past, self._plain = blocks[-BEFORE:], plain[-BEFORE:]
@@ -138,7 +124,7 @@ class StopChoice:
 
     @staticmethod
     def _end(rows: Rows, vertex: IntArray, v: int, final: bool) -> int | None:
-        """Return the vertex at which an estimate ends; None if it is not known yet."""
+        """Return the vertex at which a trial ends; None if it is not known yet."""
         plain = _plain(rows)
         for end in range(v + 1, v + AFTER + 1):
             if end == len(rows) - 1:
@@ -147,34 +133,17 @@ class StopChoice:
                 return end
         return v + AFTER
 
-    def _faster(
-        self,
-        blocks: Blocks,
-        plain: BoolArray,
-        stops: BoolArray,
-        first: int,
-        ready: list[tuple[int, int]],
-    ) -> list[tuple[int, bool]]:
-        """Tell at which vertices a stop is faster; ``blocks`` has ``first`` rows before theirs."""
-        ways: list[Rows] = []
-        for v, end in ready:
-            at = begin = first + v
-            begin -= 1
-            while begin > max(at - BEFORE, 0) and plain[begin] and not stops[begin]:
-                begin -= 1
-            line = blocks[begin : first + end + 1]
-            for rests in (False, True):
-                for later in (False, True):
-                    exact = line.exact_stop.copy()
-                    exact[: at - begin] = stops[begin:at]
-                    exact[at - begin] = rests
-                    exact[at - begin + 1 :] |= later
-                    ways.append(Rows.plain(replace(line, exact_stop=exact), 0))
-        times = self._rounding.times(ways).reshape(len(ready), 2, 2).min(axis=2)
-        return [
-            (v, bool(rests < (1.0 - WORTH) * goes_on))
-            for (v, _), (goes_on, rests) in zip(ready, times, strict=True)
-        ]
+    def _is_faster(self, blocks: Blocks, at: int) -> bool:
+        """Tell whether a stop at a pose is faster, the later corners rounded or all stops."""
+        least = [np.inf, np.inf]
+        for stops in (0, 1):
+            for later in (False, True)[: len(blocks) - at - 1]:
+                exact = blocks.exact_stop.copy()
+                exact[at], exact[at + 1 :] = stops, exact[at + 1 :] | later
+                assert self._machine.motion_time is not None
+                time = self._machine.motion_time(replace(blocks, exact_stop=exact), False)
+                least[stops] = min(least[stops], time)
+        return least[1] < (1.0 - WORTH) * least[0]
 
 
 def _plain(rows: Rows) -> BoolArray:

@@ -75,9 +75,6 @@ from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSe
 AT_POLE = 0.9
 #: How much farther from the pole still counts as near: a share, and rounding [-].
 GRAZING, ON_IT = 1e-4, 1e-12
-#: A tool axis that turns less rests, one that is nearer to the pole stays on it [-]; places that
-#: are looked at for the nearest one.
-NO_TURN, STAYS, LOOKS = 1e-12, 2e-5, 9
 #: Places on the path that are nearer together are the same [m].
 SAME_PLACE = 1e-9
 #: How exact the bound of the deviation should be, over the tolerance that is left [-].
@@ -183,9 +180,7 @@ def near_pole(
     Find where segments are near the pole.
 
     Returns the first and the last parameter where the sine is at most that of ``limits``, 2 and -1
-    without one, shape (n, 2); and the sine at the start of each segment, shape (n,). Of a tool
-    that turns but is near everywhere, the part around the nearest place is returned: so a path
-    that wanders about the pole is decided piece by piece.
+    without one, shape (n, 2); and the sine at the start of each segment, shape (n,).
     """
     near, start = np.empty((len(kinds), 2)), np.empty(len(kinds))
     for i in range(len(kinds)):
@@ -196,15 +191,6 @@ def near_pole(
         if near[i, 0] <= 1.0:
             back = way_to_pole(packed, kind, shape, spans, turns[i], limits[i], True)
             near[i, 1] = max(near[i, 0], 1.0 - back)
-        stays = turns[i] < NO_TURN or start[i] + turns[i] <= STAYS
-        if near[i, 0] == 0.0 and near[i, 1] == 1.0 and not stays:
-            best, least = 0, start[i]
-            for k in range(1, LOOKS):
-                sine = pole_sine(packed, kind, shape, spans, k / (LOOKS - 1.0))
-                if sine < least:
-                    best, least = k, sine
-            near[i, 0] = max(best - 1, 0) / (LOOKS - 1.0)
-            near[i, 1] = min(best + 1, LOOKS - 1) / (LOOKS - 1.0)
     return near, start
 
 

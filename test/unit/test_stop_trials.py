@@ -13,6 +13,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
 from cnc_interp.run.path_chain import PathChain, motion_time, path_of, segments_of, smoother_of
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.dense.thinning import longest_chord
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
@@ -133,3 +134,10 @@ def test_corners_that_are_known_are_not_tried_again(make, compress):
     found = PathSegments.concatenate([known.push(replace(blocks, corner=corner)), known.finish()])
     assert (found.stop == tried.stop).all()
     np.testing.assert_array_equal(found.bottom, tried.bottom)
+
+
+def test_a_chord_at_the_end_of_a_curve_does_not_lead_back_to_its_start():
+    tip = np.array([[0, 0, 0], [20, 0, 0], [0, 0, 0]]) * UM  # aside by a fifth of the tolerance
+    tolerance = np.full(2, 100 * UM)
+    vertex, off, _ = longest_chord(tip, tip, tolerance, 0, 1, 2, 1 * MM, 0.3)
+    assert (vertex, off) == (1, 0.0)

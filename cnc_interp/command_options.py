@@ -41,11 +41,24 @@ class CommandParser(argparse.ArgumentParser):
         found, rest = super().parse_known_args(args, namespace)
         unknown = next((word for word in rest if word.startswith('--') and word != '--'), None)
         if unknown is not None:
-            name = unknown.partition('=')[0]
-            near = difflib.get_close_matches(name, self._option_string_actions, 1)
-            hint = f'did you mean {near[0]}?' if near else f'see {self.prog} --help'
-            self.error(f'unknown option {name}; {hint}')
+            self.error(self.unknown_option(unknown.partition('=')[0]))
         return found, rest
+
+    def unknown_option(self, name: str) -> str:
+        """Return why an option is refused; empty if the command has it, also shortened."""
+        if any(option.startswith(name) for option in self._option_string_actions):
+            return ''
+        near = difflib.get_close_matches(name, self._option_string_actions, 1)
+        hint = f'did you mean {near[0]}?' if near else f'see {self.prog} --help'
+        return f'unknown option {name}; {hint}'
+
+    def of(self, command: str) -> CommandParser:
+        """Return the parser of one of its commands, or itself."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                found: CommandParser = action.choices.get(command, self)
+                return found
+        return self
 
     def error(self, message: str) -> NoReturn:
         """End with one line."""

@@ -95,14 +95,18 @@ def sweep_command(
 
 
 def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -> None:
-    """Refuse options and values that the command does not take, before anything is planned."""
-    if not words or words[0] not in commands.choices:
+    """Refuse options that the command does not have, before anything is planned."""
+    from cnc_interp.batch.sweep import SWEPT
+
+    known = next((swept for swept in SWEPT if tuple(words[: len(swept)]) == swept), None)
+    if known is None:
         return  # told by the sweep
+    parser = commands.choices[known[0]]
+    for word in known[1:]:
+        parser = parser.of(word)
     for one in ranges:
-        for value in one.values:
-            commands.choices[words[0]].parse_args(
-                [*words[1:], f'--{one.option}={value}', '--out=x']
-            )
+        if fault := parser.unknown_option(f'--{one.option}'):
+            raise InterpError(f'{parser.prog}: {fault}'.removeprefix('cnc-interp '))
 
 
 def _range(words: Sequence[str], search: bool) -> Any:

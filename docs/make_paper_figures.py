@@ -49,7 +49,7 @@ MARGIN = 3.0 * MM
 #: Steps of the discrete third derivative: at F one period on the pocket; fine on the pyramid [m].
 POCKET_STEP, PYRAMID_STEP = 0.05 * MM, 0.002 * MM
 #: Top curves and L2/L1 in the tables; None: chosen for each corner.
-CURVES = (('tolerance', 1.4), ('in_step', 1.4), ('in_step', None))
+CURVES = (('tolerance', 1.4), ('in_step', None))
 #: Like for like: the same curves (the paper's top, its ratio), only the parametrization differs.
 PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'corner_ratio': 1.4}
 

@@ -203,16 +203,12 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
         '`python benchmarks/programs.py`;',
         'what is refused, and why, is in [programs.md](../operate/programs.md).',
         '',
-        'klines/s: reading alone. First: time to the first blocks [ms]. LinuxCNC: motions in '
-        'which its interpreter and',
-        'ours agree; "-": it does not read this. Planning: blocks/s from blocks to setpoints, on '
-        'one of two busy cores.',
+        'LinuxCNC: motions in which its interpreter and ours agree; "-": it does not read this.',
         '',
         made_at(results),
         '',
-        '| program | lines | machine | blocks | klines/s | first | LinuxCNC | motion [s] '
-        '| planning | check |',
-        '|---|--:|---|--:|--:|--:|---|--:|--:|---|',
+        '| program | lines | machine | blocks | LinuxCNC | motion [s] | check |',
+        '|---|--:|---|--:|---|--:|---|',
     ]
     return '\n'.join([*lines, *(row_of(name, results.get(name)) for name in sorted(CASES))]) + '\n'
 
@@ -221,16 +217,14 @@ def row_of(name: str, result: dict[str, Any] | None) -> str:
     """Write the table's row of a program."""
     case = CASES[name]
     if result is None:
-        return f'| {name} | | not run yet | | | | | | | |'
+        return f'| {name} | | not run yet | | | | |'
     if 'refused' in result:
         refused = f'refused at {result["refused"]}'
-        return f'| {name} | {result["lines"]:,} | {refused} | | | | - | | | |'
+        return f'| {name} | {result["lines"]:,} | {refused} | | - | | |'
     machine = ', '.join(filter(None, (case.machine, case.remark)))
     return (
         f'| {name} | {result["lines"]:,} | {machine} | {result["blocks"]:,} '
-        f'| {result["lines_per_second"] / 1e3:,.0f} | {result["first_block"] * 1e3:,.0f} '
         f'| {result["oracle"]} | {result["cycle_time"]:,.1f} '
-        f'| {result["blocks"] / max(result["planning"], 1e-9):,.0f} '
         f'| {"; ".join(result["failures"][:1]) or "proven"} |'
     )
 

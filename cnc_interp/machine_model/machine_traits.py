@@ -73,7 +73,9 @@ def jerk_rates(
     machine = transform.machine
     if not machine.has_rotary:
         return np.asarray(step / machine.max_jerk[:3])
-    rows = (np.ascontiguousarray(column) for column in (tip, axis, step, turn))
+    rows = [np.ascontiguousarray(column).view() for column in (tip, axis, step, turn)]
+    for row in rows:
+        row.flags.writeable = False  # one form for the kernel: no other is compiled while it moves
     return np.asarray(rates(transform.packed, transform.outer, *rows) / machine.max_jerk[:5])
 
 

@@ -163,7 +163,7 @@ class _Printed:
         self.offsets = {name: np.zeros(6) for name in ('G5X', 'G92', 'TOOL')}
         self.turn = np.eye(6)  # of the work offset
         self.here = np.zeros(6)
-        self.tolerance, self.rests, self.worded = float('nan'), False, False
+        self.tolerance, self.worded = float('nan'), False
 
     def take(self, name: str, text: str) -> Move | None:
         """Take a call; return the motion that it is, with all three rotary axes."""
@@ -187,10 +187,8 @@ class _Printed:
         elif name in ('SET_G5X_OFFSET', 'SET_G92_OFFSET', 'USE_TOOL_LENGTH_OFFSET'):
             kind = name.removesuffix('_OFFSET').split('_')[-1].replace('LENGTH', 'TOOL')
             self.offsets[kind] = self.sized(numbers[name == 'SET_G5X_OFFSET' :][:6])
-        elif name == 'SET_MOTION_CONTROL_MODE':
-            self.rests = 'EXACT' in text
-            if numbers:
-                self.tolerance = numbers[0] * self.unit or float('nan')
+        elif name == 'SET_MOTION_CONTROL_MODE' and numbers:
+            self.tolerance = numbers[0] * self.unit or float('nan')
         elif name == 'SET_XY_ROTATION':
             c, s = np.cos(numbers[0] * DEG), np.sin(numbers[0] * DEG)
             self.turn[:2, :2] = (c, -s), (s, c)
@@ -235,7 +233,7 @@ class _Printed:
         return Move(
             0, rapid, end[:3], end[3:], None, np.zeros(0), feed, duration, self.tcp, self.plane,
             centre, sweep, max(abs(turns), 1), digit, unsure, self.tolerance, self.tolerance,
-            self.rests, self.worded,
+            worded=self.worded,  # exact stops are not compared: canned cycles set and reset them
         )  # fmt: skip
 
     def arc(self, numbers: list[float]) -> Move:

@@ -22,7 +22,7 @@ PROGRAMS = {
     'timed.ngc': 'G0 X0\nG93 G1 X10 F30\nY10 F60\nG94 X0 F500\n',
     'tcp.ngc': 'TRAORI\nG0 X0 A10 C0\nG64 P0.02\nG1 X20 A15 C30 F3000\nC60\nY5\n',
     'turns.ngc': 'G0 X0 Y0\nG3 X10 Y0 I5 J0 P2 F1000\nG1 X20\n',
-    'stops.ngc': 'G0 X0\nG61\nG1 X5 Y5 F900\nX9\nG64\nX12\nG9 Y9\nY12\nM0\nX0\nG4 P1\nY0\n',
+    'stops.ngc': 'G0 X0\nG61\nG1 X5 Y5 F900\nX9\nG64\nX12\nY9\nY12\nM0\nX0\nG4 P1\nY0\n',
     'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
     'path.apt': (
         'PARTNO A\nUNITS/MM\nMULTAX\nFEDRAT/2000\nGOTO/0,0,0,0,0,1\nGOTO/10,0,0,0,0.28,0.96\n'

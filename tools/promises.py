@@ -76,12 +76,17 @@ def shown(test: str) -> str:
 
 def page() -> str:
     """Return the text of the page."""
-    rows = ['| promise | stands in | tests |', '|---|---|---|']
-    for row in promises():
-        tests = '<br>'.join(map(shown, row['tests']))
-        link = row['page'].removeprefix('docs/') if row['page'] != 'README.md' else '../README.md'
-        rows.append(f'| {row["means"]} | [{Path(row["page"]).name}]({link}) | {tests} |')
-    return '\n'.join([HEAD, *rows, ''])
+    lines = [HEAD]
+    for name in dict.fromkeys(row['page'] for row in promises()):
+        link = name.removeprefix('docs/') if name != 'README.md' else '../README.md'
+        lines += [f'In [{name}]({link}):', '']
+        lines += [
+            f'- {row["means"]} {", ".join(map(shown, row["tests"]))}'
+            for row in promises()
+            if row['page'] == name
+        ]
+        lines.append('')
+    return '\n'.join(lines)
 
 
 if __name__ == '__main__':

@@ -15,7 +15,7 @@ itself on most curves. With hulls (``core/hull_bounds.py``) of the derivatives, 
     |o'| <= |D'| / |D|                       |o''| <= |D''| / |D| + |D'|^2 / |D|^2 along the sphere
 
 The sine of the angle to the pole changes by at most |o'| per u. So one place proves that a stretch
-around it is not near the pole, and the search goes on behind it.
+around it is not near the pole, and the search goes on after it.
 
 Where the outer axis is given by C(s), the tool axis in its frame is v = Rot(u, -C) o. It deviates
 by g = lat(v) - lat(e_z), with the latitude about the axis w of the tilt (``guided_jets``). On the

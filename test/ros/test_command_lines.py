@@ -29,7 +29,6 @@ from rclpy.qos import QoSPresetProfiles
 from rosidl_parser.definition import NamespacedType
 
 from cnc_interp.client.operator_client import OperatorClient
-from cnc_interp.nodes.qos import LOADED
 
 ROOT = Path(__file__).parents[2]
 SETUP = (ROOT / 'setup.py').read_text()
@@ -96,7 +95,7 @@ class Client:
     def run(self, words):
         verb, rest = words[1:3], [word for word in words[3:] if not word.startswith('--')]
         if verb == ['topic', 'echo']:
-            return self.hear_once(rest[-1] if '/' not in rest[-1][1:] else rest[-2])
+            return self.hear_once(words)
         values = yaml.safe_load(rest[2]) if len(rest) > 2 else {}
         if verb == ['topic', 'pub']:
             return self.publish_once(rest[0], interface(rest[1]), values)
@@ -116,14 +115,20 @@ class Client:
         time.sleep(KEEP_ALIVE)
         return ''
 
-    def hear_once(self, topic):
-        """Return the message of a topic for those who join late."""
+    def hear_once(self, words):
+        """Listen as `ros2 topic echo` does, for which one named policy leaves the others alone."""
+        topic = next(word for word in words if word.startswith('/'))
+        profile = QoSPresetProfiles.get_from_short_key('sensor_data')
+        for name in ('reliability', 'durability'):
+            if (option := f'--qos-{name}') in words:
+                kind, given = type(getattr(profile, name)), words[words.index(option) + 1]
+                setattr(profile, name, kind.get_from_short_key(given))
         deadline = time.monotonic() + PATIENCE
         while not (kinds := dict(self.node.get_topic_names_and_types()).get(topic)):
             assert time.monotonic() < deadline, f'nobody publishes {topic}'
             time.sleep(KEEP_ALIVE)
         heard = []
-        listener = self.node.create_subscription(interface(kinds[0]), topic, heard.append, LOADED)
+        listener = self.node.create_subscription(interface(kinds[0]), topic, heard.append, profile)
         while not heard:
             assert time.monotonic() < deadline, f'{topic} says nothing'
             rclpy.spin_once(self.node, executor=self.executor, timeout_sec=KEEP_ALIVE)

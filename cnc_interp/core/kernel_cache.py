@@ -68,6 +68,8 @@ class KernelLocator:
     @classmethod
     def from_function(cls, _function: Callable[..., Any], file: str) -> KernelLocator | None:
         """Return the locator of a function, None if it belongs to another package."""
+        from cnc_interp.core import compile_time  # noqa: F401 - it needs numba, and hears it
+
         path = Path(file).resolve()
         return cls(path) if path.is_relative_to(PACKAGE) else None
 

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.compile_time import COMPILING
 from cnc_interp.core.errors import InterpError
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 from cnc_interp.run.plan_figures import bound_text
@@ -202,7 +203,7 @@ class Planner:
         async def hear(said: asyncio.StreamReader) -> None:
             async for line in said:
                 lines.append(line.decode(errors='replace').rstrip())
-                if PROGRESS.fullmatch(lines[-1]):
+                if PROGRESS.fullmatch(lines[-1]) or lines[-1] == COMPILING:
                     see_progress(lines[-1])
 
         out, _ = await asyncio.gather(process.stdout.read(), hear(process.stderr))

@@ -156,7 +156,7 @@ def opens(access: Access, request: Request, token: str) -> bool:
 async def shown_when_known(desk: Desk) -> None:
     """Show a word of patience until the nodes have said which machine they are."""
     if desk.machine is None:
-        waiting = ui.label('waiting for the nodes; the first start compiles for a minute or two')
+        waiting = ui.label('waiting for the nodes; the first start compiles for some minutes')
         waiting.classes('q-pa-lg')
         while desk.machine is None:
             await asyncio.sleep(WATCH)

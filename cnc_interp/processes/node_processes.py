@@ -11,7 +11,6 @@ import contextlib
 import importlib
 import os
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,9 +25,6 @@ from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_f
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 #: What the fork server loads before it forks.
 PRELOADED = ['cnc_interp.nodes.preload_nodes']
-#: Loading takes longer than this only if the kernels must be compiled first [s].
-SLOW_START = 15.0
-COMPILING = 'compiling the kernels, once; takes a minute or two'
 #: A node that has not ended by itself after this is killed [s].
 LAST_WAIT = 5.0
 
@@ -96,8 +92,6 @@ class Children:
         self._namespace, self._parameters, self._file = namespace, parameters, file
         self._arguments = arguments or {}
         self._context = load_nodes()
-        slow = threading.Timer(SLOW_START, print, [COMPILING], {'file': sys.stderr})
-        slow.start()
         self._nodes: dict[str, Started] = {}
         try:
             for node in NODES:
@@ -105,8 +99,6 @@ class Children:
         except BaseException:
             self.end()
             raise
-        finally:
-            slow.cancel()
 
     def _start(self, node: str) -> Started:
         """Start one node; its output goes to a file."""

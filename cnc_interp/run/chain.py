@@ -7,13 +7,13 @@ is planned in chunks with stop tails (``run_planner.py``), because it may be hel
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
@@ -57,7 +57,7 @@ class Chain:
         self,
         machine: Machine,
         settings: Settings,
-        clock: Callable[[], float] = time.perf_counter,
+        clock: Callable[[], float] = working_time,
         start: StartFinder | None = None,
         processes: int = 1,
     ):

@@ -8,7 +8,6 @@ one, because their segments come over the wire.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,6 +16,7 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from cnc_interp.core.arrays import IntArray
+from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
@@ -40,7 +40,7 @@ BATCH = 256
 class Stopwatch:
     """Adds up the time that each stage takes."""
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter):
+    def __init__(self, clock: Callable[[], float] = working_time):
         self._clock = clock
         self.seconds: dict[str, float] = {}
 

@@ -10,16 +10,22 @@ lines, the tool axis at rest or turning.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from paths import blocks_of
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.feedrate.window import plan_path
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import traits_of
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks
-from cnc_interp.run.chain import Chain
+from cnc_interp.run.path_chain import is_faster
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.path_smoother import PathSmoother
 
 TURNS = (150, 160, 165, 170, 173, 175, 176, 177, 178, 179, 179.5)
 COUNT = 40
@@ -50,13 +56,13 @@ def two_lines(rng: np.random.Generator, turn: float, turning: bool) -> Blocks:
 
 def cycle_time(blocks: Blocks, sharpest: float) -> float:
     """Plan blocks, turns up to the sharpest rounded, and return the time they take [s]."""
-    chain = Chain(MACHINE, Settings(compress=False))
-    smoother = chain.lookahead
-    traits = replace(smoother.machine, sharpest_turn=sharpest, sharpest_swing=sharpest)
-    chain.lookahead = LookAhead(smoother.settings, traits)
-    chain.push(blocks)
-    chain.finish()
-    return chain.pieces[-1].law.end_time
+    settings, transform = Settings(compress=False), Transform.of(MACHINE)
+    traits = replace(traits_of(transform), sharpest_turn=sharpest, sharpest_swing=sharpest)
+    smoother = PathSmoother(settings, traits, partial(is_faster, transform, settings))
+    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
+    parts = [builder.push(found) for found in (smoother.push(blocks), smoother.finish())]
+    path = AxisPath.join([part for part in parts if part is not None])
+    return plan_path(path, MACHINE).law.end_time
 
 
 def main() -> None:

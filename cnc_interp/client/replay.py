@@ -198,8 +198,9 @@ def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
     """Plan and sample until so many setpoints are there, or all."""
     parts: list[Setpoints] = []
     count = 0
-    while count < wanted and (planner.stream.can_sample or planner.stream.can_plan):
-        for chunk in planner.work(planner.stream.current, True, -np.inf):
+    plan = planner.stream.current
+    while count < wanted and (plan.can_sample or plan.can_plan):
+        for chunk in planner.work(plan, True, -np.inf):
             parts.append(chunk.samples)
             count += len(chunk.samples)
     return Setpoints.concatenate(parts)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -40,10 +39,6 @@ class MachineTraits:
     geometry: Transform | None = None
     #: (5 + k,): Jerk limits of X Y Z, of the rotary axes and of the extra axes.
     max_jerk: FloatArray | None = None
-    #: Time of the motion along a few blocks from rest to rest [s], as curves or corner by corner
-    #: (second argument); infinite where the machine cannot execute them. Without it nothing is
-    #: tried.
-    motion_time: Callable[[Any, bool], float] | None = None
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""

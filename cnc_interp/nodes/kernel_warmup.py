@@ -29,12 +29,12 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.leg import LIVE
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.motion_stream import MotionStream
-from cnc_interp.run.path_chain import motion_time, segments_of
+from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.path_chain import segments_of, way_time
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.stop_choice import Way
 
 #: The tiny path has several windows, because some kernels are used after the first one only.
 SHORT_WINDOWS = replace(LIVE, window_cells=16)
@@ -97,7 +97,7 @@ def warm_lookahead(machine: str) -> PathSegments:
     """Load the kernels of the look-ahead and its trials; return the tiny path."""
     transform = Transform.of(Machine.load(machine))
     segments_of(dense_program(transform), transform, Settings())
-    motion_time(_endless(transform), Settings(), tiny_program(transform), False)
+    way_time(_endless(transform), Settings(), Way(tiny_program(transform)))
     return segments_of(tiny_program(transform), transform, Settings())
 
 
@@ -129,12 +129,12 @@ def warm_all(machine: str, period: float) -> None:
     stream = MotionStream(transform.machine, period)
     stream.push(path)
     stream.end_leg(Wait.END)
-    while not stream.can_sample:
-        stream.plan()
-    chunks = list(stream.sample())
+    while not stream.current.can_sample:
+        stream.current.plan()
+    chunks = list(stream.current.sample())
     handed_out = sum(len(chunk.samples) for chunk in chunks)
     stream.revision(handed_out - 1, OperatorSettings(0.5))
-    state = stream.state_at(handed_out - 1)
+    state = stream.current.state_at(handed_out - 1)
     table = limit_table(transform.machine)
     assert state is not None
     stop_law(path, state[1], table, 0.0)

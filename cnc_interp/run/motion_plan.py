@@ -1,94 +1,33 @@
-"""One plan of the motion along the rest of a course: legs planned, sampled and cut into chunks."""
+"""The motion of one run: plans along its path, sampled and cut into chunks with stop tails."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.feedrate.limits import AxisLimits
-from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
+from cnc_interp.core.errors import PlanningError
+from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.run.chunk import Chunk, ChunkCutter, Wait
-from cnc_interp.run.course import Course, LegEnd, slowed
-from cnc_interp.run.interpolator import Interpolator, Setpoints
-from cnc_interp.run.leg import STILL, Leg
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.course import Course, LegEnd, finely, slowed
+from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.leg import Leg
+from cnc_interp.run.stop_tails import ChunkCutter, StopSearch, way_down
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
-
-STOP_EVERY = 0.005
-"""Time between setpoints at which a stop is looked for [s]."""
-
-HASTE, HASTY_EVERY = 0.3, 0.02
-"""Begin of a plan that joins in motion, and the time between stops in it [s]: it must be early."""
-
-
-class StopSearch:
-    """Find stops at the setpoints of one plan."""
-
-    def __init__(
-        self, course: Course, table: FloatArray, period: float, joins_at: int | None = None
-    ):
-        self._course, self._table, self._period = course, table, period
-        self._every = max(1, round(STOP_EVERY / period))
-        self._hasty_every = self._every * round(HASTY_EVERY / STOP_EVERY)
-        self._hasty_until = 0 if joins_at is None else joins_at + round(HASTE / period)
-
-    def stops(
-        self, leg: Leg, piece: PlannedPiece, numbers: range
-    ) -> Iterator[tuple[int, Setpoints]]:
-        """
-        Look for stops at the setpoints of a slice of the motion.
-
-        Parameters
-        ----------
-        leg : Leg
-            The leg that the slice belongs to.
-        piece : PlannedPiece
-            The slice.
-        numbers : range
-            Numbers of its setpoints in the stream.
-
-        Yields
-        ------
-        tuple of int and Setpoints
-            Number of a setpoint, and the setpoints after it down to rest.
-
-        """
-        ahead: AxisPath | None = None
-        first = -(-(numbers.start + 1) // self._every) * self._every - 1
-        for number in range(first, numbers.stop, self._every):
-            if number < self._hasty_until and (number + 1) % self._hasty_every:
-                continue
-            state = leg.state_at(number, piece)
-            if state[1] <= 0.0:
-                continue
-            if ahead is None:
-                ahead = self._course.ahead(float(piece.law.s[0]))
-            stop = stop_law(ahead, state, self._table, 0.0)
-            if stop is not None:
-                yield number, self._sampled(stop)
-
-    def _sampled(self, stop: PlannedPiece) -> Setpoints:
-        """Sample a stop: the setpoints after its first state, the last one at rest."""
-        interpolator = Interpolator(self._period, 1)
-        return Setpoints.concatenate([interpolator.push(stop), interpolator.finish()])
-
-
-WAY_DOWN_EVERY = 0.005
-"""Time between the setpoints from which a revision looks for a stop [s]."""
-
-WAY_DOWN_LEEWAY = 6e-3
-"""Part of every limit that this stop leaves free, so that a law beside it exists [-]."""
+#: No revision begins within this time before rest [s]. It waits, because the jerk stage cannot
+#: resolve the path of a few periods.
+BRIEF = 0.01
 
 
 @dataclass(frozen=True)
@@ -172,15 +111,7 @@ class MotionPlan:
         return bool(self._legs) and (bool(self._legs[0].slices) or self._legs[0].wait is not None)
 
     def plan(self) -> None:
-        """
-        Plan one portion of the path.
-
-        Raises
-        ------
-        PlanningError
-            If there is no law within the limits.
-
-        """
+        """Plan one portion of the path; raises PlanningError if no law is within the limits."""
         item = self._todo.popleft()
         if isinstance(item, AxisPath):
             item = self._until_pause(item)
@@ -274,20 +205,7 @@ class MotionPlan:
             self._last = samples[-1:]
 
     def state_at(self, number: int) -> tuple[Leg, tuple[float, float, float]] | None:
-        """
-        Return the state of motion at a setpoint that was handed out.
-
-        Parameters
-        ----------
-        number : int
-            Number of the setpoint.
-
-        Returns
-        -------
-        tuple of Leg and (s, s_dot, s_ddot), or None
-            The leg and its state [m, m/s, m/s2]; None where the setpoint is forgotten.
-
-        """
+        """Return leg and (s, s_dot, s_ddot) at a setpoint; None where it is forgotten."""
         for leg, piece in reversed(self._history):
             assert leg.number_of_zero is not None
             time = (number - leg.number_of_zero) * self._context.period
@@ -300,39 +218,115 @@ class MotionPlan:
         found = self.state_at(number)
         if found is None:
             return None
-        leg, table = found[0], self._context.table
+        leg, state = found
         assert leg.number_of_zero is not None
         begin = (number - leg.number_of_zero) * self._context.period
-        ahead = self._context.course.ahead(found[1][0])
-        driven: list[PlannedPiece] = []
         sampled = [piece for of_leg, piece in self._history if of_leg is leg]
-        for piece in [*sampled, *leg.slices]:
-            first, last = max(begin, float(piece.law.time[0])), piece.law.end_time
-            for time in np.arange(first, last, WAY_DOWN_EVERY):
-                s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
-                stop = stop_law(ahead, (s, v, a), table, float(time), WAY_DOWN_LEEWAY)
-                if stop is not None:
-                    rest = [between(piece, first, float(time))] if time > first else []
-                    return PlannedPiece.join([*driven, *rest, stop])
-            if last > first:
-                driven.append(between(piece, first, last))
-        if driven and driven[-1].law.evaluate(np.array([last]))[1][0] < STILL:
-            return PlannedPiece.join(driven)
-        return None
+        ahead = self._context.course.ahead(state[0])
+        return way_down([*sampled, *leg.slices], begin, ahead, self._context.table)
 
 
-def between(piece: PlannedPiece, begin: float, end: float) -> PlannedPiece:
-    """Cut a law and its path at two times on its clock [s]."""
-    law = piece.law
-    first, last = law.piece_at(np.array([begin, end])).tolist()
-    last -= law.time[last] == end and last > first
-    rows = np.arange(first, last + 1)
-    times = np.maximum(law.time[rows], begin)
-    s, v, a, j = law.evaluate(times, rows)
-    ends = np.append(times[1:], end)
-    until = float(law.evaluate(np.array([end]), rows[-1:])[0][0])
-    places = grid_place(piece.path, float(s[0])), grid_place(piece.path, until)
-    path = cut_between(piece.path, *places, np.array(places))
-    start = int(np.searchsorted(piece.path.s, places[0], side='right')) - 1
-    cells = np.maximum(law.cell[rows] - start, 0)
-    return PlannedPiece(path, MotionLaw(times, ends - times, s, v, a, j, cells))
+class MotionStream:
+    """
+    The path of one run and the plan that counts now: path in, chunks of setpoints out.
+
+    ``revision`` makes a second plan that goes on after a setpoint which was handed out. ``adopt``
+    puts it in the place of the first; a revision that nobody adopts is dropped. ``resume`` begins
+    a plan from rest anywhere on the path.
+    """
+
+    def __init__(
+        self,
+        limits: AxisLimits,
+        period: float,
+        chunk_size: int = 10,
+        line_of: Callable[[int], int] = int,
+        settings: OperatorSettings | None = None,
+        tool: ToolLimit | None = None,
+    ):
+        table = limit_table(limits)
+        self._context = PlanContext(limits, table, period, chunk_size, line_of, tool=tool)
+        self._course = self._context.course
+        self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
+
+    def push(self, path: AxisPath) -> None:
+        """Add the next part of the path; nothing is planned yet."""
+        self.current.extend(self._course.push(path))
+
+    def pause_after(self, blocks: dict[int, Wait]) -> None:
+        """Add blocks after which the machine waits for cycle_start, with the reason."""
+        self._context.pause_blocks.update(blocks)
+
+    def end_leg(self, wait: Wait) -> None:
+        """End the motion at rest at the end of the path pushed so far."""
+        self.current.extend([self._course.end_leg(wait)])
+
+    def release(self, s: float) -> None:
+        """Drop the path before a place that was executed [m]."""
+        self._course.release(s)
+        self.current.release(s)
+
+    @property
+    def first_block(self) -> int:
+        """The first block of the path that is kept; 0 before there is any."""
+        return self._course.first_block
+
+    def position_at(self, s: float) -> FloatArray | None:
+        """Return the axis positions at a place [m] on the path; None if it was dropped."""
+        rest = self._course.rest_at(s)
+        return None if rest is None else rest.position[0]
+
+    def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
+        """
+        Plan with other settings after a setpoint that was handed out; the current plan stays.
+
+        The revision is adopted or dropped before the stream takes anything else. Returns None
+        where no stop is known from there, or rest is near: ask again at a later setpoint.
+        """
+        found = self.current.state_at(number)
+        if found is None:
+            return None
+        leg, (s, v, a) = found
+        if v <= 0.0:
+            todo = finely(self._course.after(s))
+            rest = self._course.rest_at(s)
+            return MotionPlan(
+                self._context, settings, todo, number + 1, before=self.current, rests=rest
+            )
+        stop, rests = self.current.way_down(number), settings.override <= 0.0
+        if stop is None or (float(stop.law.duration.sum()) < BRIEF and not rests):
+            return None
+        assert leg.number_of_zero is not None
+        begun, period = number - leg.number_of_zero + 1, self._context.period
+        if not rests:
+            new = Leg(self._context.limits, period, begun, (v, a), self._context.tool)
+            todo = finely(self._course.after(s))
+            plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self.current)
+            with suppress(PlanningError):
+                while plan.can_plan and not plan.can_sample:
+                    plan.plan()
+                if not new.planner.stuck:
+                    return plan
+        # Stop; then go on from rest, where no law with the new feed was found from the motion.
+        new = Leg(self._context.limits, period, begun, (v, a))
+        new.drive(stop, Wait.OVERRIDE if rests else Wait.NOTHING)
+        todo = finely(self._course.after(float(stop.path.s[-1])))
+        return MotionPlan(self._context, settings, todo, number + 1, new, before=self.current)
+
+    def adopt(self, revision: MotionPlan) -> MotionPlan:
+        """Replace the current plan by a revision, and return the replaced plan."""
+        before, self.current = self.current, revision
+        return before
+
+    def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
+        """
+        Plan anew from rest at a place on the path [m]; setpoints are numbered from 0 again.
+
+        ``way`` leads there, s below 0, where the machine stands beside the path.
+        """
+        if way is not None:
+            self._course.lead(way, s)
+            s = float(way.s[0])
+        todo = self._course.after(s)
+        rest = self._course.rest_at(s)
+        self.current = MotionPlan(self._context, settings, todo, rests=rest)

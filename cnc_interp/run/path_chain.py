@@ -1,14 +1,18 @@
 """
-First half of the chain: blocks -> smooth segments -> path in machine axes.
+Blocks -> smooth segments -> path in machine axes: the first stages, for whoever starts at blocks.
 
-Everything that smooths a program uses these stages: `plan` (``chain.py``), the check of a program
-before motion, the look-ahead node, replay, convert and the benchmarks. The nodes use them one by
-one, because their segments come over the wire.
+`plan` (``chain.py``), the check of a program before motion, replay, convert and the benchmarks use
+both stages together. The nodes use them one by one, because their segments come over the wire:
+the look-ahead node smooths (``smoother_of``), the feedrate node goes on (``run_planner.py``).
+
+The stops at doubtful corners are chosen here, because both their plans can be made here:
+smoothing proposes ways over a few blocks (``smoothing/stop_choice.py``), ``is_faster`` plans them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ParamSpec, TypeVar
@@ -16,7 +20,6 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from cnc_interp.core.arrays import IntArray
-from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
@@ -29,18 +32,21 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.stop_choice import Way
 
 Arguments = ParamSpec('Arguments')
 Made = TypeVar('Made')
 
 #: Blocks that go through the chain together: up to 0.7 MB each, for the samples of their corners.
 BATCH = 256
+#: A stop, or lines in the place of a curve, must save this part of the time of a way [-].
+WORTH = 5e-5
 
 
 class Stopwatch:
     """Adds up the time that each stage takes."""
 
-    def __init__(self, clock: Callable[[], float] = working_time):
+    def __init__(self, clock: Callable[[], float] = time.perf_counter):
         self._clock = clock
         self.seconds: dict[str, float] = {}
 
@@ -71,19 +77,19 @@ class PathChain:
     """
     Blocks in, segments and their path in machine axes out.
 
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    settings : Settings
-        The choices of the run.
-    watch : Stopwatch, optional
-        Takes the time of both stages.
-
+    ``push`` and ``finish`` raise InterpError if a block cannot be executed on the machine; the
+    message names line, axis and value. ``watch`` takes the time of both stages. Without
+    ``chooses`` every corner is rounded and every run of short blocks becomes a curve.
     """
 
-    def __init__(self, transform: Transform, settings: Settings, watch: Stopwatch | None = None):
-        self._smoother = smoother_of(transform, settings)
+    def __init__(
+        self,
+        transform: Transform,
+        settings: Settings,
+        watch: Stopwatch | None = None,
+        chooses: bool = True,
+    ):
+        self._smoother = smoother_of(transform, settings, chooses)
         self._builder = AxisPathBuilder(
             transform, settings.flank_height, settings.interpolation_period
         )
@@ -100,19 +106,11 @@ class PathChain:
         return self._builder.passages.notice
 
     def push(self, blocks: Blocks) -> PathPart:
-        """
-        Add further blocks.
-
-        Raises
-        ------
-        InterpError
-            If a block cannot be executed on the machine; the message names line, axis and value.
-
-        """
+        """Add further blocks."""
         return self._in_axes(self._watch.timed('smoothing', self._smoother.push, blocks))
 
     def finish(self) -> PathPart:
-        """Bring the path to its end; raises as ``push``."""
+        """Bring the path to its end."""
         return self._in_axes(self._watch.timed('smoothing', self._smoother.finish))
 
     def _in_axes(self, segments: PathSegments) -> PathPart:
@@ -122,39 +120,29 @@ class PathChain:
         return PathPart(segments if done is None else done, path)
 
 
-def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
-    """Return the first stage: it makes smooth segments of blocks for a machine."""
-    traits = replace(traits_of(transform), motion_time=partial(motion_time, transform, settings))
-    return PathSmoother(settings, traits)
+def smoother_of(transform: Transform, settings: Settings, chooses: bool = True) -> PathSmoother:
+    """Return the first stage, which makes smooth segments of blocks for a machine."""
+    choice = partial(is_faster, transform, settings) if chooses else None
+    return PathSmoother(settings, traits_of(transform), choice)
 
 
-def motion_time(transform: Transform, settings: Settings, blocks: Blocks, curves: bool) -> float:
-    """
-    Plan a few blocks by themselves, each corner rounded unless it has an exact stop.
+def is_faster(
+    transform: Transform, settings: Settings, ways: Sequence[Way], others: Sequence[Way]
+) -> bool:
+    """Tell whether the fastest of some ways saves time over the fastest of the others."""
+    first, second = (
+        min((way_time(transform, settings, way) for way in some), default=np.inf)
+        for some in (ways, others)
+    )
+    return first < (1.0 - WORTH) * second
 
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    settings : Settings
-        The choices of the run.
-    blocks : Blocks
-        The start pose and the blocks.
-    curves : bool
-        Whether runs of short blocks become curves.
 
-    Returns
-    -------
-    float
-        Time from rest to rest [s]; infinite if the machine cannot execute the blocks.
-
-    """
-    smoother = PathSmoother(replace(settings, compress=curves), traits_of(transform))
-    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
+def way_time(transform: Transform, settings: Settings, way: Way) -> float:
+    """Return the time of a way [s]; infinite if the machine cannot execute its blocks."""
+    chain = PathChain(transform, replace(settings, compress=way.curves), chooses=False)
     limits = limits_at(transform.machine, settings.interpolation_period)
     try:
-        parts = [builder.push(s) for s in (smoother.push(blocks), smoother.finish())]
-        path = AxisPath.join([part for part in parts if part is not None])
+        path = joined([chain.push(way.blocks), chain.finish()])
         return plan_path(path, limits, PlanOptions(bound=False)).law.end_time
     except InterpError:
         return np.inf
@@ -164,6 +152,11 @@ def batches(blocks: Blocks) -> Iterator[Blocks]:
     """Cut blocks into batches for the chain."""
     for first in range(0, len(blocks), BATCH):
         yield blocks[first : first + BATCH]
+
+
+def joined(parts: Sequence[PathPart]) -> AxisPath:
+    """Join parts of a path in machine axes."""
+    return AxisPath.join([part.path for part in parts if part.path is not None])
 
 
 def segments_of(blocks: Blocks, transform: Transform, settings: Settings) -> PathSegments:
@@ -176,5 +169,4 @@ def segments_of(blocks: Blocks, transform: Transform, settings: Settings) -> Pat
 def path_of(blocks: Blocks, transform: Transform, settings: Settings) -> AxisPath:
     """Smooth a whole program and return its path in machine axes."""
     chain = PathChain(transform, settings)
-    parts = [chain.push(batch).path for batch in batches(blocks)]
-    return AxisPath.join([part for part in [*parts, chain.finish().path] if part is not None])
+    return joined([*(chain.push(batch) for batch in batches(blocks)), chain.finish()])

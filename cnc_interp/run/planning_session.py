@@ -348,7 +348,8 @@ class PlanningSession:
 
     def _must_revise(self, planner: RunPlanner, now: float) -> bool:
         """Tell whether a setting has changed for setpoints that can still be replaced."""
-        if self.settings == planner.stream.settings or self._received.run_id != self.run_id:
+        followed = planner.stream.current.settings
+        if self.settings == followed or self._received.run_id != self.run_id:
             return False
         number = self._join_after()
         return (
@@ -423,18 +424,17 @@ class PlanningSession:
 
     def _plan_ahead_task(self, planner: RunPlanner, report: MachineReport | None) -> Task | None:
         """Sample and plan ahead; read segments when little is left to plan."""
-        stream = planner.stream
+        plan = planner.stream.current  # even if another one counts when this is done
         unsent = self._port.sender.unsent * self._period
-        sample = unsent < SAMPLED_AHEAD and stream.can_sample
-        self.ready = unsent + stream.planned
+        sample = unsent < SAMPLED_AHEAD and plan.can_sample
+        self.ready = unsent + plan.planned
         ahead = self.ready < self._plan_ahead
-        wants = ahead and not stream.has_path
+        wants = ahead and not plan.has_path
         self.wants_segments = wants and not self._segments
-        if sample or (ahead and stream.can_plan):
+        if sample or (ahead and plan.can_plan):
             mine = report is not None and report.run_id.same_attempt(self.run_id)
             known = report is not None and mine and not report.away
             executed = report.path_position if report is not None and known else -math.inf
-            plan = stream.current  # even if another one counts when this is done
             return Task(lambda: planner.work(plan, sample, executed), self._planned)
         if self.activity is Activity.JOINING:
             return None  # more path is added when it is known which plan remains

@@ -17,8 +17,7 @@ from cnc_interp.run.approach import approach, approach_inside
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.interpolator import Setpoints
-from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
 from cnc_interp.smoothing.segments import PathSegments
 
 if TYPE_CHECKING:

@@ -4,14 +4,12 @@ The look-ahead: from blocks to smooth segments.
 Runs of short blocks first become curves (``compressor.py``). Then each vertex between the
 remaining blocks is classified: a corner is rounded, at a stop the tool rests, and otherwise the
 path continues straight. Where a stop is faster than a rounded corner, the tool rests, too
-(``stop_trials.py``). A corner is final when the next corner has its size, because both share a
+(``stop_choice.py``). A corner is final when the next corner has its size, because both share a
 line between them that is too short. The result does not depend on how the blocks are divided
 into batches.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +20,6 @@ from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners import corner
 from cnc_interp.smoothing.corners.corner import PAPER_RATIO, Corners, Style
 from cnc_interp.smoothing.corners.ratio import ratios_at
-from cnc_interp.smoothing.corners.stop_trials import StopTrials
 from cnc_interp.smoothing.corners.vertices import (
     ROUND,
     Legs,
@@ -35,6 +32,7 @@ from cnc_interp.smoothing.dense.compressor import Compressor
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.emission import Emission, no_segments
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.stop_choice import Choice, StopChoice
 
 #: A line shorter than this share of its block goes to the corners [-].
 LEFT_OVER = 0.05
@@ -49,6 +47,7 @@ class LookAhead:
         self,
         settings: Settings,
         machine: MachineTraits,
+        choice: Choice | None = None,
         row: int = 0,
         joined: bool = False,
         stops: list[int] | None = None,
@@ -61,9 +60,10 @@ class LookAhead:
         self._none = no_segments(self._style)
         self._rows: Rows | None = None
         # Corners that are made to be compared stay corners.
-        tried = replace(machine, motion_time=None) if settings.compares_corners else machine
-        self._compressor = Compressor(settings, tried, row, joined)
-        self._trials = StopTrials(tried, settings.flank_height, [] if stops is None else stops)
+        choice = None if settings.compares_corners else choice
+        self._compressor = Compressor(settings, machine, choice, row, joined)
+        stops = [] if stops is None else stops
+        self._choice = StopChoice(choice, machine, settings.flank_height, stops)
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -116,7 +116,7 @@ class LookAhead:
         legs = Legs.of(blocks, self._machine, self._settings.flank_height)
         refuse_reversals(rows, legs)
         vertex = classify(rows, legs, self._settings.flank_height, self._machine)
-        decided = self._trials.decide(rows, legs, vertex, final)
+        decided = self._choice.decide(rows, legs, vertex, final)
         inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
         # A vertex is final when its own corner and the next one have their size (left-overs).
@@ -130,7 +130,7 @@ class LookAhead:
         )
         self._outer_before = own_share
         self._rows = rows[last:]
-        self._trials.keep(rows, vertex, last)
+        self._choice.keep(rows, vertex, last)
         return segments
 
     def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:

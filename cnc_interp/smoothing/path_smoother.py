@@ -21,6 +21,7 @@ from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.native.joining import Jets, line_between
 from cnc_interp.smoothing.native.spline_run import SplineRun
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.stop_choice import Choice
 from cnc_interp.smoothing.upright import Upright
 
 
@@ -34,15 +35,17 @@ class PathSmoother:
         Choices of the user.
     machine : MachineTraits
         Properties of the machine that the smoothing needs.
+    choice : Choice, optional
+        Chooses between ways that it proposes; without it every corner is rounded.
 
     """
 
-    def __init__(self, settings: Settings, machine: MachineTraits):
-        self.settings, self.machine = settings, machine
+    def __init__(self, settings: Settings, machine: MachineTraits, choice: Choice | None = None):
+        self._settings, self._machine, self._choice = settings, machine, choice
         self._style = Style.of(settings)
         self.stops: list[int] = []  # program rows of corners at which a stop is faster
         self._upright = Upright(machine, settings.flank_height)
-        self._lookahead = LookAhead(settings, machine, stops=self.stops)
+        self._lookahead = LookAhead(settings, machine, choice, stops=self.stops)
         self._run: SplineRun | None = None
         self._recent: Blocks | None = None  # the last two linear blocks
         self._waiting: PathSegments | None = None  # lines before a spline
@@ -141,7 +144,12 @@ class PathSmoother:
         self._run = None
         pose = replace(run.last_row, top=np.full((1, 3), np.nan), knot_interval=np.full(1, np.nan))
         self._lookahead = LookAhead(
-            self.settings, self.machine, self._row - 1, after is not None, self.stops
+            self._settings,
+            self._machine,
+            self._choice,
+            self._row - 1,
+            after is not None,
+            self.stops,
         )
         self._lookahead.push(pose)
         self._recent = pose

@@ -16,8 +16,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.settings.choices import Settings
 
 T = 1e-3
@@ -44,10 +43,10 @@ def drain(stream, until=10**9):
     """Take chunks until the stream ends or so many setpoints came."""
     chunks, count = [], 0
     while count < until:
-        if stream.can_sample:
-            new = stream.sample()
-        elif stream.can_plan:
-            stream.plan()
+        if stream.current.can_sample:
+            new = stream.current.sample()
+        elif stream.current.can_plan:
+            stream.current.plan()
             continue
         else:
             break
@@ -133,7 +132,7 @@ def test_stopped_anywhere_and_resumed_runs_the_whole_path(name, seed):
         stream.release(s)
         if executed[-1].wait is Wait.END:
             break
-        stream.resume(s, stream.settings)
+        stream.resume(s, stream.current.settings)
     rest = drain(stream)
     if rest:
         assert_sound(joined(rest), path)
@@ -147,7 +146,7 @@ def test_stopped_by_the_last_tail_the_run_ends_at_the_end_of_the_path(name):
     assert end.wait is Wait.END
     # what the stream has sampled behind this chunk was never executed
     tail = chunks[-1].tail
-    stream.resume(float(tail.s[-1]), stream.settings)
+    stream.resume(float(tail.s[-1]), stream.current.settings)
     rest = drain(stream)
     assert rest[-1].wait is Wait.END
     assert_sound(Setpoints.concatenate([tail[-1:], joined(rest)]), path)
@@ -164,7 +163,7 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
         if sent and revised(stream, count - 1, OperatorSettings(wanted)):
             queue, override, accepted = [], wanted, accepted + 1
         queue += drain(stream, until=int(rng.integers(20, 1200)))
-        if override == 0.0 and queue and not stream.can_sample:
+        if override == 0.0 and queue and not stream.current.can_sample:
             assert queue[-1].wait is Wait.OVERRIDE
         take = int(rng.integers(1, len(queue) + 1)) if queue else 0
         sent, queue = sent + queue[:take], queue[take:]
@@ -186,7 +185,7 @@ def test_a_revision_that_is_dropped_leaves_no_trace(name):
         revision = stream.revision(max(0, count - int(rng.integers(1, 200))), settings)
         revised += revision is not None
     untouched = drain(stream_of(name))
-    assert revised > 3 and stream.settings == OperatorSettings()
+    assert revised > 3 and stream.current.settings == OperatorSettings()
     assert np.array_equal(joined(chunks).position, joined(untouched).position)
     tails = [chunk.tail.position for chunk in chunks], [chunk.tail.position for chunk in untouched]
     assert all(np.array_equal(*pair) for pair in zip(*tails, strict=True))

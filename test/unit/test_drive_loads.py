@@ -31,8 +31,7 @@ from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Setpoints
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.settings.choices import Settings
 
 RAM = Machine.load('ram_mill')
@@ -150,9 +149,9 @@ def test_revisions_and_tails_of_a_stream_keep_the_torques():
                 stream.adopt(revision)
                 revisions += 1
         for _ in range(int(rng.integers(2, 8))):
-            while not stream.can_sample and stream.can_plan:
-                stream.plan()
-            sent += stream.sample() if stream.can_sample else []
+            while not stream.current.can_sample and stream.current.can_plan:
+                stream.current.plan()
+            sent += stream.current.sample() if stream.current.can_sample else []
     assert revisions > 3
     run = Setpoints.concatenate([chunk.samples for chunk in sent]).position
     ways, rows = [run], 0

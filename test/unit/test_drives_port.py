@@ -12,7 +12,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionStream
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 
@@ -63,8 +63,9 @@ def chunks():
     stream.push(approach(Transform.of(MACHINE), 0.03, START, TARGET))
     stream.end_leg(Wait.END)
     found = []
-    while stream.can_plan or stream.can_sample:
-        found += stream.sample() if stream.can_sample else stream.plan() or []
+    plan = stream.current
+    while plan.can_plan or plan.can_sample:
+        found += plan.sample() if plan.can_sample else plan.plan() or []
     return found
 
 

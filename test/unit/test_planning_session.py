@@ -33,25 +33,23 @@ SLOW = OperatorSettings(override=0.5)
 T = 1e-3
 
 
-def plan_of(settings):
+class Plan:
     """A plan of a hundred chunks, ten setpoints each."""
-    return SimpleNamespace(settings=settings, left=100)
+
+    def __init__(self, settings):
+        self.settings, self.left, self.planned = settings, 100, 1.0
+        self.has_path = self.can_plan = False
+
+    @property
+    def can_sample(self):
+        return self.left > 0
 
 
 class Stream:
     """A stream with a plan."""
 
     def __init__(self, settings):
-        self.current, self.planned, self.finds = plan_of(settings), 1.0, True
-        self.has_path, self.can_plan = False, False
-
-    @property
-    def settings(self):
-        return self.current.settings
-
-    @property
-    def can_sample(self):
-        return self.current.left > 0
+        self.current, self.finds = Plan(settings), True
 
     def adopt(self, plan):
         before, self.current = self.current, plan
@@ -80,7 +78,7 @@ class Planner:
         if not self.stream.finds:
             return None
         chunk = SimpleNamespace(samples=range(10), wait=Wait.NOTHING)
-        return Revision(number, plan_of(settings), [chunk])
+        return Revision(number, Plan(settings), [chunk])
 
     def resume(self, s, stands, settings):
         self.resumed, self.led_from, self.stream.current.settings = s, stands, settings
@@ -200,7 +198,7 @@ def test_a_revision_joins_a_little_ahead_of_the_machine_and_not_after_the_buffer
     assert bench.step() is None
     bench.finish(task)
     joins = 20 + round(LEAD / T) + 1
-    assert session.activity is Activity.JOINING and planner.stream.settings == SLOW
+    assert session.activity is Activity.JOINING and planner.stream.current.settings == SLOW
     assert session.run_id == RunId('run', plan=1) and session.joins_at == joins
     assert (bench.port.sender.run_id, bench.port.sender.next_number) == (
         session.run_id,
@@ -223,7 +221,7 @@ def test_a_late_revision_is_dropped_and_the_next_one_gets_the_time_it_takes(benc
     bench.executed += round((LEAD - 0.5 * MARGIN) / T)
     bench.step()
     bench.finish(task)
-    assert planner.stream.settings != SLOW and bench.port.sender is sender
+    assert planner.stream.current.settings != SLOW and bench.port.sender is sender
     assert bench.session.activity is Activity.PLANNING
     bench.executed -= 40
     bench.finish(bench.step())  # at once; the late one took 0.1 s
@@ -272,7 +270,7 @@ def test_where_the_machine_has_passed_the_plan_before_goes_on(bench):
     assert session.task is task, 'what was sampled of the plan that did not join is void'
     assert session.activity is Activity.REVISING, 'it is tried again'
     assert (session.run_id, session.joins_at, session.path_end) == (RUN, 0, end)
-    assert bench.port.sender is sender and planner.stream.settings != SLOW
+    assert bench.port.sender is sender and planner.stream.current.settings != SLOW
     bench.turned_away = False
     bench.finish(task)
     assert session.run_id == RunId('run', plan=2), 'answers to plan 1 may still be on their way'
@@ -288,7 +286,7 @@ def test_a_revision_that_was_not_found_is_tried_again_a_moment_later(bench):
     bench.finish(task)
     planner.stream.finds = True
     bench.finish(bench.step())
-    assert bench.session.activity is Activity.JOINING and planner.stream.settings == SLOW
+    assert bench.session.activity is Activity.JOINING and planner.stream.current.settings == SLOW
 
 
 def test_changes_in_quick_succession_wait_until_the_machine_has_motion_again():
@@ -335,7 +333,7 @@ def test_a_machine_that_left_the_plan_gets_another_one_from_where_it_rests(bench
     assert session.activity is Activity.RESUMING and session.run_id == RunId('run', plan=1)
     assert bench.port.sender.run_id == session.run_id and session.sent_before == 60
     bench.finish(task)
-    assert (planner.resumed, planner.stream.settings) == (0.012, SLOW)
+    assert (planner.resumed, planner.stream.current.settings) == (0.012, SLOW)
     # The machine still reports the plan that is over.
     session.see_machine(report(RUN, state, **left))
     bench.finish(bench.step())

@@ -13,7 +13,7 @@ from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionStream
 
 ruckig = pytest.importorskip('ruckig')
 
@@ -132,10 +132,10 @@ def test_tails_stay_short_in_a_law_at_the_jerk_limit():
     stream.end_leg(Wait.END)
     chunks: list[Chunk] = []
     while not chunks or chunks[-1].wait is not Wait.END:
-        if stream.can_sample:
-            chunks += stream.sample()
+        if stream.current.can_sample:
+            chunks += stream.current.sample()
         else:
-            stream.plan()
+            stream.current.plan()
     straight = 2 * np.sqrt(max(np.linalg.norm(c.samples.velocity[-1]) for c in chunks) / 5.0)
     assert max(len(chunk.tail) for chunk in chunks) * period < straight + LONGER + 2 * EVERY
 

@@ -47,7 +47,7 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     planner.push(second, {})
     planner.finish()
     chunks = []
-    while planner.stream.can_plan or planner.stream.can_sample:
+    while planner.stream.current.can_plan or planner.stream.current.can_sample:
         chunks += planner.work(planner.stream.current, True, place)
     q = np.concatenate([chunk.samples.position for chunk in chunks])
     s = np.concatenate([chunk.samples.s for chunk in chunks])
@@ -61,7 +61,7 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
 def sampled(planner):
     """All that the current plan gives: positions, path lengths, blocks; proven by limits."""
     chunks = []
-    while planner.stream.can_plan or planner.stream.can_sample:
+    while planner.stream.current.can_plan or planner.stream.current.can_sample:
         chunks += planner.work(planner.stream.current, True, -np.inf)
     q, s, block = (
         np.concatenate([getattr(chunk.samples, name) for chunk in chunks])

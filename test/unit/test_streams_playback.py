@@ -20,8 +20,7 @@ from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.wire.machine_messages import executed_setpoints
@@ -54,8 +53,9 @@ def chunks_to(target, wait=Wait.END, start=HOME):
     stream.push(approach(TRANSFORM, 0.03, np.asarray(start, float), np.array(target)))
     stream.end_leg(wait)
     chunks = []
-    while stream.can_plan or stream.can_sample:
-        chunks += stream.sample() if stream.can_sample else stream.plan() or []
+    plan = stream.current
+    while plan.can_plan or plan.can_sample:
+        chunks += plan.sample() if plan.can_sample else plan.plan() or []
     return chunks
 
 
@@ -286,8 +286,9 @@ def moving_with_a_stop_from(number):
     stream, chunks = MotionStream(MACHINE, T), []
     stream.push(approach(TRANSFORM, 0.03, HOME, np.array([0.4, 0.1, 0.0, 0.2, 0.0])))
     stream.end_leg(Wait.END)
-    while stream.can_plan or stream.can_sample:
-        chunks += stream.sample() if stream.can_sample else stream.plan() or []
+    plan = stream.current
+    while plan.can_plan or plan.can_sample:
+        chunks += plan.sample() if plan.can_sample else plan.plan() or []
     revision, stop = stream.revision(number - 1, OperatorSettings(0.0)), []
     while revision.can_sample:
         stop += revision.sample()

@@ -25,8 +25,7 @@ from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.interpolator import Interpolator, Setpoints
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.motion_stream import MotionStream
+from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.settings.choices import Settings
 
 S_PATH = Path(__file__).parents[2] / 'examples' / 's_path.apt'
@@ -233,9 +232,9 @@ def test_revisions_in_motion_hold_it():
             if revision is not None:
                 stream.adopt(revision)
                 revised += 1
-        while not stream.can_sample and stream.can_plan:
-            stream.plan()
-        sent += stream.sample() if stream.can_sample else []
+        while not stream.current.can_sample and stream.current.can_plan:
+            stream.current.plan()
+        sent += stream.current.sample() if stream.current.can_sample else []
     assert revised > 1
     run = Setpoints.concatenate([chunk.samples for chunk in sent])
     # The drives at a revision are taken as in steady motion, so a little more is possible.

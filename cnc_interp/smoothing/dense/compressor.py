@@ -28,8 +28,8 @@ from cnc_interp.smoothing.dense.end_lines import (
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.dense.run_rows import curve_row, line_row
-from cnc_interp.smoothing.dense.run_trials import MOST_BLOCKS, is_tried, lines_are_faster
 from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
+from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
 #: Smallest number of blocks in a run.
 FEWEST_BLOCKS = 3
@@ -43,11 +43,16 @@ class Compressor:
     """Convert a stream of blocks to lines and curves."""
 
     def __init__(
-        self, settings: Settings, machine: MachineTraits, row: int = 0, joined: bool = False
+        self,
+        settings: Settings,
+        machine: MachineTraits,
+        choice: Choice | None,
+        row: int = 0,
+        joined: bool = False,
     ):
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
-        self._machine = machine
+        self._machine, self._choice = machine, choice
         self._builder = SkeletonBuilder(settings, row, joined)
         self._corners = CornerSearch(settings.corner_angle)
         self._first = row
@@ -174,14 +179,14 @@ class Compressor:
 
     def _is_faster(self, start: int, last: int, ended: bool) -> bool | None:
         """Tell whether a run is to become a curve; None if more blocks are necessary."""
-        if self._machine.motion_time is None or last - start > MOST_BLOCKS:
+        if self._choice is None or last - start > MOST_BLOCKS:
             return True
         skeleton = self._skeleton
         if not ended or (last + 1 == len(skeleton) and not skeleton.stop[last]):
             return None
-        if not is_tried(skeleton, start, last, self._height, self._machine):
+        if not may_be_slow(skeleton, start, last, self._height, self._machine):
             return True
-        return not lines_are_faster(skeleton, start, last, self._machine)
+        return not self._choice(*ways_of_run(skeleton, start, last))
 
     def _line(
         self,

@@ -1,23 +1,30 @@
 """
-Corners at which an exact stop is faster than the rounded path.
+Corners at which a stop may be faster, and short runs of blocks that may be faster as lines.
 
 Rounding nearly always saves time. It may not where the axes move in another way on the corner
 than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
 axis half a turn round; beside a block on which the tip hardly moves while the tool turns; and
 where the path almost reverses. Beside a line of a micrometre a rounded corner is so small that
-passing it at low speed may take longer than resting. No simple size of the corner tells how long
-the axes take there. So the motion over the next lines is planned both ways, and the faster one is
-taken. The corners after it may need a stop, too. So both ways are planned twice: these are
-rounded, or all are stops. Other corners are not tried.
+passing it at low speed may take longer than resting. Other corners are always rounded.
 
-A trial begins and ends at rest: at the last stop, or three lines before the corner, and at the
-next stop, or six lines after it. Which lines it knows does not depend on how the blocks arrive,
-and neither does its result.
+A curve needs room: a few spans, and a part of the lines beside it. On a run of a few tolerances
+the lines and their corners may be shorter and straighter. Near the pole a curve may use the whole
+orientation tolerance, and the outer rotary axis follows each of its waves.
+
+No simple size of the path tells how long the axes take there, and smoothing plans no motion. So it
+proposes: two sets of ways over the next blocks. A stage that can plan them chooses (``Choice``).
+At a corner the ways are with and without a stop there; the corners after it, which may need a stop
+too, are rounded or all are stops. A run is a curve, or lines that are rounded or all are stops.
+
+A way begins and ends at rest: at the last stop, or three lines before the corner, and at the next
+stop, or six lines after it. Which lines it has does not depend on how the blocks arrive, and
+neither does the choice.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,9 +34,10 @@ from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
+from cnc_interp.smoothing.dense.skeleton import Skeleton
 from cnc_interp.smoothing.orientation import angles_between, dot, norm
 
-#: Most lines before and after the corner that a trial knows.
+#: Most lines before and after the corner that a way has.
 BEFORE, AFTER = 3, 6
 #: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
 FAST = 2.0 / MM
@@ -37,8 +45,20 @@ FAST = 2.0 / MM
 SHARP = 160.0 * DEG
 #: A corner is tried beside a line shorter than this [m].
 MICRO = 3.0 * UM
-#: A stop must save this part of the time of its trial [-].
-WORTH = 5e-5
+#: Most blocks of a run that is tried, and the length below which it always is [tolerances].
+MOST_BLOCKS, TINY = 8, 15.0
+
+
+@dataclass(frozen=True)
+class Way:
+    """A few blocks from rest to rest, each corner rounded unless it has an exact stop."""
+
+    blocks: Blocks  #: The start pose and the blocks.
+    curves: bool = False  #: Whether runs of short blocks become curves.
+
+
+#: The port: tells whether the best of the first ways is faster than the best of the others.
+Choice = Callable[[Sequence[Way], Sequence[Way]], bool]
 
 
 def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
@@ -65,21 +85,51 @@ def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits
     return np.asarray(near | (rate > FAST * np.sin(angle)))  # the outer axis turns faster there
 
 
-class StopTrials:
-    """Rest at corners where this is faster."""
+def with_stops(blocks: Blocks) -> Blocks:
+    """Return blocks with an exact stop at each pose."""
+    return replace(blocks, exact_stop=np.ones(len(blocks), dtype=np.bool_))
 
-    def __init__(self, machine: MachineTraits, height: float, found: list[int]):
-        self._machine, self._height, self._found = machine, height, found
+
+def may_be_slow(
+    skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
+) -> bool:
+    """Tell whether a run may be slower as a curve."""
+    if last - start > MOST_BLOCKS:
+        return False
+    least = float(skeleton.tolerance[start + 1 : last + 1].min())
+    if skeleton.u[last] - skeleton.u[start] < TINY * least:
+        return True
+    blocks = skeleton.blocks[start : last + 1]
+    return bool(turns_fast(blocks, Legs.of(blocks, machine, height), height, machine).any())
+
+
+def ways_of_run(
+    skeleton: Skeleton, start: int, last: int
+) -> tuple[tuple[Way, ...], tuple[Way, ...]]:
+    """Return a run and the lines beside it as lines, rounded or all stops, and as a curve."""
+    first = start if skeleton.stop[start] else start - 1
+    end = last if skeleton.stop[last] else last + 1
+    blocks = skeleton.blocks[first : end + 1]
+    return (Way(blocks), Way(with_stops(blocks))), (Way(blocks, curves=True),)
+
+
+class StopChoice:
+    """Propose stops at doubtful corners, and take those that are faster."""
+
+    def __init__(
+        self, choice: Choice | None, machine: MachineTraits, height: float, found: list[int]
+    ):
+        self._choice, self._machine, self._height, self._found = choice, machine, height, found
         self._stops: dict[int, bool] = {}  # of corners tried, by program row
         self._past: Blocks | None = None  # decided rows up to the first known one
         self._plain = np.zeros(0, dtype=np.bool_)  # which of them are lines of poses
 
     def decide(self, rows: Rows, legs: Legs, vertex: IntArray, final: bool) -> int:
-        """Turn rounded corners into stops where the tool is faster so."""
+        """Turn rounded corners into stops where that is faster; return how many are decided."""
         known = rows.blocks.corner
         vertex[(vertex == ROUND) & (known == STOP_CORNER)] = STOP
         tried = (vertex == ROUND) & (known == OPEN_CORNER)
-        if self._machine.motion_time is None or not tried.any():
+        if self._choice is None or not tried.any():
             return len(rows)
         tried &= doubtful(rows, legs, self._height, self._machine)
         for v in np.flatnonzero(tried):
@@ -95,7 +145,7 @@ class StopTrials:
                     begin > max(at - BEFORE, 0) and plain[begin] and not blocks.exact_stop[begin]
                 ):
                     begin -= 1
-                self._stops[row] = self._is_faster(blocks[begin:], at - begin)
+                self._stops[row] = self._choice(*_ways_at(blocks[begin:], at - begin))
                 if self._stops[row]:
                     self._found.append(row)
             if self._stops[row]:
@@ -104,7 +154,7 @@ class StopTrials:
 
     def keep(self, rows: Rows, vertex: IntArray, last: int) -> None:
         """Take note that the rows up to ``last`` are decided; the next rows begin there."""
-        if self._machine.motion_time is None:
+        if self._choice is None:
             return
         blocks, plain = self._decided(rows[: last + 1], vertex)
         self._past, self._plain = blocks[-BEFORE:], plain[-BEFORE:]
@@ -124,7 +174,7 @@ class StopTrials:
 
     @staticmethod
     def _end(rows: Rows, vertex: IntArray, v: int, final: bool) -> int | None:
-        """Return the vertex at which a trial ends; None if it is not known yet."""
+        """Return the vertex at which a way ends; None if it is not known yet."""
         plain = _plain(rows)
         for end in range(v + 1, v + AFTER + 1):
             if end == len(rows) - 1:
@@ -133,17 +183,16 @@ class StopTrials:
                 return end
         return v + AFTER
 
-    def _is_faster(self, blocks: Blocks, at: int) -> bool:
-        """Tell whether a stop at a pose is faster, the later corners rounded or all stops."""
-        least = [np.inf, np.inf]
-        for stops in (0, 1):
-            for later in (False, True)[: len(blocks) - at - 1]:
-                exact = blocks.exact_stop.copy()
-                exact[at], exact[at + 1 :] = stops, exact[at + 1 :] | later
-                assert self._machine.motion_time is not None
-                time = self._machine.motion_time(replace(blocks, exact_stop=exact), False)
-                least[stops] = min(least[stops], time)
-        return least[1] < (1.0 - WORTH) * least[0]
+
+def _ways_at(blocks: Blocks, at: int) -> list[list[Way]]:
+    """Return the ways with a stop at a pose and those without."""
+    ways: list[list[Way]] = [[], []]
+    for stops in (1, 0):
+        for later in (False, True)[: len(blocks) - at - 1]:
+            exact = blocks.exact_stop.copy()
+            exact[at], exact[at + 1 :] = stops, exact[at + 1 :] | later
+            ways[1 - stops].append(Way(replace(blocks, exact_stop=exact)))
+    return ways
 
 
 def _plain(rows: Rows) -> BoolArray:

@@ -1,6 +1,7 @@
 """Corners where a stop is faster, runs where lines are: found however the blocks arrive."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,13 +10,15 @@ from programs import blocks_of
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.feedrate.window import plan_path
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
-from cnc_interp.run.path_chain import PathChain, motion_time, path_of, segments_of, smoother_of
+from cnc_interp.run.path_chain import PathChain, is_faster, path_of, segments_of, way_time
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense.thinning import longest_chord
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
+from cnc_interp.smoothing.stop_choice import Way
 
 XYZAC = Machine.load('xyzac')
 TRANSFORM = Transform.of(XYZAC)
@@ -92,11 +95,10 @@ def test_is_never_slower_than_with_a_stop_at_each_block(make, curves):
 @pytest.mark.parametrize('make', [tiny_run, run_beside_the_pole])
 def test_a_short_run_becomes_no_curve_where_lines_are_faster(make):
     blocks, settings = make(), Settings(compress=True)
-    tried = smoother_of(TRANSFORM, settings).machine
-    curved = LookAhead(settings, replace(tried, motion_time=None))
+    curved = LookAhead(settings, traits_of(TRANSFORM))
     assert (PathSegments.concatenate([curved.push(blocks), curved.finish()]).kind == SPLINE).any()
     assert not (segments_of(blocks, TRANSFORM, settings).kind == SPLINE).any()
-    assert time_of(blocks, True) < 0.99 * motion_time(TRANSFORM, settings, blocks, True)
+    assert time_of(blocks, True) < 0.99 * way_time(TRANSFORM, settings, Way(blocks, True))
 
 
 def test_a_stop_is_taken_only_where_it_is_faster():
@@ -109,7 +111,7 @@ def test_a_stop_is_taken_only_where_it_is_faster():
 @pytest.mark.parametrize('make', [beside_the_pole, tiny_run, run_beside_the_pole])
 def test_trials_do_not_depend_on_how_the_blocks_arrive(make, batch):
     blocks, settings = make(), Settings()
-    smoother = LookAhead(settings, smoother_of(TRANSFORM, settings).machine)
+    smoother = LookAhead(settings, traits_of(TRANSFORM), partial(is_faster, TRANSFORM, settings))
     parts = [smoother.push(blocks[i : i + batch]) for i in range(0, len(blocks), batch)]
     found = PathSegments.concatenate([part for part in [*parts, smoother.finish()] if len(part)])
     whole = segments_of(blocks, TRANSFORM, settings)
@@ -117,7 +119,7 @@ def test_trials_do_not_depend_on_how_the_blocks_arrive(make, batch):
     np.testing.assert_array_equal(found.bottom, whole.bottom)
 
 
-def refuse_to_plan(_blocks):
+def refuse_to_choose(_ways, _others):
     raise AssertionError('nothing is to be tried')
 
 
@@ -129,8 +131,7 @@ def test_corners_that_are_known_are_not_tried_again(make, compress):
     tried = PathSegments.concatenate([chain.push(blocks).segments, chain.finish().segments])
     corner = np.full(len(blocks), ROUND_CORNER)
     corner[chain.stops] = STOP_CORNER
-    traits = replace(smoother_of(TRANSFORM, settings).machine, motion_time=refuse_to_plan)
-    known = LookAhead(settings, traits)
+    known = LookAhead(settings, traits_of(TRANSFORM), refuse_to_choose)
     found = PathSegments.concatenate([known.push(replace(blocks, corner=corner)), known.finish()])
     assert (found.stop == tried.stop).all()
     np.testing.assert_array_equal(found.bottom, tried.bottom)

@@ -1,0 +1,163 @@
+"""
+Stops along the path: the tail of each chunk, and the way down to another plan.
+
+A stop is looked for at every few setpoints of a plan (``StopSearch``). The tail of a chunk follows
+the plan to the next setpoint with a known stop, then that stop (``ChunkCutter``). A plan with
+other settings that joins in motion never asks for less than a stop from there (``way_down``).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
+from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.run.chunk import Chunk, Wait
+from cnc_interp.run.course import Course
+from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.leg import STILL, Leg
+
+#: Time between setpoints at which a stop is looked for [s].
+STOP_EVERY = 0.005
+#: Begin of a plan that joins in motion, and the time between stops in it [s]: it must be early.
+HASTE, HASTY_EVERY = 0.3, 0.02
+#: Part of every limit that the way down leaves free, so that a law beside it exists [-].
+LEEWAY = 6e-3
+
+
+class StopSearch:
+    """Find stops at the setpoints of one plan."""
+
+    def __init__(
+        self, course: Course, table: FloatArray, period: float, joins_at: int | None = None
+    ):
+        self._course, self._table, self._period = course, table, period
+        self._every = max(1, round(STOP_EVERY / period))
+        self._hasty_every = self._every * round(HASTY_EVERY / STOP_EVERY)
+        self._hasty_until = 0 if joins_at is None else joins_at + round(HASTE / period)
+
+    def stops(
+        self, leg: Leg, piece: PlannedPiece, numbers: range
+    ) -> Iterator[tuple[int, Setpoints]]:
+        """
+        Look for stops at the setpoints of a slice of a leg, which have these numbers.
+
+        Yields the number of a setpoint, and the setpoints after it down to rest.
+        """
+        ahead: AxisPath | None = None
+        first = -(-(numbers.start + 1) // self._every) * self._every - 1
+        for number in range(first, numbers.stop, self._every):
+            if number < self._hasty_until and (number + 1) % self._hasty_every:
+                continue
+            state = leg.state_at(number, piece)
+            if state[1] <= 0.0:
+                continue
+            if ahead is None:
+                ahead = self._course.ahead(float(piece.law.s[0]))
+            stop = stop_law(ahead, state, self._table, 0.0)
+            if stop is not None:
+                yield number, self._sampled(stop)
+
+    def _sampled(self, stop: PlannedPiece) -> Setpoints:
+        """Sample a stop: the setpoints after its first state, the last one at rest."""
+        interpolator = Interpolator(self._period, 1)
+        return Setpoints.concatenate([interpolator.push(stop), interpolator.finish()])
+
+
+class ChunkCutter:
+    """
+    Cut the setpoints of one plan into chunks.
+
+    Setpoints after the last known stop are kept until a further stop is known.
+    """
+
+    def __init__(self, size: int, number: int):
+        self._size = size
+        self._first = self.next_number = number
+        self._kept: deque[Setpoints] = deque()  # from setpoint _first on
+        self._stops: deque[tuple[int, Setpoints | None]] = deque()
+        self._waits: dict[int, Wait] = {}
+
+    def take(self, samples: Setpoints) -> None:
+        """Add further setpoints."""
+        if len(samples):
+            self._kept.append(samples)
+            self.next_number += len(samples)
+
+    def add_stop(self, number: int, stop: Setpoints) -> None:
+        """Store the stop that begins after a setpoint."""
+        self._stops.append((number, stop))
+
+    def end_leg(self, wait: Wait) -> None:
+        """Record that the last setpoint is at rest, and what the machine waits for there."""
+        self._stops.append((self.next_number - 1, None))
+        self._waits[self.next_number - 1] = wait
+
+    def cut(self) -> list[Chunk]:
+        """Return the chunks that are complete: those whose tail is known."""
+        if not self._stops:
+            return []
+        kept = Setpoints.concatenate(list(self._kept))
+        chunks: list[Chunk] = []
+        base = begin = self._first
+        while self._stops:
+            end = begin + self._size
+            end = min(end, min((n + 1 for n in self._waits if n >= begin), default=end))
+            while self._stops and self._stops[0][0] < end - 1:
+                self._stops.popleft()
+            if not self._stops:
+                break
+            number, stop = self._stops[0]
+            tail = kept[end - base : number + 1 - base]
+            if stop is not None:
+                tail = Setpoints.concatenate([tail, stop])
+            wait = self._waits.pop(end - 1, Wait.NOTHING)
+            chunks.append(Chunk(kept[begin - base : end - base], tail, wait))
+            begin = end
+        self._first = begin
+        rest = kept[begin - base :]
+        self._kept = deque([rest] if len(rest) else [])
+        return chunks
+
+
+def way_down(
+    pieces: Sequence[PlannedPiece], begin: float, ahead: AxisPath, table: FloatArray
+) -> PlannedPiece | None:
+    """Return the motion from a time [s] on to a place with a known stop, and that stop."""
+    driven: list[PlannedPiece] = []
+    for piece in pieces:
+        first, last = max(begin, float(piece.law.time[0])), piece.law.end_time
+        for time in np.arange(first, last, STOP_EVERY):
+            s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
+            stop = stop_law(ahead, (s, v, a), table, float(time), LEEWAY)
+            if stop is not None:
+                rest = [between(piece, first, float(time))] if time > first else []
+                return PlannedPiece.join([*driven, *rest, stop])
+        if last > first:
+            driven.append(between(piece, first, last))
+    if driven and driven[-1].law.evaluate(np.array([last]))[1][0] < STILL:
+        return PlannedPiece.join(driven)
+    return None
+
+
+def between(piece: PlannedPiece, begin: float, end: float) -> PlannedPiece:
+    """Cut a law and its path at two times on its clock [s]."""
+    law = piece.law
+    first, last = law.piece_at(np.array([begin, end])).tolist()
+    last -= law.time[last] == end and last > first
+    rows = np.arange(first, last + 1)
+    times = np.maximum(law.time[rows], begin)
+    s, v, a, j = law.evaluate(times, rows)
+    ends = np.append(times[1:], end)
+    until = float(law.evaluate(np.array([end]), rows[-1:])[0][0])
+    places = grid_place(piece.path, float(s[0])), grid_place(piece.path, until)
+    path = cut_between(piece.path, *places, np.array(places))
+    start = int(np.searchsorted(piece.path.s, places[0], side='right')) - 1
+    cells = np.maximum(law.cell[rows] - start, 0)
+    return PlannedPiece(path, MotionLaw(times, ends - times, s, v, a, j, cells))

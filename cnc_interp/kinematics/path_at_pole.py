@@ -364,11 +364,12 @@ class PathAtPole:
         near = np.tile([2.0, -1.0], (n, 1))
         rows = np.flatnonzero(segments.interpolation == POSES)
         if len(rows):
-            some = (segments.kind[rows], shapes[rows])
-            lengths[rows] = lengths_of(*some, beside[rows], segments.length[rows])
-            limits = AT_POLE * np.maximum(segments.room[rows], 0.0) / height
+            posed = segments[rows]
+            some = (posed.kind, shapes[rows])
+            lengths[rows] = lengths_of(*some, beside[rows], posed.length)
+            limits = AT_POLE * np.maximum(posed.room, 0.0) / height
             near[rows], sine[rows] = near_pole(
-                transform.packed, *some, segments.parametrization[rows], rates[rows, TURN], limits
+                transform.packed, *some, posed.parametrization, rates[rows, TURN], limits
             )
         return cls(
             transform, height, segments, motion.copy(), np.tile(NO_GUIDE, (n, 1)), np.zeros(n),
@@ -425,11 +426,9 @@ class PathAtPole:
         rotary = np.array([0.0, 0.0, branch, self.height])
         rotary[outer] = near
         inside = u + (1e-9 if u < 0.5 else -1e-9)
-        # Never read-only: a kernel is compiled for each kind of array.
-        span = segments.parametrization[i].copy()
         q = sample(
             self.transform.packed, segments.kind[i], FOLLOWING, self.shapes[i], self.beside[i],
-            span, segments.length[i], rotary, NO_GUIDE, 0.0, u, inside,
+            segments.parametrization[i], segments.length[i], rotary, NO_GUIDE, 0.0, u, inside,
         )[0]  # fmt: skip
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from multiprocessing import get_context
 
 import numpy as np
 
@@ -119,14 +120,17 @@ def warm_kinematics(machine: str, period: float) -> AxisPath:
 @cache
 def warm_all(machine: str, period: float) -> None:
     """Load the kernels from corners to setpoints; curves need no others after the look-ahead."""
-    path = warm_kinematics(machine, period)
-    transform = Transform.of(Machine.load(machine))
+    warm_feed(Machine.load(machine), warm_kinematics(machine, period), period)
+
+
+def warm_feed(machine: Machine, path: AxisPath, period: float) -> None:
+    """Load the kernels from machine axes to setpoints."""
     for options in (LIVE, SHORT_WINDOWS):
-        planner = FeedPlanner(transform.machine, options)
+        planner = FeedPlanner(machine, options)
         planner.push(path)
         planner.finish()
     # a stop, and a change of the override
-    stream = MotionStream(transform.machine, period)
+    stream = MotionStream(machine, period)
     stream.push(path)
     stream.end_leg(Wait.END)
     while not stream.current.can_sample:
@@ -135,9 +139,27 @@ def warm_all(machine: str, period: float) -> None:
     handed_out = sum(len(chunk.samples) for chunk in chunks)
     stream.revision(handed_out - 1, OperatorSettings(0.5))
     state = stream.current.state_at(handed_out - 1)
-    table = limit_table(transform.machine)
     assert state is not None
-    stop_law(path, state[1], table, 0.0)
+    stop_law(path, state[1], limit_table(machine), 0.0)
+
+
+def path_without_kernels(machine: Machine) -> AxisPath:
+    """Return a path on which all axes move along a sine; making it needs no kernel."""
+    s, wave = np.linspace(0.0, 20.0 * MM, 41), 1.0 / (3.0 * MM)
+    jets = np.stack([wave**k * np.sin(wave * s + 0.5 * np.pi * k) for k in range(4)])
+    cells = jets[:, :, None] * np.full(len(machine.axis_names), 1.0 * MM)
+    stop = np.zeros(len(s), dtype=np.bool_)
+    stop[[0, -1]] = True
+    return AxisPath(
+        s=s,
+        cell_left=cells[:, :-1].copy(),  # contiguous as those of real paths: no second form
+        cell_right=cells[:, 1:].copy(),
+        tip=np.outer(s, [1.0, 0.0, 0.0]),
+        axis=np.tile([0.0, 0.0, 1.0], (len(s), 1)),
+        cell_feed=np.full(len(s) - 1, 300.0 * MM_PER_MIN),
+        cell_block=np.zeros(len(s) - 1, dtype=np.int64),
+        stop=stop,
+    )
 
 
 def resting_chunk(position: FloatArray, period: float) -> Chunk:
@@ -174,16 +196,23 @@ def warm_shared() -> None:
     warm_kinematics(DEFAULT_MACHINE, settings.interpolation_period)
 
 
-def compile_kernels() -> None:
-    """Compile the kernels of all nodes, and what planning without ROS needs in addition."""
-    from cnc_interp.machine import hal_step  # the import compiles; most nodes do without it
-
-    period = Settings().interpolation_period
-    hal_step.block_at(np.zeros(hal_step.block_size(1)).ctypes.data, 1)
-    warm_shared()
-    warm_all(DEFAULT_MACHINE, period)
+def compile_feed_and_machine() -> None:
+    """Compile what does not wait for the kernels of smoothing and kinematics."""
+    machine, period = Machine.load(DEFAULT_MACHINE), Settings().interpolation_period
+    path = path_without_kernels(machine)
+    warm_feed(machine, path, period)
+    plan_path(path, machine)
     warm_machine(DEFAULT_MACHINE, period)
-    plan_path(warm_kinematics(DEFAULT_MACHINE, period), Machine.load(DEFAULT_MACHINE))
+
+
+def compile_kernels() -> None:
+    """Compile the kernels of nodes and planning, in two processes; those of HAL wait for HAL."""
+    beside = get_context('fork').Process(target=compile_feed_and_machine)
+    beside.start()
+    warm_shared()
+    beside.join()
+    warm_all(DEFAULT_MACHINE, Settings().interpolation_period)
+    warm_machine(DEFAULT_MACHINE, Settings().interpolation_period)
 
 
 if __name__ == '__main__':

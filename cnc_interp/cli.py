@@ -68,7 +68,9 @@ def _told(problem: OSError, options: argparse.Namespace | None) -> str:
     place = problem.filename or getattr(options, 'out', None) or getattr(options, 'record', None)
     reason = problem.strerror or str(problem)
     if isinstance(problem, FileExistsError | NotADirectoryError):
-        reason = f'{reason}; name a folder, or a file that is not there'
+        reason = 'a file stands where a folder must be; name another folder'
+    if isinstance(problem, IsADirectoryError):
+        reason = 'it is a folder; name a file'
     return f'{place}: {reason}' if place else reason
 
 

@@ -11,7 +11,7 @@ from cnc_interp.batch.table import Results, rows_of
 from cnc_interp.batch.task import Verdict
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import HOUR
-from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.html import document, drawing, section
 from cnc_interp.report.plot_style import BLUE, RED, base_layout, with_axes
 
 #: More rows than these are not shown; the table file has them all.
@@ -63,8 +63,6 @@ document.querySelector('#find').oninput = event => {
 
 def write_page(results: Results, rate: float | None, file: Path) -> None:
     """Write the page of a batch; the text needs nothing else."""
-    from plotly.offline import get_plotlyjs
-
     rows = rows_of(results, rate)
     counts = Counter(outcome.row.verdict for _, outcome in results)
     good = counts[Verdict.PROVEN] == len(rows)
@@ -83,15 +81,8 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
             f'<input id="find" placeholder="find">{_table(rows[:MOST_ROWS], shown)}',
         ),
     ]
-    write_whole(
-        file,
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<title>{len(rows)} plans</title><style>{STYLE}{LOCAL_STYLE}</style>'
-        f'<script>{get_plotlyjs()}</script></head><body><main>'
-        + '\n'.join(body)
-        + f'</main><script>{SCRIPT}</script></body></html>\n',
-    )
+    page = '\n'.join([*body, f'<script>{SCRIPT}</script>'])
+    write_whole(file, document(f'{len(rows)} plans', page, LOCAL_STYLE))
 
 
 def _tiles(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[str]:

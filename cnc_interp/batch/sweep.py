@@ -28,10 +28,9 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.report.series import KINDS, axis_use
+from cnc_interp.report.series import axis_use
+from cnc_interp.report.time_lost import AT_LIMIT, at_limits
 
-#: A limit counts as used where more of it than this is [-].
-AT_LIMIT = 0.98
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4
 #: Lengths that differ less are the same [m].
@@ -131,12 +130,8 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
     """Return the share of the time in which each axis, or the feed, is at its limit [-]."""
     plan = read_plan(folder).in_memory()
     machine = Machine.load(str(plan.summary['machine']))
-    shares = (np.abs(axis_use(plan, machine.limit_table)) > AT_LIMIT).mean(axis=1)
-    found = {
-        f'{axis} {kind}': float(shares[k, j])
-        for k, kind in enumerate(KINDS)
-        for j, axis in enumerate(machine.axis_names)
-    }
+    holds = at_limits(axis_use(plan, machine.limit_table), machine.axis_names)
+    found = {name: float(held.mean()) for name, held in holds.items()}
     way = np.asarray(plan.setpoints['s'])
     cell = np.searchsorted(plan.path['s'], way, 'right') - 1
     wanted = np.asarray(plan.path['programmed_feed'])[np.clip(cell, 0, len(plan.path['s']) - 2)]

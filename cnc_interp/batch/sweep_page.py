@@ -12,7 +12,7 @@ from typing import Any
 from cnc_interp.batch.sweep import Found, Point, front
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import UM
-from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.html import document, drawing, section
 from cnc_interp.report.plot_style import BLUE, ORANGE, RED, base_layout, with_axes
 
 #: Limits that are named, of those at which an axis is for most of the time.
@@ -58,8 +58,6 @@ def write_table(found: dict[Point, Found], file: Path) -> None:
 
 def write_page(found: dict[Point, Found], file: Path) -> None:
     """Write the page of a sweep."""
-    from plotly.offline import get_plotlyjs
-
     best, start = front(found), as_it_is(found)
     names = list(dict.fromkeys(name for point in found for name, _ in point.values))
     body = [
@@ -77,14 +75,7 @@ def write_page(found: dict[Point, Found], file: Path) -> None:
                   drawing(_over(found, name))) for name in names),
         _faults(found),
     ]  # fmt: skip
-    write_whole(
-        file,
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<title>sweep</title><style>{STYLE}{LOCAL_STYLE}</style>'
-        f'<script>{get_plotlyjs()}</script></head><body><main>'
-        + '\n'.join(body)
-        + '</main></body></html>\n',
-    )
+    write_whole(file, document('sweep', '\n'.join(body), LOCAL_STYLE))
 
 
 def _moving(found: dict[Point, Found]) -> list[Point]:

@@ -119,7 +119,7 @@ def add_cam_commands(commands: Any, pool: Pool) -> None:
     simulate.add_argument(
         '--executed', action='store_true', help='take the motion of the drives, not the setpoints'
     )
-    simulate.add_argument('--html', type=Path, metavar='FILE', help='page to write')
+    simulate.add_argument('--out', '--html', type=Path, metavar='FILE', help='page to write')
     _cutting(simulate)
     _tiles(simulate, pool)
     simulate.add_argument('--json', action='store_true', help='print the figures as JSON')

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 
 from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
@@ -16,7 +15,7 @@ from cnc_interp.cam.spline_pass import Strips
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.html import document, drawing, section
 from cnc_interp.report.plot_style import BLUE, INK, RED, base_layout, rounded, with_axes
 
 #: Largest number of cells of a map in each direction.
@@ -120,12 +119,7 @@ def path_figure(paths: Strips) -> Any:
 
 def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
     """Write figures with headings and texts as one page that needs no network."""
-    parts = [
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<title>{escape(title)}</title><style>{STYLE} pre {{ color: {INK}; }}</style>'
-        f'<script>{get_plotlyjs()}</script></head><body><main><h1>{escape(title)}</h1>'
-        f'<section><pre>{escape(facts)}</pre></section>'
-    ]
+    parts = [f'<h1>{escape(title)}</h1><section><pre>{escape(facts)}</pre></section>']
     for heading, text, figure in figures:
         parts.append(section(escape(heading), escape(text), drawing(figure)))
-    return ''.join([*parts, '</main></body></html>'])
+    return document(title, ''.join(parts), f' pre {{ color: {INK}; }}')

@@ -33,8 +33,8 @@ def refuse_options(options: argparse.Namespace) -> None:
         for name in ('workers', 'scheduler'):
             if getattr(options, name) is not None:
                 raise InterpError(f'--{name} is for --tiles DIR')
-    elif options.html:
-        raise InterpError('--tiles DIR writes its own page, DIR/index.html; leave out --html')
+    elif options.out:
+        raise InterpError('--tiles DIR writes its own page, DIR/index.html; leave out --out')
     if options.workers is not None and options.workers < 1:
         raise InterpError('--workers must be 1 or more')
     if options.device != 'cpu' and options.scheduler is None:

@@ -237,13 +237,13 @@ def simulate_motion(options: argparse.Namespace) -> int:
         return 0
     heights, section = _cut(surface, cutter, motion, normal, options)
     summary = {motion.name: results(heights, section)}
-    if options.html:
+    if options.out:
         from cnc_interp.cam.page import page
 
         figures = _height_figures(motion, heights, section, options.scallop * UM)
         text = page(str(options.motion), describe(summary), figures)
-        options.html.parent.mkdir(parents=True, exist_ok=True)
-        options.html.write_text(text, encoding='utf-8')
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(text, encoding='utf-8')
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     return 0
 

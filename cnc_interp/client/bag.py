@@ -105,6 +105,8 @@ class BagWriter:
     def __init__(self, path: Path):
         refuse_existing(path)
         self.count = 0
+        self._path = path
+        self._fault: OSError | None = None
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
@@ -123,13 +125,31 @@ class BagWriter:
             self._writer.set_custom_data(f'{PARAMETER}{node}.{name}', json.dumps(value))
 
     def write(self, topic: str, data: bytes, stamp: int) -> None:
-        """Write a serialised message with the time at which it was received [ns]."""
-        self._writer.write(self._connections[topic], stamp, data)
-        self.count += 1
+        """Write a serialised message with the time [ns] at which it came; see ``close``."""
+        if self._fault is None:
+            try:
+                self._writer.write(self._connections[topic], stamp, data)
+                self.count += 1
+            except OSError as fault:  # no reason to stop a machine
+                self._fault = fault
 
     def close(self) -> None:
-        """Write index and metadata."""
-        self._writer.close()
+        """
+        Write index and metadata.
+
+        Raises
+        ------
+        OSError
+            If this or a message could not be written: the disk is full.
+
+        """
+        try:
+            if self._fault is not None:
+                raise self._fault
+            self._writer.close()
+        except OSError as fault:
+            reason = f'{fault.strerror}; the record of the run is not complete'
+            raise OSError(fault.errno, reason, str(self._path)) from None
 
 
 def files_of(path: Path) -> list[Path]:

@@ -39,14 +39,14 @@ def add_report_command(commands: Any) -> None:
     report = command(
         commands, 'report', report_command,
         'write one self-contained HTML page about a plan or a recorded run',
-        'cnc-interp report out/pyramid --html out/pyramid.html',
+        'cnc-interp report out/pyramid --out out/pyramid.html',
     )  # fmt: skip
     report.add_argument(
         'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
     )
     report.add_argument('--machine', metavar='M', help='another machine than the plan names')
     report.add_argument(
-        '--html', type=Path, metavar='FILE', help='page to write (default: DIR/report.html)'
+        '--out', '--html', type=Path, metavar='FILE', help='page to write (DIR/report.html)'
     )
     report.add_argument(
         '--compare', type=Path, metavar='DIR2', help='another plan to set beside the first'
@@ -80,7 +80,7 @@ def report_command(options: Namespace) -> int:
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.report import write_report
 
-    page = options.html or options.directory / 'report.html'
+    options.out = page = options.out or options.directory / 'report.html'
     if is_bag(options.directory) and options.compare:
         raise InterpError('--compare sets two folders of plan files side by side, not bags')
     with plan_files(options.directory, options.machine) as (folder, machine, _):

@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.report.corners import CornerView
-from cnc_interp.report.html import CONTROLS, section
+from cnc_interp.report.html import CONTROLS, packed, section
 from cnc_interp.report.plot_style import (
     BLUE,
     GRID,
@@ -37,18 +37,18 @@ FEW = 60
 
 #: One scene serves all corners, because browsers limit the number of scenes of a page.
 CHOOSER = """
-(function () {
+window.drawMore = function () {
   var corners = JSON.parse(document.getElementById('corner-data').textContent);
   var choice = document.getElementById('corner-choice');
   function show() {
-    var corner = corners.figures[Number(choice.value)];
+    var corner = corners[Number(choice.value)];
     ['space', 'profile'].forEach(function (part) {
-      Plotly.react('corner-' + part, corner[part].data, corner[part].layout, corners.config);
+      Plotly.react('corner-' + part, corner[part].data, corner[part].layout, CONTROLS);
     });
   }
   choice.addEventListener('change', show);
   show();
-})();
+};
 """
 
 
@@ -216,8 +216,7 @@ def corner_section(views: list[CornerView]) -> str:
     """Write the section of the corners; the page draws a corner when it is chosen."""
     shown = [{'space': space_figure(v), 'profile': profile_figure(v)} for v in views]
     figures = [{part: json.loads(f.to_json()) for part, f in both.items()} for both in shown]
-    # No text inside may look like the end of the script element.
-    data = json.dumps({'config': CONTROLS, 'figures': figures}).replace('<', '\\u003c')
+    data = packed(json.dumps(figures), 'corner-data')
     slowest = min(range(len(views)), key=lambda i: views[i].slowest)
     options = ''.join(
         f'<option value="{i}"{" selected" if i == slowest else ""}>{escape(view.title)}</option>'
@@ -233,6 +232,5 @@ def corner_section(views: list[CornerView]) -> str:
         'A corner, close up', text,
         f'<label>Corner <select id="corner-choice">{options}</select></label>'
         '<div class="pair"><div id="corner-space"></div><div id="corner-profile"></div></div>'
-        f'<script type="application/json" id="corner-data">{data}</script>'
-        f'<script>{CHOOSER}</script>',
+        f'{data}<script>{CHOOSER.replace("CONTROLS", CONTROLS)}</script>',
     )  # fmt: skip

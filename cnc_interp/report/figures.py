@@ -27,7 +27,7 @@ from cnc_interp.report.plot_style import (
 from cnc_interp.report.series import KINDS, Series, extremes
 
 #: Buckets of the small figures of the axes, and of the tool path in space.
-SMALL_BUCKETS, SPACE_BUCKETS = 500, 6000
+SMALL_BUCKETS, SPACE_BUCKETS = 250, 2500
 #: Number of tool axes in the figure of the tool path.
 TOOL_LINES = 160
 
@@ -97,20 +97,23 @@ def feed_figure(series: Series) -> Any:
     limit = np.minimum(series.feed_limit, ceiling)
     asked = np.minimum(series.programmed_feed, ceiling)
     rows = extremes(np.column_stack([series.feed, limit, asked]), BUCKETS)
-    hover = rounded(np.column_stack([series.time, series.way, series.line])[rows])
+    place = {
+        'customdata': rounded(np.column_stack([series.time, series.way, series.line])[rows]),
+        'hovertemplate': '%{y:.0f} mm/min at %{customdata[0]:.3f} s, %{customdata[1]:.2f} mm, '
+        'line %{customdata[2]:.0f}',
+    }
+    plain = {'hovertemplate': '%{y:.0f} mm/min'}
     for row, x in ((1, rounded(series.way[rows])), (2, rounded(series.time[rows]))):
         first = row == 1
-        for name, y, line in (
-            ('limit of the axes (Eq. 10)', limit, {'color': ORANGE, 'width': 1.2}),
-            ('programmed', asked, {'color': INK, 'width': 1.2, 'dash': 'dot'}),
-            ('planned', series.feed, {'color': BLUE, 'width': 1.8}),
+        for name, y, line, hover in (
+            ('limit of the axes (Eq. 10)', limit, {'color': ORANGE, 'width': 1.2}, plain),
+            ('programmed', asked, {'color': INK, 'width': 1.2, 'dash': 'dot'}, plain),
+            ('planned', series.feed, {'color': BLUE, 'width': 1.8}, place),
         ):
             figure.add_trace(
                 go.Scatter(
                     x=x, y=rounded(y[rows]), name=name, line=line, legendgroup=name,
-                    showlegend=first, customdata=hover,
-                    hovertemplate='%{y:.0f} mm/min at %{customdata[0]:.3f} s, '
-                    '%{customdata[1]:.2f} mm, line %{customdata[2]:.0f}',
+                    showlegend=first, **hover,
                 ),
                 row=row, col=1,
             )  # fmt: skip
@@ -175,12 +178,9 @@ def _draw_use(
         go.Scatter(
             x=rounded(series.time[rows]), y=rounded(100.0 * use[rows]),
             name=name, line={'color': BLUE, 'width': 1.0}, showlegend=False,
-            customdata=rounded(
-                np.column_stack([use[rows] * limit[rows], limit[rows], series.line[rows]])
-            ),
-            hovertemplate=f'{name.split()[0]}: %{{customdata[0]:.4g}} of %{{customdata[1]:.4g}} '
-            f'{unit} '
-            '(%{y:.1f} %)<br>%{x:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
+            customdata=rounded(np.column_stack([limit[rows], series.line[rows]])),
+            hovertemplate=f'{name.split()[0]}: %{{y:.1f}} % of %{{customdata[0]:.4g}} {unit}'
+            '<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
         ),
         row=row, col=col,
     )  # fmt: skip
@@ -203,6 +203,10 @@ def error_figure(series: Series) -> Any:
     ):
         rows = extremes(np.column_stack([error, tolerance]), BUCKETS)
         hover = rounded(np.column_stack([series.time, series.line])[rows])
+        place = {
+            'customdata': hover,
+            'hovertemplate': '%{y:.3f} um at %{customdata[0]:.3f} s, line %{customdata[1]:.0f}',
+        }
         for label, y, line in (
             ('error', error, {'color': BLUE, 'width': 1.2}),
             ('tolerance', tolerance, {'color': RED, 'width': 1.2, 'dash': 'dash'}),
@@ -210,9 +214,8 @@ def error_figure(series: Series) -> Any:
             figure.add_trace(
                 go.Scatter(
                     x=rounded(series.way[rows]), y=rounded(y[rows]), name=label, line=line,
-                    legendgroup=label, showlegend=row == 1, customdata=hover,
-                    hovertemplate='%{y:.3f} um at %{customdata[0]:.3f} s, '
-                    'line %{customdata[1]:.0f}',
+                    legendgroup=label, showlegend=row == 1,
+                    **(place if label == 'error' else {'hovertemplate': '%{y:.3f}'}),
                 ),
                 row=row, col=1,
             )  # fmt: skip

@@ -15,7 +15,7 @@ from cnc_interp.machine.identification import IdentifiedAxis
 from cnc_interp.machine_model.axis_drives import ENTRIES, AxisDrive, key_and_unit
 from cnc_interp.machine_model.drive_loads import LINEAR_KEYS, ROTARY_KEYS
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.html import document, drawing, section
 from cnc_interp.report.plot_style import (
     BLUE,
     BUCKETS,
@@ -84,8 +84,6 @@ def write_identified(
     machine: Machine, found: Mapping[int, IdentifiedAxis], period: float, out: Path
 ) -> None:
     """Write the page of plots."""
-    from plotly.offline import get_plotlyjs
-
     sections = []
     for axis, each in found.items():
         rows = ''.join(
@@ -98,15 +96,10 @@ def write_identified(
         sections.append(
             section(machine.axis_names[axis], escape(_residual(machine, each)), table + figures)
         )
-    title = f'Drives of {escape(machine.name)}'
+    title = f'Drives of {machine.name}'
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
-        f'<title>{title}</title><style>{STYLE}</style><script>{get_plotlyjs()}</script></head>'
-        f'<body><main><h1>{title}</h1><p>Fitted to a recorded run; intervals of 95 %.</p>'
-        f'{"".join(sections)}</main></body></html>',
-        encoding='utf-8',
-    )
+    body = f'<h1>{escape(title)}</h1><p>Fitted to a recorded run; intervals of 95 %.</p>'
+    out.write_text(document(title, body + ''.join(sections)), encoding='utf-8')
 
 
 def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:

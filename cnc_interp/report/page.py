@@ -14,9 +14,10 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import views_of
-from cnc_interp.report.html import STYLE, drawing, section
+from cnc_interp.report.html import document, drawing, section
 from cnc_interp.report.segments_file import read_segments
 from cnc_interp.report.series import Series, series_of
+from cnc_interp.report.time_lost import time_section
 from cnc_interp.smoothing.segments import PathSegments
 
 
@@ -30,11 +31,8 @@ def write_report(
     if compare is not None:
         other = Other(read_plan(compare).in_memory(), machine, _names(directory, compare))
     page = render(plan, machine or _machine_of(plan), segments, other)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(page, encoding='utf-8')
-    except OSError as fault:
-        raise InterpError(f'{out}: cannot be written ({fault.strerror})') from fault
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(page, encoding='utf-8')
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,6 @@ def render(
 ) -> str:
     """Write the page."""
     try:
-        from plotly.offline import get_plotlyjs
-
         from cnc_interp.report.comparison import Run, comparison_section
         from cnc_interp.report.corner_figures import corner_section
         from cnc_interp.report.curves import curves_section
@@ -64,9 +60,9 @@ def render(
     except ImportError as fault:
         raise InterpError('the report needs plotly: pip install plotly') from fault
     proof, series = _examined(plan, machine)
-    title = escape(Path(str(plan.summary.get('program', 'plan'))).name)
+    name = Path(str(plan.summary.get('program', 'plan'))).name
     body = [
-        f'<h1>{title}{_badge(proof)}</h1>',
+        f'<h1>{escape(name)}{_badge(proof)}</h1>',
         f'<p>machine {escape(machine.name)}, {"".join(machine.axis_names)}, '
         f'{proof.samples:,} setpoints every {proof.period * 1e3:g} ms</p>',
         f'<div class="tiles">{"".join(_tiles(plan, proof, series))}</div>',
@@ -80,6 +76,7 @@ def render(
                 Run(other.names[1], other.plan, *_examined(other.plan, second)),
             )
         )
+    body.append(time_section(series))
     for plot in PLOTS:
         body.append(section(plot.heading, plot.text(series), drawing(plot.draw(series))))
     if machine.drives:
@@ -89,14 +86,7 @@ def render(
             body.append(corner_section(views))
         body.append(curves_section(plan, segments))
     body.append(f'<footer>{escape(_versions(plan))}</footer>')
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<title>{title}</title><style>{STYLE}</style>'
-        f'<script>{get_plotlyjs()}</script></head><body><main>'
-        + '\n'.join(body)
-        + '</main></body></html>\n'
-    )
+    return document(name, '\n'.join(body))
 
 
 def _machine_of(plan: PlanFiles) -> Machine:

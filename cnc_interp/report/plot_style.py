@@ -11,8 +11,8 @@ from cnc_interp.core.arrays import FloatArray
 INK, GRID = '#22303c', '#e6eaee'
 BLUE, ORANGE, RED = '#1f6fb2', '#e08a1e', '#c0392b'
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-#: Buckets of thinned curves over the whole width: about two rows per pixel of a screen.
-BUCKETS = 1400
+#: Buckets of thinned curves over the whole width; each keeps its extremes.
+BUCKETS = 600
 #: Largest ratio of the upper end of a feed axis to the feed: Eq. 10 is infinite on lines.
 HEADROOM = 1.45
 
@@ -53,24 +53,15 @@ def with_axes(figure: Any) -> Any:
     return figure
 
 
-def xyz(points: FloatArray) -> dict[str, FloatArray]:
+def xyz(points: FloatArray) -> dict[str, Any]:
     """Return points as the coordinates of a trace in space."""
-    return dict(zip('xyz', rounded(points).T, strict=True))
+    return {name: rounded(column) for name, column in zip('xyz', points.T, strict=True)}
 
 
 def rounded(values: FloatArray) -> Any:
-    """
-    Round values to single precision, which halves the size of the page.
-
-    Parameters
-    ----------
-    values : ndarray, any shape
-        Values [any unit].
-
-    Returns
-    -------
-    ndarray of float32, same shape
-        Rounded values [same unit].
-
-    """
-    return np.asarray(values, dtype=np.float32)
+    """Return values, or columns of them, as lists with as many digits as a screen can show."""
+    columns = np.atleast_2d(values.T)
+    spread = np.ptp(np.where(np.isfinite(columns), columns, 0.0), axis=1)
+    digits = np.clip(np.ceil(5.0 - np.log10(np.maximum(spread, 1e-9))), 0, 9).astype(int)
+    kept = [np.round(column, most) for column, most in zip(columns, digits, strict=True)]
+    return np.stack(kept, axis=-1).reshape(values.shape).tolist()

@@ -1,8 +1,11 @@
 """Recorded bags: computed again bit for bit, proven, reported, read by others; faults again."""
 
 import json
+import random
 import re
+import resource
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,6 +80,22 @@ def copied(source, target, change):
             if changed is not None:
                 writer.write(topic, changed, stamp)
         writer.close()
+
+
+def test_a_full_disk_ends_the_record_and_not_the_run(tmp_path):
+    writer = BagWriter(tmp_path / 'bag')
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, limits[1]))
+    try:
+        for stamp in range(100):  # the writer collects messages before it writes
+            writer.write('blocks', random.randbytes(1 << 16), stamp)
+        with pytest.raises(OSError, match='record of the run is not complete') as told:
+            writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert told.value.filename == str(tmp_path / 'bag')
+    assert writer.count < 100
 
 
 def test_one_bit_of_one_setpoint_is_seen(recorded_now, tmp_path, capsys):

@@ -264,7 +264,7 @@ def test_the_command_says_the_same_in_tiles(files, tmp_path, capsys):
         (['--workers', '2'], '--workers is for --tiles DIR'),
         (['--scheduler', 'tcp://x:1'], '--scheduler is for --tiles DIR'),
         (['--tiles', 'DIR', '--workers', '0'], '--workers must be 1 or more'),
-        (['--tiles', 'DIR', '--html', 'x.html'], 'DIR/index.html; leave out --html'),
+        (['--tiles', 'DIR', '--html', 'x.html'], 'DIR/index.html; leave out --out'),
         (['--tiles', 'DIR', '--spacing', '1e-6'], 'choose another spacing'),
         (['--spacing', '0.0003'], 'cut them in tiles: cam simulate --tiles DIR'),
     ],

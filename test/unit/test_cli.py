@@ -180,6 +180,15 @@ def test_a_full_disk_is_named(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().err == f'cnc-interp: {out}: No space left on device\n'
 
 
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path, capsys):
+    (file := tmp_path / 'file').write_text('')
+    for out in (file, file / 'plan'):
+        assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', str(out)]) == BAD_INPUT
+        assert capsys.readouterr().err == (
+            f'cnc-interp: {out}: a file stands where a folder must be; name another folder\n'
+        )
+
+
 def test_a_tolerance_that_does_not_count_is_told(tmp_path, capsys):
     file, out = tmp_path / 'part.ngc', str(tmp_path / 'out')
     file.write_text('G21 G90\nG64 P0.02\nG1 X0 F1000\nX5\nY5\nM2\n')

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from packed_page import PACKED, unpacked
 from plan_directories import line_x, write
 
 from cnc_interp.cli import main
@@ -97,11 +98,10 @@ def test_the_page_draws_corners_and_both_runs(plans, tmp_path):
     assert main(['report', str(plans / 'exact'), '--compare', str(plans / 'paper'),
                  '--html', str(tmp_path / 'r.html')]) == 0  # fmt: skip
     page = (tmp_path / 'r.html').read_text(encoding='utf-8')
-    body = page[page.index('</script></head>') :]
-    data = re.search(r'id="corner-data">(.*?)</script>', body, re.DOTALL).group(1)
-    assert '<' not in data
-    corners = json.loads(data)
-    assert len(corners['figures']) == body.count('<option ') <= MOST
+    body = PACKED.sub('', page)
+    place = re.findall(r'<script type="application/json" id="(.*?)">', body).index('corner-data')
+    corners = json.loads(unpacked(page)[1 + place])
+    assert len(corners) == body.count('<option ') <= MOST
     assert not re.search(r'<(script|img|iframe)[^>]*\ssrc=|<link|@import|url\(', body)
     cycle = [read_plan(plans / name).summary['cycle_time'] for name in ('exact', 'paper')]
     row = re.search(r'<th>cycle time</th><td>([\d.]+) s</td><td>([\d.]+) s</td>', body)
@@ -118,7 +118,7 @@ def test_names_of_runs_are_escaped(tmp_path):
     other = write(tmp_path / '<b>&', line_x(MACHINE))
     write_report(one, tmp_path / 'r.html', compare=other)
     page = (tmp_path / 'r.html').read_text(encoding='utf-8')
-    body = page[page.index('</script></head>') :]
+    body = PACKED.sub('', page)
     assert '&lt;b&gt;&amp;' in body and '<b>&' not in body
 
 

@@ -1,0 +1,111 @@
+"""Which limit holds the motion, on which lines, and what that costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.report.html import section
+from cnc_interp.report.series import KINDS, Series
+
+#: A limit is reached from this share on [-].
+AT_LIMIT = 0.98
+#: Lines that are listed.
+LISTED = 12
+NO_LIMIT = 'between limits'
+
+
+def at_limits(use: FloatArray, axis_names: tuple[str, ...]) -> dict[str, BoolArray]:
+    """
+    Tell when each axis is at each of its limits.
+
+    Parameters
+    ----------
+    use : ndarray, shape (3, K, n_axes)
+        Shares of the limits; see ``series.axis_use``.
+    axis_names : tuple of str
+        Names of the axes.
+
+    """
+    return {
+        f'{axis} {kind}': np.abs(use[k, :, j]) > AT_LIMIT
+        for k, kind in enumerate(KINDS)
+        for j, axis in enumerate(axis_names)
+    }
+
+
+@dataclass(frozen=True)
+class TimeLost:
+    """Time beyond that at the programmed feed; rapids lose none."""
+
+    total: float  #: Of the whole motion [s].
+    #: By limit: time at it, and the part of the lost time then [s]. What several limits hold
+    #: together is shared by them.
+    by_limit: dict[str, tuple[float, float]]
+    #: By line: time on it, lost time, least feed [mm/min], and the limit that costs most there.
+    by_line: dict[int, tuple[float, float, float, str]]
+
+
+def time_lost(series: Series) -> TimeLost:
+    """Attribute lost time to limits and lines."""
+    step = np.gradient(series.time) if len(series.time) > 1 else np.zeros(1)
+    with np.errstate(divide='ignore'):
+        share = 1.0 - series.feed / series.programmed_feed
+    lost = step * np.clip(np.nan_to_num(share), 0.0, 1.0)
+    lost[~np.isfinite(series.programmed_feed)] = 0.0
+    holds = at_limits(series.axis_use, series.axis_names) | {
+        f'{series.axis_names[j]} torque': np.abs(use) > AT_LIMIT
+        for j, use in series.torque_use.items()
+    }
+    holds['programmed feed'] = series.feed > AT_LIMIT * series.programmed_feed
+    together = np.sum(list(holds.values()), axis=0)
+    holds[NO_LIMIT] = together == 0
+    costs = {name: lost * held / np.maximum(together, 1) for name, held in holds.items()}
+    lines, row = np.unique(series.line, return_inverse=True)
+    on_line = {name: np.bincount(row, cost) for name, cost in costs.items()}
+    names, spent, gone = list(costs), np.bincount(row, step), np.bincount(row, lost)
+    least = np.full(len(lines), np.inf)
+    np.minimum.at(least, row, series.feed)
+    worst = np.argmax(np.stack(list(on_line.values())), axis=0)
+    return TimeLost(
+        total=float(lost.sum()),
+        by_limit={
+            name: (float(step[held].sum()), float(costs[name].sum()))
+            for name, held in holds.items()
+        },
+        by_line={
+            int(line): (float(spent[i]), float(gone[i]), float(least[i]), names[worst[i]])
+            for i, line in enumerate(lines)
+        },
+    )
+
+
+def time_section(series: Series) -> str:
+    """Write the section: a row for each limit that is reached, and the lines that lose most."""
+    found = time_lost(series)
+    limits = sorted(found.by_limit.items(), key=lambda item: -item[1][1])
+    rows = [
+        f'<tr><th>{name}</th><td>{held:.3f}</td><td>{lost:.3f}</td></tr>'
+        for name, (held, lost) in limits
+        if held > 0.0
+    ]
+    slow = sorted(found.by_line.items(), key=lambda item: -item[1][1])[:LISTED]
+    lines = [
+        f'<tr><th>{line}</th><td>{spent:.3f}</td><td>{lost:.3f}</td><td>{feed:,.0f}</td>'
+        f'<td>{name}</td></tr>'
+        for line, (spent, lost, feed, name) in slow
+        if lost > 0.0
+    ]
+    return section(
+        'Where the time goes',
+        f'Lost are {found.total:.3f} s: what the motion takes beyond its path at the programmed '
+        'feed. Left, the limits that hold it then; what several hold together is shared. Right, '
+        'the lines that lose most.',
+        '<div class="pair"><div class="wide"><table><thead><tr><th>at the limit</th>'
+        f'<th>time, s</th><th>lost, s</th></tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+        '<div class="wide"><table><thead><tr><th>line</th><th>time, s</th><th>lost, s</th>'
+        '<th>least feed, mm/min</th><th>mostly at</th></tr></thead>'
+        f'<tbody>{"".join(lines)}</tbody></table></div></div>',
+    )

@@ -103,8 +103,8 @@ def time_section(series: Series) -> str:
         f'Lost are {found.total:.3f} s: what the motion takes beyond its path at the programmed '
         'feed. Left, the limits that hold it then; what several hold together is shared. Right, '
         'the lines that lose most.',
-        '<div class="pair"><div class="wide"><table><thead><tr><th>at the limit</th><th>time, s</th>'
-        '<th>lost, s</th></tr></thead>'
+        '<div class="pair"><div class="wide"><table><thead><tr><th>at the limit</th>'
+        '<th>time, s</th><th>lost, s</th></tr></thead>'
         f'<tbody>{"".join(rows)}</tbody></table></div>'
         '<div class="wide"><table><thead><tr><th>line</th><th>time, s</th><th>lost, s</th>'
         '<th>least feed, mm/min</th><th>mostly at</th></tr></thead>'

@@ -32,15 +32,7 @@ from cnc_interp.core.errors import InterpError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """
-    Run the command line.
-
-    Returns
-    -------
-    int
-        0 fine, 1 a failed run or an unproven plan, 2 bad input.
-
-    """
+    """Run the command line."""
     options = None
     try:
         options = parser().parse_args(arguments)

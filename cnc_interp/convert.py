@@ -67,22 +67,14 @@ def convert(
 
     Parameters
     ----------
-    program : Program
-        The program.
     machine : Machine
         The machine that gives rotary words their meaning.
     settings : Settings
         Flank height, and the rounding of corners for ``siemens-bspline``.
-    to : {'siemens-bspline', 'gcode', 'cl'}
-        The dialect.
     fit_tolerance : float
         Largest distance of cubic curves from the smooth path [m].
     slide : bool
         Whether native curves are first joined by parametrization splines (``convert_joins.py``).
-
-    Returns
-    -------
-    Converted
 
     Raises
     ------
@@ -122,8 +114,6 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
 
     Parameters
     ----------
-    blocks : Blocks
-        Blocks of a program.
     transform : Transform
         The five-axis transformation.
     height : float
@@ -184,8 +174,6 @@ def with_chords(blocks: Blocks, height: float) -> Blocks:
 
     Parameters
     ----------
-    blocks : Blocks
-        Blocks of a program.
     height : float
         Flank height, at which the tool axis counts for the chords [m].
 

@@ -39,25 +39,7 @@ class Joins:
     slide: float = 0.0  # largest change of the tool axis at flank height [m]
 
     def joined(self, blocks: Blocks) -> Blocks:
-        """
-        Return blocks in which every curve continues its neighbours.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            Blocks of a program.
-
-        Returns
-        -------
-        Blocks
-            Curves that have changed have more control points.
-
-        Raises
-        ------
-        InterpError
-            If no increasing parametrization joins a curve; names its line.
-
-        """
+        """Return blocks in which every curve continues its neighbours."""
         parts = []
         for first, last in portions(blocks.on_spline, blocks.exact_stop):
             rows = blocks[first:last]

@@ -27,21 +27,7 @@ SAME_POINT = 1e-9
 
 
 class SplineMoves:
-    """
-    Converts smooth segments to native blocks.
-
-    Parameters
-    ----------
-    segments : PathSegments
-        The smooth path.
-    transform : Transform
-        Transform of the machine.
-    height : float
-        Flank height: distance of the second points from the tip [m].
-    tolerance : float
-        Largest distance of cubic curves from the smooth path [m].
-
-    """
+    """Converts smooth segments to native blocks."""
 
     def __init__(
         self, segments: PathSegments, transform: Transform, height: float, tolerance: float
@@ -52,19 +38,7 @@ class SplineMoves:
         self.rate_jump = self.bend_jump = 0.0  # [rad/m], [rad/m2]
 
     def moves(self, blocks: Blocks) -> Iterator[SiemensMove]:
-        """
-        Yield the blocks of the path, the start pose first.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            Blocks of the program, for the start pose.
-
-        Yields
-        ------
-        SiemensMove
-
-        """
+        """Yield the blocks of the path, the start pose first."""
         segments = self.segments
         start = 0
         yield self._pose(blocks.tip[0], blocks.axis[0], np.inf, False, self._second_before(0))

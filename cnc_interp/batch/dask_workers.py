@@ -57,15 +57,7 @@ class DaskWorkers:
     def run(
         self, function: Callable[[A], R], arguments: Iterator[Callable[[], A]]
     ) -> Iterator[Ended[R]]:
-        """
-        Call a function with each task; see ``Processes.run``.
-
-        Raises
-        ------
-        InterpError
-            If a worker has another version of this package.
-
-        """
+        """Call a function with each task; see ``Processes.run``."""
         numbers: dict[Future, int] = {}
         coming = enumerate(arguments)
         ended = as_completed(loop=self._client.loop)

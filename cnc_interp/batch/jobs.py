@@ -75,15 +75,7 @@ class Jobs:
         return iter(self._jobs)
 
     def task(self, job: Job) -> Task:
-        """
-        Return the task of a job; its files are read now.
-
-        Raises
-        ------
-        OSError
-            If they cannot be read.
-
-        """
+        """Return the task of a job; its files are read now."""
         text = job.path.read_bytes()
         files = ((job.path.name, text), *called_files(job.path, text).items())
         plans = ''

@@ -124,27 +124,7 @@ class Processes:
     def run(
         self, function: Callable[[A], R], arguments: Iterable[Callable[[], A]]
     ) -> Iterator[Ended[R]]:
-        """
-        Call a function with each argument; yield what has ended, in the order of the ends.
-
-        Parameters
-        ----------
-        function : callable
-            A function of a module.
-        arguments : iterable of callable
-            Makes each argument when it is needed, so that not all are in memory.
-
-        Yields
-        ------
-        Ended
-            Number of the argument, and the result. To end the iteration ends all processes.
-
-        Raises
-        ------
-        InterpError
-            If ``stopped`` says so.
-
-        """
+        """Call a function with each argument; yield what has ended, in the order of the ends."""
         killed: deque[_Call[A]] = deque()
         coming = (_Call(n, make, self._longest) for n, make in enumerate(arguments))
         running: dict[Connection, _Running[A]] = {}

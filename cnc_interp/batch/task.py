@@ -115,15 +115,7 @@ class Outcome:
 
     @staticmethod
     def of_json(content: Any) -> Outcome:
-        """
-        Return what ``to_text`` has written.
-
-        Raises
-        ------
-        ValueError, TypeError, KeyError
-            If it is something else.
-
-        """
+        """Return what ``to_text`` has written."""
         row = dict(content['row'])
         row['verdict'] = Verdict(row['verdict'])
         row['notices'] = tuple(row['notices'])

@@ -59,41 +59,11 @@ class Cutter:
         return self.tool_radius == 0.0
 
     def tip(self, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """
-        Return the tool tip, the lowest point on the axis.
-
-        Parameters
-        ----------
-        centre : ndarray, shape (..., 3)
-            Centres C_L [m].
-        axis : ndarray, shape (..., 3)
-            Unit tool axes u [-].
-
-        Returns
-        -------
-        ndarray, shape (..., 3)
-            Tool tips C_L - r_c u [m].
-
-        """
+        """Return the tool tip, the lowest point on the axis, (..., 3) [m]."""
         return np.asarray(centre - self.corner_radius * axis)
 
     def distance(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """
-        Return the distance of points from the mill.
-
-        Parameters
-        ----------
-        points : ndarray, shape (..., 3)
-            Points P [m].
-        centre, axis : ndarray, shape (..., 3)
-            Centres C_L [m] and unit tool axes u [-].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Distance, negative inside the fillet [m].
-
-        """
+        """Return the distance of points from the mill, (...) [m]."""
         v = points - centre
         along = dot(v, axis)
         across = norm(v - scaled(along, axis))

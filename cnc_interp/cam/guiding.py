@@ -52,15 +52,7 @@ class Frames:
 
     @property
     def turn(self) -> FloatArray:
-        """
-        Rotation vector of the frame per arc length [TL2008, appendix].
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Half the sum of x_i x x_i' over the three directions [rad/m].
-
-        """
+        """Rotation vector of the frame, half the sum of x_i x x_i' [rad/m] [TL2008, appendix]."""
         total = cross(self.feed, self.feed_rate) + cross(self.normal, self.normal_rate)
         return 0.5 * (total + cross(self.across, self.across_rate))
 
@@ -151,10 +143,6 @@ class GuidingPlanes:
         ----------
         plane : float
             Distance of the plane from the origin along N [m].
-
-        Returns
-        -------
-        GuidingCurve
 
         Raises
         ------

@@ -59,17 +59,7 @@ class Figures:
 
     @staticmethod
     def of(height: FloatArray, row: int = 0, column: int = 0) -> Figures:
-        """
-        Return the figures of a part of a surface.
-
-        Parameters
-        ----------
-        height : ndarray, shape (rows, columns)
-            Heights on needles; NaN on those that do not count [m].
-        row, column : int
-            Place of the first needle.
-
-        """
+        """Return the figures of a part of a surface."""
         reached = is_cut(height)
         h = height[reached]
         total = int(np.count_nonzero(~np.isnan(height)))
@@ -105,15 +95,7 @@ class Figures:
 
     @property
     def mean(self) -> float:
-        """
-        Mean height [m].
-
-        Raises
-        ------
-        InterpError
-            If no needle was cut.
-
-        """
+        """Mean height [m]."""
         if not self.cut:
             raise InterpError('the program cuts nothing of the surface; is it the right one?')
         return float(Fraction(self.total, self.cut << HEIGHT_BITS))

@@ -110,15 +110,7 @@ class HeightStore:
         return np.asarray(array[row : row + TILE, column : column + TILE])
 
     def figures(self) -> Figures:
-        """
-        Return the figures of all tiles together.
-
-        Raises
-        ------
-        InterpError
-            If a tile is missing.
-
-        """
+        """Return the figures of all tiles together."""
         total = Figures()
         for place in patches(*self.shape, TILE, TILE):
             try:

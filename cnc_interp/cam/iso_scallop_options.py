@@ -14,15 +14,7 @@ from cnc_interp.core.units import DEG, MM, UM
 
 @dataclass(frozen=True)
 class IsoScallopOptions:
-    """
-    The user's choices.
-
-    Raises
-    ------
-    InterpError
-        If the choices contradict each other.
-
-    """
+    """The user's choices."""
 
     scallop_height: float = 10.0 * UM  #: S_h [m].
     #: Distance d of the guiding planes [m]. By default every pass has the largest distance that

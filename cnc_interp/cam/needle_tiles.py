@@ -117,28 +117,7 @@ class TileCutter:
         store: HeightStore,
         progress: Callable[[TileProgress], None],
     ) -> TileProgress:
-        """
-        Cut all tiles that the store does not know; each is written as soon as it is cut.
-
-        Parameters
-        ----------
-        workers : TileWorkers
-            Who cuts.
-        store : HeightStore
-            Heights of this and earlier starts.
-        progress : callable
-            Told after each tile.
-
-        Returns
-        -------
-        TileProgress
-
-        Raises
-        ------
-        InterpError
-            If a tile has no result.
-
-        """
+        """Cut all tiles that the store does not know; each is written as soon as it is cut."""
         total, known = len(self._places), 0
         given: list[tuple[tuple[int, int], str]] = []  # place and key of each task
         progress(TileProgress(0, 0, total))

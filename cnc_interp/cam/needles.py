@@ -37,15 +37,7 @@ class Needles:
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> Needles:
-        """
-        Return all needles of ``NeedleGrid.on``.
-
-        Raises
-        ------
-        InterpError
-            If they are too few or too many.
-
-        """
+        """Return all needles of ``NeedleGrid.on``."""
         grid = NeedleGrid.on(surface, spacing, margin)
         if len(grid.u) * len(grid.v) > MOST_AT_ONCE:
             raise InterpError(
@@ -92,19 +84,7 @@ class Needles:
         return GROUP // wide, wide
 
     def groups(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """
-        Divide the needles into groups.
-
-        Returns
-        -------
-        order : ndarray of int, shape (k,)
-            Numbers of the k needles, group by group.
-        starts : ndarray of int, shape (groups + 1,)
-            Place in ``order`` where each group begins; the last entry is k.
-        ball : ndarray, shape (groups, 4)
-            Centre and radius of a ball around the bases of each group [m].
-
-        """
+        """Return needles by group, where each group begins, and a ball (centre, radius) around it."""
         rows, columns = self.shape
         index = np.arange(rows * columns).reshape(rows, columns)
         tall, wide = self.group_size()
@@ -133,28 +113,7 @@ class NeedleGrid:
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> NeedleGrid:
-        """
-        Place needles on a surface at nearly equal distances.
-
-        Parameters
-        ----------
-        surface : Surface
-            The surface.
-        spacing : float
-            Distance of the needles [m].
-        margin : float
-            Distance of the outer needles from the border [m].
-
-        Returns
-        -------
-        NeedleGrid
-
-        Raises
-        ------
-        InterpError
-            If spacing and margin make too few or too many needles.
-
-        """
+        """Place needles on a surface at nearly equal distances."""
         grow = surface.growth(-margin) if margin else (0.0, 0.0)
         (u0, u1), (v0, v1) = surface.domain
         u0, u1, v0, v1 = u0 - grow[0], u1 + grow[0], v0 - grow[1], v1 + grow[1]

@@ -46,24 +46,7 @@ class Neighbours:
         return Neighbours(np.ascontiguousarray(self.points @ rotation.T), self.face)
 
     def depth(self, cutter: Cutter, tip: FloatArray, axis: FloatArray) -> FloatArray:
-        """
-        Return how deep the mill and its shank of the same diameter enter the points.
-
-        Parameters
-        ----------
-        cutter : Cutter
-            The mill.
-        tip : ndarray, shape (m, 3)
-            Tool tips [m].
-        axis : ndarray, shape (m, 3)
-            Unit tool axes [-].
-
-        Returns
-        -------
-        ndarray, shape (m,)
-            Depths; negative where the mill stays away [m].
-
-        """
+        """Return how deep the mill and its shank of the same diameter enter the points [m]."""
         pose = np.concatenate([tip + cutter.corner_radius * axis, axis], axis=1)
         found = deepest(self.points, pose, cutter.tool_radius, cutter.corner_radius)
         return np.asarray(found)

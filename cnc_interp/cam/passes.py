@@ -73,20 +73,7 @@ class Pass:
     kept: BoolArray
 
     def tool(self, s: FloatArray) -> Postures:
-        """
-        Return the postures at places of the pass.
-
-        Parameters
-        ----------
-        s : ndarray, shape (m,)
-            Places [m].
-
-        Returns
-        -------
-        Postures
-            m postures.
-
-        """
+        """Return the postures at places of the pass."""
         return self.angles.postures(self.curve, self.postures.cutter, s)
 
     @property

@@ -42,15 +42,7 @@ class Postures:
 
     @property
     def turned(self) -> tuple[FloatArray, FloatArray]:
-        """
-        Feed and across direction, turned by the yaw about n.
-
-        Returns
-        -------
-        f_y, t_y : ndarray, shape (n, 3)
-            Unit vectors [-].
-
-        """
+        """Feed and across direction, turned by the yaw about n."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         f, t = self.frames.feed, self.frames.across
         return scaled(c, f) - scaled(s, t), scaled(c, t) + scaled(s, f)
@@ -90,15 +82,7 @@ class Postures:
 
     @property
     def tip(self) -> FloatArray:
-        """
-        Tool tip.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Lowest point on the tool axis [m].
-
-        """
+        """Tool tip, the lowest point on the tool axis [m]."""
         return self.cutter.tip(self.centre, self.axis)
 
     @property
@@ -121,12 +105,6 @@ class Postures:
 
         Omega = Omega_R1 + yaw' n - tilt' t_y [TL2008, Eq. 3.5-3.6 and appendix]; the tilt turns u
         from n towards f_y.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Omega [rad/m].
-
         """
         own = scaled(self.yaw_rate, self.frames.normal) - scaled(self.tilt_rate, self.turned[1])
         return np.asarray(self.frames.turn + own)

@@ -22,20 +22,7 @@ class Graph(Surface):
 
     @abstractmethod
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """
-        Return the height and its derivatives.
-
-        Parameters
-        ----------
-        x, y : ndarray, shape (...)
-            Coordinates [m].
-
-        Returns
-        -------
-        tuple of float or ndarray, shape (...)
-            h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m].
-
-        """
+        """Return h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m], each (...)."""
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
         """Return the position and its first and second derivatives."""
@@ -50,20 +37,7 @@ class Plane(Graph):
     """The plane z = 0."""
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """
-        Return zeros.
-
-        Parameters
-        ----------
-        x, y : ndarray, shape (...)
-            Coordinates [m].
-
-        Returns
-        -------
-        tuple of float
-            h [m] and its five derivatives.
-
-        """
+        """Return zeros."""
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
@@ -77,20 +51,7 @@ class Bumps(Graph):
             raise SurfaceError('bumps must be rows of x, y, height and a positive width')
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """
-        Return the sum of the bells and its derivatives.
-
-        Parameters
-        ----------
-        x, y : ndarray, shape (...)
-            Coordinates [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (...)
-            h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m].
-
-        """
+        """Return the sum of the bells and its derivatives."""
         total = [np.zeros_like(x) for _ in range(6)]
         for x0, y0, tall, width in self.bumps:
             p, q, w = (x - x0) / width, (y - y0) / width, width
@@ -114,20 +75,7 @@ class Cap(Graph):
         self.top = radius - (radius + blend) * np.cos(angle) + blend
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """
-        Return the meridian h(rho), turned about z, and its derivatives.
-
-        Parameters
-        ----------
-        x, y : ndarray, shape (...)
-            Coordinates [m].
-
-        Returns
-        -------
-        tuple of ndarray, shape (...)
-            h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m].
-
-        """
+        """Return the meridian h(rho), turned about z, and its derivatives."""
         rho = np.sqrt(x * x + y * y)
         safe = np.maximum(rho, 1e-12)
         ball = np.sqrt(np.maximum(self.radius**2 - np.minimum(rho, self.join) ** 2, 1e-12))

@@ -39,47 +39,18 @@ class Strip(Protocol):
 
     @property
     def s(self) -> FloatArray:
-        """
-        Places at which the width is known.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Places on the curve [m].
-
-        """
+        """Places at which the width is known."""
 
     @property
     def reach(self) -> FloatArray:
-        """
-        Half width of the strip.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Half widths at the places ``s`` [m].
-
-        """
+        """Half width of the strip."""
 
     @property
     def postures(self) -> Postures:
         """The postures at these places."""
 
     def tool(self, s: FloatArray) -> Postures:
-        """
-        Return the postures at places of the pass.
-
-        Parameters
-        ----------
-        s : ndarray, shape (m,)
-            Places [m].
-
-        Returns
-        -------
-        Postures
-            m postures.
-
-        """
+        """Return the postures at places of the pass."""
 
 
 class Strips(Protocol):
@@ -102,26 +73,7 @@ class SplinePass:
         made: Strip, overrun: float, fixed_axis: FloatArray | None = None,
         neighbours: Neighbours | None = None,
     ) -> list[SplinePass]:  # fmt: skip
-        """
-        Fit splines to the parts of a pass whose strip lies on the surface.
-
-        Parameters
-        ----------
-        made : Strip
-            The pass.
-        overrun : float
-            Length added at both ends of each part [m].
-        fixed_axis : ndarray, shape (3,), optional
-            Unit tool axis of a ball mill that keeps its axis [-].
-        neighbours : Neighbours, optional
-            Parts end where the mill would enter these.
-
-        Returns
-        -------
-        list of SplinePass
-            The parts in order; none if no part of the strip lies on the surface.
-
-        """
+        """Fit splines to the parts of a pass whose strip lies on the surface."""
 
         def rows(places: FloatArray) -> FloatArray:
             postures = made.tool(places)
@@ -144,18 +96,6 @@ class SplinePass:
 
         Only intervals with a larger error are halved. Second derivatives jump where a pass
         crosses a knot line of a cubic surface, so knots become dense there and nowhere else.
-
-        Parameters
-        ----------
-        rows : callable
-            Returns tip and upper point, shape (n, 6) [m], for places of shape (n,) [m].
-        ends : (float, float)
-            First and last place [m].
-
-        Returns
-        -------
-        SplinePass
-
         """
         dense = np.linspace(*ends, max(64, int((ends[1] - ends[0]) / SPACING)))
         exact = rows(dense)
@@ -181,22 +121,7 @@ class SplinePass:
         return SplinePass(BSpline(knots[0] + knots[-1] - knots[::-1], points[::-1], 3))
 
     def poses(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return poses of the pass.
-
-        Parameters
-        ----------
-        s : ndarray, shape (n,)
-            Places [m].
-
-        Returns
-        -------
-        tip : ndarray, shape (n, 3)
-            Tool tips [m].
-        axis : ndarray, shape (n, 3)
-            Unit tool axes [-].
-
-        """
+        """Return poses of the pass."""
         values = self.spline(s)
         return values[:, :3], unit(values[:, 3:] - values[:, :3])
 

@@ -120,22 +120,7 @@ class StepFace:
         return np.array([_vector(self.geometry.Value(u, v)) for u, v in uv.tolist()]) * MM
 
     def samples(self, spacing: float, most: int) -> FloatArray:
-        """
-        Return points within the boundary and along it.
-
-        Parameters
-        ----------
-        spacing : float
-            Distance of the points [m].
-        most : int
-            Approximate largest number of points.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Points [m].
-
-        """
+        """Return points within the boundary and along it, (n, 3) [m]."""
         edges = joined(self.edges())
         corners = np.concatenate(edges)
         low, high = corners.min(axis=0), corners.max(axis=0)

@@ -24,20 +24,7 @@ class SurfacePoint:
     n_v: FloatArray
 
     def offset(self, distance: float) -> SurfacePoint:
-        """
-        Return the corresponding points of the surface S + distance n.
-
-        Parameters
-        ----------
-        distance : float
-            Distance along the normal [m].
-
-        Returns
-        -------
-        SurfacePoint
-            Points with the same shape and the same normals.
-
-        """
+        """Return the corresponding points of the surface S + distance n."""
         return SurfacePoint(
             self.position + distance * self.normal,
             self.d_u + distance * self.n_u,

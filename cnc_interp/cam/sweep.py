@@ -46,28 +46,7 @@ class Sweep:
 
     @staticmethod
     def of(cutter: Cutter, tip: FloatArray, axis: FloatArray) -> Sweep:
-        """
-        Divide a motion into pieces.
-
-        Parameters
-        ----------
-        cutter : Cutter
-            The mill.
-        tip : ndarray, shape (n, 3)
-            Tool tips in order; tip and axis move on straight lines between them [m].
-        axis : ndarray, shape (n, 3)
-            Unit tool axes [-].
-
-        Returns
-        -------
-        Sweep
-
-        Raises
-        ------
-        InterpError
-            If there are fewer than two poses or one is not finite.
-
-        """
+        """Divide a motion into pieces."""
         if len(tip) < 2 or not (np.isfinite(tip).all() and np.isfinite(axis).all()):
             raise InterpError('a simulation needs two finite poses or more')
         R, r = cutter.tool_radius, cutter.corner_radius
@@ -105,21 +84,7 @@ class Sweep:
         return (2, 0.25) if self.cutter.corner_radius > 0.05 * MM else (14, 1.0)
 
     def near(self, centre: FloatArray, radius: float) -> Sweep:
-        """
-        Return the pieces that can reach needles; the others change none of them.
-
-        Parameters
-        ----------
-        centre : ndarray, shape (3,)
-            Centre of a ball around the bases of the needles [m].
-        radius : float
-            Its radius [m].
-
-        Returns
-        -------
-        Sweep
-
-        """
+        """Return the pieces that can reach needles; the others change none of them."""
         v = centre - self.middle[:, :3]
         along = dot(v, self.middle[:, 3:])
         across = np.sqrt(np.maximum(dot(v, v) - along * along, 0.0))

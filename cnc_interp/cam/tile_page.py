@@ -54,21 +54,7 @@ class TilePage:
         (folder / f'{name}.js').write_text(text, encoding='ascii')
 
     def write(self, title: str, motion: str, found: dict[str, Any], figures: Figures) -> None:
-        """
-        Write index.html.
-
-        Parameters
-        ----------
-        title : str
-            Name of the surface.
-        motion : str
-            What has cut it.
-        found : dict
-            Statistics of the heights.
-        figures : Figures
-            Extremes and histogram.
-
-        """
+        """Write index.html."""
         assert figures.lowest and figures.highest
         places, lengths = self._places()
         numbers = sorted(figures.classes)

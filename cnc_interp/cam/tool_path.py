@@ -31,15 +31,7 @@ UPRIGHT = 0.2
 
 @dataclass(frozen=True)
 class LinkOptions:
-    """
-    How passes are linked.
-
-    Raises
-    ------
-    InterpError
-        If the clearance is not positive.
-
-    """
+    """How passes are linked."""
 
     #: Every second pass in the opposite direction after a short lift, or all passes in one
     #: direction with a return over a safe level.
@@ -145,21 +137,7 @@ class ToolPath:
 
     @staticmethod
     def of(steps: Sequence[Link | SplinePass], chord_tolerance: float) -> ToolPath:
-        """
-        Sample the passes within a chord tolerance.
-
-        Parameters
-        ----------
-        steps : sequence of Link or SplinePass
-            The tool path.
-        chord_tolerance : float
-            Largest deviation of the chords [m].
-
-        Returns
-        -------
-        ToolPath
-
-        """
+        """Sample the passes within a chord tolerance."""
         tips, axes, rapid, numbers, number = [], [], [], [], 0
         for step in steps:
             if isinstance(step, Link):

@@ -69,8 +69,6 @@ class Description:
 
         Parameters
         ----------
-        link : str
-            Name of the link.
         positions : mapping of str to float
             Position of each axis by name; 0 if it is missing [m, rad].
 
@@ -99,19 +97,7 @@ class Description:
 
 
 def describe_machine(machine: Machine) -> Description:
-    """
-    Return links, joints and shapes of a machine; ``Machine`` documents the kinematic formula.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-
-    Returns
-    -------
-    Description
-
-    """
+    """Return links, joints and shapes of a machine; ``Machine`` has the kinematic formula."""
     links: dict[str, tuple[Shape, ...]] = {BASE: frame_shapes(machine)}
     joints: list[Joint] = []
 

@@ -217,8 +217,6 @@ def compensated_model(name: str, machine: Machine) -> Machine:
     ----------
     name : str
         Bundled machine or file whose drives are the model.
-    machine : Machine
-        The machine.
 
     Raises
     ------

@@ -132,8 +132,6 @@ def measured_error(
 
     Parameters
     ----------
-    machine : Machine
-        Its geometry.
     period, lead : float
         Interpolation period, and the time by which all axes are late [s].
     setpoints, feedback : ndarray, shape (K, n_axes), (F, n_axes)

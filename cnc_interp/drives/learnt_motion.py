@@ -37,15 +37,7 @@ class LearntMotion:
     model: str
 
     def save(self, path: Path) -> None:
-        """
-        Write the file.
-
-        Raises
-        ------
-        InterpError
-            If it cannot be written.
-
-        """
+        """Write the file."""
         try:
             with path.open('wb') as file:
                 np.savez_compressed(file, **{name: getattr(self, name) for name in ARRAYS})

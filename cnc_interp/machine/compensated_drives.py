@@ -35,8 +35,6 @@ class CompensatedDrives:
 
     Parameters
     ----------
-    inner : CycleDrives
-        The drives.
     model : Machine
         Its drives and loads are the model.
     period : float

@@ -93,8 +93,6 @@ class Cycle:
         Chunks that may wait.
     step : int
         Address of the compiled step of the drives.
-    drives : ndarray
-        Its memory.
 
     """
 

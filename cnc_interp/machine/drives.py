@@ -80,15 +80,7 @@ class Drives(Protocol):
         ...
 
     def switch_on(self) -> None:
-        """
-        Switch the power on and hold the axes where they stand.
-
-        Raises
-        ------
-        DriveFaultError
-            If a drive cannot be switched on.
-
-        """
+        """Switch the power on and hold the axes where they stand."""
         ...
 
     def switch_off(self) -> None:
@@ -148,21 +140,5 @@ class DelayedDrives(Drives, Protocol):
         ...
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
-        """
-        Take the setpoints of some periods, and report what the axes did meanwhile.
-
-        Parameters
-        ----------
-        played : AxisRows
-            The setpoints; rows that stand still at rest, and while the power is off.
-        stop : AxisRows
-            What the cycle plays after them if nothing else comes, down to rest on the path.
-
-        Raises
-        ------
-        DriveFaultError
-            If the setpoints cannot be executed any more. The axes come to rest by the drives' own
-            means, and the power is off.
-
-        """
+        """Take the setpoints of some periods, and report what the axes did meanwhile."""
         ...

@@ -173,15 +173,7 @@ class HalDrives:
         return found
 
     def switch_on(self) -> None:
-        """
-        Ask for power and wait until the drives confirm it; the clock of the machine runs.
-
-        Raises
-        ------
-        DriveFaultError
-            If they do not confirm it, or report a fault.
-
-        """
+        """Ask for power and wait until the drives confirm it; the clock of the machine runs."""
         words = self._block.words
         self._wait(lambda: bool(words[hal_step.POWER_BEFORE] == hal_step.OFF))
         publish(words, hal_step.POWER, hal_step.HOLD)

@@ -115,8 +115,6 @@ class Homing:
 
         Parameters
         ----------
-        axes : sequence of str
-            Their letters.
         now : float
             Time of any steady clock [s].
 

@@ -102,8 +102,6 @@ def identify_axis(
     ----------
     machine : Machine
         Gives inertia and viscous friction.
-    axis : int
-        The axis.
     period : float
         Interpolation period [s].
     setpoints, rates, feedback : ndarray, shape (K, n_axes)

@@ -109,15 +109,7 @@ class JogMotion:
         self._follow(self._stop(self._state), rests=True)
 
     def run(self, velocity: FloatArray) -> None:
-        """
-        Move with a velocity until further notice; come to rest at an end of the travel.
-
-        Parameters
-        ----------
-        velocity : ndarray, shape (m,)
-            Velocities within the limits [m/s, rad/s].
-
-        """
+        """Move with a velocity until further notice; come to rest at an end of the travel."""
         self._velocity = velocity
         largest, acceleration, jerk = self.slides.limits
         x, v, a = self._state
@@ -131,17 +123,7 @@ class JogMotion:
         self._follow(planned, rests=not (wanted[~near]).any())
 
     def go(self, target: FloatArray, share: float) -> None:
-        """
-        Move to a target; all slides arrive together.
-
-        Parameters
-        ----------
-        target : ndarray, shape (m,)
-            Coordinates within the travel [m, rad].
-        share : float
-            Part of the velocity limits that is used, up to 1 [-].
-
-        """
+        """Move to a target; all slides arrive together."""
         self._velocity = None
         x, v, a = self._state
         if (np.abs(target - x) <= THERE).all() and not (v.any() or a.any()):
@@ -151,15 +133,7 @@ class JogMotion:
         self._follow(self._solve(self._state, most, target, TOGETHER), rests=True)
 
     def piece(self, count: int) -> Chunk:
-        """
-        Hand out the next setpoints with the stop after them.
-
-        Parameters
-        ----------
-        count : int
-            Setpoints; fewer where the motion ends.
-
-        """
+        """Hand out the next setpoints with the stop after them."""
         if self._velocity is not None and self._next * self._period > 0.5 * HORIZON:
             self.run(self._velocity)
         rows, tail = self._next_rows(count)

@@ -302,8 +302,6 @@ class Playback:
 
         Parameters
         ----------
-        run_id : RunId
-            The plan.
         begins : ndarray, shape (n_axes,), or None
             Its first setpoint, if these are the first ones of a plan from rest [m, rad].
 
@@ -338,8 +336,6 @@ class Playback:
 
         Parameters
         ----------
-        run_id : RunId
-            The plan.
         number : int
             Number of its first setpoint; those with lower numbers are executed as they are.
 

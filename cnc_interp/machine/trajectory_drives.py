@@ -108,8 +108,6 @@ class TrajectoryDrives:
         Interpolation period [s].
     options : TrajectoryOptions
         Delay and limits of the following error.
-    controller : Controller
-        The controller.
 
     Raises
     ------
@@ -173,15 +171,7 @@ class TrajectoryDrives:
         return (settles if near else found).copy()
 
     def switch_on(self) -> None:
-        """
-        Wait until the axes rest; the controller holds them.
-
-        Raises
-        ------
-        DriveFaultError
-            If no controller listens, or it reports nothing.
-
-        """
+        """Wait until the axes rest; the controller holds them."""
         asked = self._controller.now()
         settled = max(asked, self._time_of(self._told_from + len(self._told)))
         settled += round(SETTLING * 1e9)

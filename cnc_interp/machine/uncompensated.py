@@ -16,8 +16,6 @@ class Uncompensated:
 
     Parameters
     ----------
-    model : Machine
-        Its drives.
     period : float
         Interpolation period [s].
     position : ndarray, shape (n_axes,)

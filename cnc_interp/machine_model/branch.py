@@ -42,8 +42,6 @@ def start_positions(
         Rotary positions where the program names them, else NaN [rad].
     near : ndarray, shape (2,)
         Where the program names none, the solution nearest to these positions is taken [rad].
-    line_number : int
-        For the message.
 
     Returns
     -------

@@ -26,8 +26,6 @@ def with_drives(
     ----------
     text : str
         The machine file.
-    machine : Machine
-        The machine that it describes.
     drives, loads : mapping of int to AxisDrive, DriveLoad
         What to write, for each axis.
     half_widths : mapping of int to mapping of str to float

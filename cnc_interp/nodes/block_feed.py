@@ -28,21 +28,7 @@ class BlockFeed:
     def begin(
         self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[slice]
     ) -> None:
-        """
-        Begin a run, or begin it again.
-
-        Parameters
-        ----------
-        prepared : Prepared
-            The program.
-        run_id : RunId
-            Run and attempt.
-        continue_at : float
-            Path length from which the program goes on; 0 from its start [m].
-        sender : WindowedSender
-            The sending end of the blocks.
-
-        """
+        """Begin a run, or begin it again."""
         self._prepared, self._run_id, self._continue_at = prepared, run_id, continue_at
         self._queued = 0
         sender.begin(run_id)

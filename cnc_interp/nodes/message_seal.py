@@ -28,8 +28,6 @@ def opened(data: bytes, kind: Any) -> Any:
     ----------
     data : bytes
         The serialised message.
-    kind : type
-        Its type.
 
     Raises
     ------

@@ -13,19 +13,7 @@ CALM = 1.0
 
 
 class Pace:
-    """
-    Calls the work of a node at intervals.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    period : float
-        Time between two calls while something is under way [s].
-    work : callable
-        Does the work that is due; tells whether something is under way.
-
-    """
+    """Calls the work of a node at intervals."""
 
     def __init__(self, node: Any, period: float, work: Callable[[], bool]):
         self._work, self._period, self._needed = work, period, time.monotonic()

@@ -29,15 +29,7 @@ STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVE
 
 
 class Peers:
-    """
-    The last message of every other node and when it arrived.
-
-    Parameters
-    ----------
-    node : Node
-        The node that listens.
-
-    """
+    """The last message of every other node and when it arrived."""
 
     def __init__(self, node: Any):
         self.state: MachineState | None = None

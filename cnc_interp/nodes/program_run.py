@@ -78,24 +78,7 @@ class ProgramRun:
         self._change(Step.TURN, now)
 
     def step(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """
-        Advance the run.
-
-        Parameters
-        ----------
-        peers : Peers
-            What the other nodes said.
-        now : float
-            Time of any steady clock [s].
-        timeout : float
-            Silence after which a node counts as lost [s].
-
-        Returns
-        -------
-        Outcome or None
-            How the run ended; None while it goes on. A lost node alone does not end it.
-
-        """
+        """Advance the run."""
         outcome = None
         if self.phase is Phase.CHECKING:
             outcome = self.preparation.look()

@@ -151,19 +151,7 @@ class Inlet:
             self.tell()
 
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
-        """
-        Accept nothing more of a run, and tell its sender why.
-
-        Parameters
-        ----------
-        run_id : RunId
-            The run.
-        kind : Refusal
-            Why, for the nodes.
-        reason : str
-            Why and what to do, for people.
-
-        """
+        """Accept nothing more of a run, and tell its sender why."""
         self.receiver.refuse(run_id, kind, reason)
         self._name(ERROR, kind, reason, always=True)
         self.tell()

@@ -65,12 +65,8 @@ class Children:
     ----------
     namespace : str
         ROS namespace of the run.
-    domain : int
-        ROS domain.
     parameters : dict
         Values for the nodes, by node name, on top of the parameter file.
-    file : Path
-        Parameter file.
     arguments : dict, optional
         Further ROS arguments, by node name: remappings.
 

@@ -16,12 +16,6 @@ class JoinGate:
     machine would run out of setpoints soon after that place, if the next ones were late. So the
     plan before counts until enough of the new one has come. Nothing moves before there is enough
     motion ahead: this is the same rule, for a plan that joins.
-
-    Parameters
-    ----------
-    enough : int
-        Setpoints.
-
     """
 
     def __init__(self, enough: int):

@@ -34,8 +34,6 @@ def block_messages(
     ----------
     blocks : Blocks
         Consecutive rows.
-    run_id : RunId
-        Run and attempt.
     first_sequence : int
         Number of the first row in the program.
     flank_height : float

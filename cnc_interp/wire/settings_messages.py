@@ -63,8 +63,6 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
     goal : RunProgram.Goal
         Its fields with the name of a choice count unless they are 0 or empty; the list of its
         settings counts before them.
-    defaults : Settings
-        The settings of the nodes.
 
     Raises
     ------

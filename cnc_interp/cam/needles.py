@@ -84,7 +84,7 @@ class Needles:
         return GROUP // wide, wide
 
     def groups(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return needles by group, where each group begins, and a ball (centre, radius) around it."""
+        """Return needles by group, where each group begins, and a ball around it [m]."""
         rows, columns = self.shape
         index = np.arange(rows * columns).reshape(rows, columns)
         tall, wide = self.group_size()

@@ -97,11 +97,7 @@ def _end_of(future: Future, number: int) -> Ended[Any]:
 
 
 def call_there(
-    function: Callable[[A], R],
-    task: A,
-    version: str,
-    memory: float | None,
-    longest: float,
+    function: Callable[[A], R], task: A, version: str, memory: float | None, longest: float
 ) -> Ended[R]:
     """
     Call a function in a new process on the computer of a worker.

@@ -112,10 +112,7 @@ class TileCutter:
         return TileTask(row, column, needles, sweep, self._device)
 
     def run(
-        self,
-        workers: TileWorkers,
-        store: HeightStore,
-        progress: Callable[[TileProgress], None],
+        self, workers: TileWorkers, store: HeightStore, progress: Callable[[TileProgress], None]
     ) -> TileProgress:
         """Cut all tiles that the store does not know; each is written as soon as it is cut."""
         total, known = len(self._places), 0

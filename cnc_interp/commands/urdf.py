@@ -6,10 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import (
-    FINE,
-    command,
-)
+from cnc_interp.command_options import FINE, command
 
 
 def add_urdf_command(commands: Any) -> None:

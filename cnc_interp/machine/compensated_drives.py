@@ -45,11 +45,7 @@ class CompensatedDrives:
     """
 
     def __init__(
-        self,
-        inner: CycleDrives,
-        model: Machine,
-        period: float,
-        learnt: LearntMotion | None = None,
+        self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None
     ):
         compensation = Compensation(model, period, inner.position)
         self._inner, self._shape = inner, compensation.words.shape

@@ -12,14 +12,7 @@ import numpy as np
 from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.native import (
-    NANOSECONDS,
-    call_drives,
-    fence,
-    pointer,
-    sleep_until,
-    time_now,
-)
+from cnc_interp.core.native import NANOSECONDS, call_drives, fence, pointer, sleep_until, time_now
 from cnc_interp.machine.realtime import note_catching_up, note_lateness
 
 #: What the cycle plays.

@@ -33,13 +33,7 @@ from cnc_interp.machine.cycle_kernels import (
     WAITED,
     follow_ideally,
 )
-from cnc_interp.machine.drives import (
-    AxisRows,
-    CycleDrives,
-    DelayedDrives,
-    DriveFaultError,
-    Drives,
-)
+from cnc_interp.machine.drives import AxisRows, CycleDrives, DelayedDrives, DriveFaultError, Drives
 from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.chunk import Chunk, Wait

@@ -84,10 +84,7 @@ def key_and_unit(entry: Entry, linear: bool) -> tuple[str, float]:
 
 
 def axis_drives(
-    content: dict[str, Any],
-    names: list[str],
-    linear: list[bool],
-    loads: dict[int, DriveLoad],
+    content: dict[str, Any], names: list[str], linear: list[bool], loads: dict[int, DriveLoad]
 ) -> dict[int, AxisDrive]:
     """Read the drives that are not ideal."""
     given = entries_by_axis(content, 'drives', names, 'the values of its drive')

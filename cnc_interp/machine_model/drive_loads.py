@@ -38,10 +38,7 @@ class DriveLoad:
 
 
 def drive_loads(
-    content: dict[str, Any],
-    names: list[str],
-    linear: list[bool],
-    velocities: FloatArray,
+    content: dict[str, Any], names: list[str], linear: list[bool], velocities: FloatArray
 ) -> dict[int, DriveLoad]:
     """Read the drives that have a largest torque."""
     found = {}

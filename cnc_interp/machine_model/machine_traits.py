@@ -83,16 +83,8 @@ def rates(
     found = np.full((len(tip), 5), np.nan)
     for i in range(len(tip)):
         o, w = axis[i], turn[i]
-        slope = (
-            w[1] * o[2] - w[2] * o[1],
-            w[2] * o[0] - w[0] * o[2],
-            w[0] * o[1] - w[1] * o[0],
-        )
-        tool = (
-            (o[0], slope[0], 0.0, 0.0),
-            (o[1], slope[1], 0.0, 0.0),
-            (o[2], slope[2], 0.0, 0.0),
-        )
+        slope = (w[1] * o[2] - w[2] * o[1], w[2] * o[0] - w[0] * o[2], w[0] * o[1] - w[1] * o[0])
+        tool = ((o[0], slope[0], 0.0, 0.0), (o[1], slope[1], 0.0, 0.0), (o[2], slope[2], 0.0, 0.0))
         tilt, turned, sine_squared = rotary_jets(packed, tool, 1.0, 0.0, 0.0)
         if sine_squared <= 0.0:
             continue

@@ -24,11 +24,7 @@ class JogCommands:
     """Takes the operator's commands for motion by hand."""
 
     def __init__(
-        self,
-        node: Any,
-        playback: Playback,
-        diagnostics: Diagnostics,
-        wake: Callable[[], None],
+        self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]
     ):
         self._jog, self._diagnostics, self._wake = Jog(playback), diagnostics, wake
         self._transform = Transform.of(playback.axes.machine)

@@ -18,11 +18,7 @@ from cnc_interp.wire.run_id_messages import run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
 #: Each stream with the node that receives it.
-RECEIVERS = {
-    'blocks': 'lookahead_node',
-    'segments': 'feedrate_node',
-    'setpoints': 'machine_node',
-}
+RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints': 'machine_node'}
 
 #: The machine continues by itself, without cycle_start, if it waits for one of these.
 STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE)

@@ -14,12 +14,7 @@ from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
-from cnc_interp.wire.path_messages import (
-    CONNECTION_POINTS,
-    CURVES,
-    LINE_CURVE,
-    SPAN_DEGREE,
-)
+from cnc_interp.wire.path_messages import CONNECTION_POINTS, CURVES, LINE_CURVE, SPAN_DEGREE
 from cnc_interp.wire.settings_messages import settings_from
 
 #: Largest difference of the length of a tool axis from 1.

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.machine.hal_library import (
+from cnc_interp.machine.hal_drives import (
     HAL_KEY,
     SAMPLER_KEY,
     HalSession,

@@ -23,8 +23,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, UM
 from cnc_interp.drives import learning
 from cnc_interp.drives.compensation import Compensation, compensate_all
-from cnc_interp.drives.drive_kernels import follow_all
-from cnc_interp.drives.drive_model import words_of
+from cnc_interp.drives.drive_model import follow_all, words_of
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.machine_model.machine import Machine
 

@@ -31,7 +31,7 @@ from typing import IO
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 from test_program_fuzz import EXAMPLES, mutated, seeds
 
-from cnc_interp.cli import main as command
+from cnc_interp.commands.cli import main as command
 
 MACHINES = ('xyzac', 'xyzbc', 'bc_trunnion')
 #: Longest processor time for one program [s].

@@ -20,13 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.height_store import HeightStore
+from cnc_interp.cam.heights import HeightStore
 from cnc_interp.cam.nbuffer import cut_needles, cut_part
 from cnc_interp.cam.needle_tiles import TileCutter
-from cnc_interp.cam.needles import NeedleGrid, Needles
+from cnc_interp.cam.needles import NeedleGrid, Needles, Sweep
 from cnc_interp.cam.shapes import Plane
-from cnc_interp.cam.sweep import Sweep
-from cnc_interp.commands.tile_workers import tile_workers
+from cnc_interp.commands.cam import tile_workers
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
 

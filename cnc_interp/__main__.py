@@ -13,7 +13,7 @@ def main() -> int:
     heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if heeded:
         signal.signal(signal.SIGINT, leave)
-    from cnc_interp import cli
+    from cnc_interp.commands import cli
 
     if heeded:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -2,16 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from types import ModuleType
 from typing import Protocol
 
-from cnc_interp.batch.jobs import Job, Jobs
-from cnc_interp.batch.processes import Ended, Loss
-from cnc_interp.batch.store import Store
-from cnc_interp.batch.task import Outcome, Row, Task, Verdict
+from cnc_interp.batch.processes import PRELOADED, Ended, Loss, Processes, total_memory
+from cnc_interp.batch.task import Job, Jobs, Outcome, Row, Task, Verdict
 from cnc_interp.batch.work import carry_out
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
+
+#: Verdicts that another attempt may change.
+UNCERTAIN = (Verdict.KILLED, Verdict.TOO_LONG, Verdict.TOO_LARGE)
+
+
+class Store:
+    """
+    The results of a folder, by the keys of their tasks.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if missing.
+
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def find(self, key: str) -> Outcome | None:
+        """Return a result that is final; None if there is none."""
+        try:
+            found = Outcome.of_json(read_json(self._file(key)))
+        except (OSError, UnreadableError, ValueError, TypeError, KeyError):
+            return None
+        return None if found.row.verdict in UNCERTAIN else found
+
+    def keep(self, key: str, outcome: Outcome) -> None:
+        """Write a result."""
+        write_whole(self._file(key), outcome.to_text())
+
+    def _file(self, key: str) -> Path:
+        return self._folder / f'{key}.json'
+
 
 #: What a lost task becomes.
 LOST = {
@@ -115,3 +152,53 @@ def _outcome(ended: Ended[Outcome]) -> Outcome:
     if ended.why:
         row = Row(row.verdict, f'{row.message} ({ended.why}); please report')
     return Outcome(row)
+
+
+def dask_workers() -> ModuleType:
+    """
+    Return the module of clusters.
+
+    Raises
+    ------
+    InterpError
+        If Dask is not installed.
+
+    """
+    try:
+        from cnc_interp.batch import dask_workers
+    except ModuleNotFoundError as problem:
+        raise InterpError(
+            f'a cluster needs Dask ({problem.name} is missing): pip install distributed bokeh'
+        ) from None
+    return dask_workers
+
+
+def workers_of(
+    scheduler: str | None,
+    workers: int,
+    memory: float | None,
+    longest: float,
+    preloaded: Sequence[str] = PRELOADED,
+) -> Workers:
+    """
+    Return who carries out a batch.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a cluster; without it, processes of this computer.
+    workers : int
+        How many of these.
+    memory : float, optional
+        Most memory of a task [bytes]; None for a share of the computer.
+    longest : float
+        Longest time of a task [s].
+    preloaded : sequence of str
+        Modules that processes of this computer load once.
+
+    """
+    if scheduler is not None:
+        found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)
+        return found
+    share = memory or total_memory() / workers
+    return Processes(workers, share, longest, preloaded=preloaded)

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.batch.jobs import Job
-from cnc_interp.batch.task import Outcome
+from cnc_interp.batch.task import Job, Outcome
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import HOUR
 

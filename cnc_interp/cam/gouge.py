@@ -1,13 +1,23 @@
-"""The check that the bottom of the mill stays outside the surface."""
+"""
+The bottom of the mill stays outside the surface: the check, and the tilt at which its heel does.
+
+Where the surface is hollow along the feed, the back of the bottom enters it at a small tilt. A
+larger tilt lifts the heel and narrows the strip. The tilt is raised smoothly, over a distance on
+both sides, so that the strip changes gently and neighbouring passes can follow.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.next_posture import resting
+from cnc_interp.cam.passes import Angles, place
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.surface import Surface
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MM
+from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.units import DEG, MM
 
 #: Rays on which the bottom of the mill is tested, and its circles as shares of R.
 RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)
@@ -41,3 +51,74 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
         deep = np.where(ours & np.isfinite(above), cutter.corner_radius - above, 0.0)
         depth = np.maximum(depth, deep.max(axis=1))
     return depth
+
+
+#: Distance over which a raised tilt falls off on each side [m].
+FALL = 4.0 * MM
+#: Depth to which the tilt is raised, as a share of the allowed depth: postures lie between.
+SHARE = 0.5
+#: Places in each interval of a pass at which the heel is tested: it meets a hollow suddenly.
+FINER = 4
+#: Halvings of the interval of tilts.
+HALVINGS = 14
+
+
+def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:
+    """Return close places of the parts of a pass that are milled, with both ends of each."""
+    step = float(np.median(np.diff(s))) / FINER
+    return np.concatenate(
+        [
+            np.linspace(*ends, max(2, int(np.ceil((ends[1] - ends[0]) / step)) + 1))
+            for ends in parts
+        ]
+    )
+
+
+def raised(
+    curve: GuidingCurve, cutter: Cutter, angles: Angles, parts: list[tuple[float, float]],
+    highest: float, gouge: float,
+) -> Angles:  # fmt: skip
+    """Raise tilts where the heel would enter the surface, and smoothly beside these places."""
+    if not parts:
+        return angles
+    s = finely(angles.s, parts)
+    tool = angles.postures(curve, cutter, s)
+
+    def enters(tilt: FloatArray, of: BoolArray) -> BoolArray:
+        postures = resting(cutter, curve.frames(s[of]), tilt[of], tool.yaw[of])
+        return gouge_depth(curve.surface, postures) > SHARE * gouge
+
+    deep = enters(tool.tilt, np.ones(len(s), bool))
+    if not deep.any():
+        return angles
+    low, high = tool.tilt.copy(), np.full(len(s), highest)
+    if enters(high, deep).any():
+        where = tool.contact[deep][int(np.argmax(enters(high, deep)))]
+        raise SurfaceError(
+            f'at {place(where)} the bottom of the mill enters the surface even at the largest '
+            f'tilt, {highest / DEG:g} deg: the surface is hollow there; take a smaller mill'
+        )
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        still = enters(middle, deep)
+        low[deep] = np.where(still, middle[deep], low[deep])
+        high[deep] = np.where(still, high[deep], middle[deep])
+    rise = np.where(deep, high - tool.tilt, 0.0)
+    tilt = np.minimum(angles.tilt + smooth_cover(s, rise, FALL, angles.s), highest)
+    return Angles(angles.s, tilt, angles.yaw)
+
+
+def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatArray) -> FloatArray:
+    """
+    Return a smooth function that is nowhere smaller than given values.
+
+    A weighted mean of maxima over windows of the same width: each maximum contains the place.
+    """
+    step = float(np.median(np.diff(s)))
+    middle = np.arange(s[0] - 2.0 * distance, s[-1] + 2.0 * distance + step, step)
+    near = np.abs(middle[:, None] - s[None, :]) <= distance
+    largest = np.where(near, values[None, :], 0.0).max(axis=1)
+    gap = np.abs(at[:, None] - middle[None, :])
+    weight = np.where(gap <= distance, 1.0 + np.cos(np.pi * gap / distance), 0.0)
+    total = weight.sum(axis=1)
+    return np.asarray(weight @ largest / np.where(total > 0.0, total, 1.0))

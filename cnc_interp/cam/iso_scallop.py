@@ -1,18 +1,416 @@
-"""5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes."""
+"""
+5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
+
+The strips of neighbouring passes share their border. The half width on the left of a pass is the
+plane distance minus the half width on the right of the previous pass. This recursion has the
+multiplier -1, so errors do not decay. It therefore starts with a constant half width instead of a
+constant tilt. It starts afresh, with a small overlap, if a pass cannot be found or strays.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
-from cnc_interp.cam.pass_recursion import PassRecursion
-from cnc_interp.cam.passes import Pass
-from cnc_interp.cam.surface import Surface, SurfaceError
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.cam.gouge import finely, gouge_depth, raised
+from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
+from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
+from cnc_interp.cam.next_posture import Fit, Freedom, fit_postures, nearest_places, resting
+from cnc_interp.cam.passes import (
+    Angles,
+    Pass,
+    StripError,
+    UnfitError,
+    WideStripError,
+    constant_tilt,
+    constant_width,
+    evenly,
+    place,
+    plane_distance,
+)
+from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.scallop import estimated_half_width, scallop_points
+from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
+from cnc_interp.cam.vectors import norm
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import DEG, MM, UM
+
+#: Distance of a pass that starts afresh, as a share of its half width.
+CLOSER = 0.985
+#: Default distance of the points along a pass [m]; there are at least 25.
+SPACING = 0.8 * MM
+MOST_PASSES = 5000
+#: Number of times that a plane may come closer, and the smallest distance as a share of the first.
+CLOSER_PLANES, CLOSEST = 12, 0.7
+#: Share of the distance below which other yaws are tried, and their differences [rad].
+NEAR, TURNS = 0.75, (20.0 * DEG, -20.0 * DEG, 40.0 * DEG, -40.0 * DEG)
+#: Largest distance from the scallop of the previous pass [m].
+HIDDEN = 20.0 * UM
+#: Points at both ends that are exempt, because the angles are free there.
+ENDS = 3
+
+
+class NoPassError(UnfitError):
+    """No posture leaves the scallop: the plane distance does not fit the curvature there."""
+
+
+class HeelError(UnfitError):
+    """The heel of the mill enters the surface: a larger tilt lifts it."""
+
+
+class PassRecursion:
+    """The recursion over the passes of one surface."""
+
+    def __init__(
+        self, surface: Surface, cutter: Cutter, normal: FloatArray, options: IsoScallopOptions
+    ):
+        self.surface, self.cutter, self.normal, self.options = surface, cutter, normal, options
+        widest = 2.0 * (cutter.tool_radius + cutter.corner_radius)
+        stepover = options.stepover or self.largest_stepover()
+        self.planes = GuidingPlanes(surface, cutter.corner_radius, normal, min(stepover, widest))
+        self.notes: list[str] = []
+
+    def largest_stepover(self) -> float:
+        """Estimate the largest distance of planes anywhere on the surface at the tilt [m]."""
+        u, v = self.surface.grid(SAMPLES, SAMPLES)
+        ours = self.surface.contains(u, v)
+        smallest = self.surface.at(u[ours], v[ours]).principal_curvatures()[0]
+        half = estimated_half_width(
+            self.cutter, self.options.tilt, self.options.yaw, smallest, self.options.scallop_height
+        )
+        return 2.0 * float(half.max()) + self.options.overrun
+
+    def all_passes(self, progress: Callable[[float], None] | None) -> list[Pass]:
+        """Add passes from one border to the other."""
+        first, last = self.planes.span
+        passes = [self.first_pass()]
+        while passes[-1].plane + float(passes[-1].kept_reach.min()) < last:
+            if len(passes) >= MOST_PASSES:
+                raise SurfaceError(f'more than {MOST_PASSES} passes; is the scallop height right?')
+            passes.append(self.next_pass(passes[-1], len(passes) + 1))
+            if progress:
+                progress(min(1.0, (passes[-1].plane - first) / (last - first)))
+        if progress:
+            progress(1.0)
+        return passes
+
+    def first_pass(self) -> Pass:
+        """Place the first pass so that its strip covers the border."""
+        width = self.half_width_at(self.planes.span[0])
+        plane = self.planes.span[0] + 0.9 * width
+        try:
+            return self.fresh_pass(plane, 1, tilted=self.options.start == 'tilt')
+        except (HeelError, StripError, WideStripError) as error:
+            if self.options.stray is None:
+                raise
+            return self.closer_pass(None, plane, 1, error)
+
+    def half_width_at(self, plane: float) -> float:
+        """Return half the distance of the planes; the tilt determines it without a stepover."""
+        if self.options.stepover is not None:
+            return 0.5 * self.options.stepover
+        curve = self.planes.curve(plane)
+        angles = constant_tilt(curve, self.options.tilt, self.options.yaw, self.count(curve))
+        reach = self.reach(curve, angles)
+        kept = kept_places(curve, angles.s, reach, self.options.overrun)
+        if not kept.any():
+            return float(np.nanmin(reach))
+        # A strip of the smallest width may be milled a little further.
+        narrow = np.full(len(reach), np.nanmin(reach[kept]))
+        kept |= kept_places(curve, angles.s, narrow, self.options.overrun)
+        return float(np.nanmin(reach[kept]))
+
+    def reach(self, curve: GuidingCurve, angles: Angles, side: float = 1.0) -> FloatArray:
+        """Return half widths at the places of angles, shape (n,), NaN without a scallop [m]."""
+        postures = angles.postures(curve, self.cutter, angles.s)
+        scallops = scallop_points(self.surface, postures, self.options.scallop_height, side)
+        return plane_distance(postures, scallops, self.normal)
+
+    def count(self, curve: GuidingCurve) -> int:
+        """Return the number of scallop points along a pass."""
+        return self.options.points or max(25, int(np.ceil(curve.length / SPACING)))
+
+    def fresh_pass(self, plane: float, number: int, tilted: bool = False) -> Pass:
+        """Make a pass that does not depend on the previous pass."""
+        o, curve = self.options, self.planes.curve(plane)
+        if tilted or o.freedom == 'yaw':
+            angles = constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
+        else:
+            angles = constant_width(
+                curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
+                o.yaw, self.count(curve), o.overrun,
+            )  # fmt: skip
+        return self.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=number)
+
+    def next_pass(self, before: Pass, number: int) -> Pass:
+        """Return the next pass: exact if the last one can be continued, else a new start."""
+        reach, stepover = before.kept_reach, self.options.stepover
+        middle = self.half_width_at(before.plane) if stepover is None else 0.5 * stepover
+        stray = self.options.stray
+        if stray is not None and float(np.abs(reach / middle - 1.0).max()) > stray:
+            problem = f'half widths from {reach.min() / MM:.3f} to {reach.max() / MM:.3f} mm'
+        else:
+            try:
+                return self.continued(before, self.distance(before), number)
+            except UnfitError as error:
+                if stray is None:
+                    raise
+                problem = error.what
+        plane = before.plane + float(reach.min()) + CLOSER * middle
+        if stepover is None:  # the width is that of the new plane
+            plane = before.plane + float(reach.min()) + CLOSER * self.half_width_at(plane)
+        try:
+            made = self.fresh_pass(plane, number)
+            if plane - before.plane > self.room(before, made.curve, made.angles):
+                raise StripError(problem, 'take a smaller plane distance')
+        except (HeelError, StripError, WideStripError) as error:
+            return self.closer_pass(before, plane, number, error)
+        self.notes.append(f'pass {number} starts afresh: {problem}')
+        return made
+
+    def closer_pass(
+        self, before: Pass | None, plane: float, number: int, reason: UnfitError
+    ) -> Pass:
+        """
+        Make a pass whose strip is narrower at some places, on a plane that is close enough.
+
+        The tilt is raised where the heel would enter the surface. It stays at its smallest value
+        where the surface is too convex, and at its largest where a wider strip does no harm. The
+        plane comes so close that the strip still reaches the scallops of the previous pass, or the
+        border. If it has to come much closer, the mill is turned, too: the heel then lies beside
+        the hollow.
+        """
+        start = self.planes.span[0] if before is None else before.plane
+        own = self.options.yaw
+        best = self.closest(before, plane, own)
+        near = best is None or best[0].plane - start < NEAR * (plane - start)
+        if near and isinstance(reason, HeelError):
+            for turn in TURNS:
+                found = self.closest(before, plane, own + turn)
+                if found and (best is None or found[0].plane > best[0].plane):
+                    best = found
+        if best is None:
+            raise reason
+        curve, angles = best
+        yaw = f', yaw {angles.yaw[0] / DEG:.0f} deg' if angles.yaw[0] != own else ''
+        self.notes.append(
+            f'pass {number} starts afresh, {(curve.plane - start) / MM:.3f} mm from '
+            f'{"the border" if before is None else "the pass before"}, tilts '
+            f'{angles.tilt.min() / DEG:.1f} to {angles.tilt.max() / DEG:.1f} deg{yaw}: '
+            f'{reason.what}'
+        )
+        return self.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=number)
+
+    def closest(
+        self, before: Pass | None, plane: float, yaw: float
+    ) -> tuple[GuidingCurve, Angles] | None:
+        """Return the farthest plane up to one that leaves no ridge, and its angles."""
+        o, start = self.options, self.planes.span[0] if before is None else before.plane
+        least = CLOSEST * (plane - start)
+        for _ in range(CLOSER_PLANES):
+            curve = self.planes.curve(plane)
+            angles = constant_width(
+                curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
+                yaw, self.count(curve), o.overrun, strict=False,
+            )  # fmt: skip
+            parts = kept_ranges(curve, angles.s, self.reach(curve, angles), o.overrun)
+            try:
+                angles = raised(curve, self.cutter, angles, parts, o.tilt_limits[1], o.gouge)
+            except SurfaceError:
+                return None
+            room = self.room(before, curve, angles)
+            if plane - start <= room:
+                return curve, angles
+            plane = start + CLOSER * room
+            if not room > least:
+                break
+        return None
+
+    def room(self, before: Pass | None, curve: GuidingCurve, angles: Angles) -> float:
+        """Return the largest distance from the previous pass that leaves no ridge between [m]."""
+        if before is None:
+            reach = self.reach(curve, angles, -1.0)
+            kept = kept_places(curve, angles.s, reach, self.options.overrun)
+            return float(np.nanmin(reach[kept] if kept.any() else reach))
+        s = nearest_places(curve, before.right)
+        postures = angles.postures(curve, self.cutter, s)
+        left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
+        both = before.reach + plane_distance(postures, left, self.normal)
+        return float(np.nanmin(both[before.kept] if before.kept.any() else both))
+
+    def distance(self, before: Pass) -> float:
+        """Return the distance to the next plane: the stepover, or the largest for the tilt [m]."""
+        if self.options.stepover is not None:
+            return self.options.stepover
+        distance = 2.0 * float(before.kept_reach.min())
+        for _ in range(2):
+            curve = self.planes.curve(before.plane + distance)
+            tilted = constant_tilt(curve, self.options.tilt, self.options.yaw, self.count(curve))
+            distance = CLOSER * self.room(before, curve, tilted)
+        return distance
+
+    def left_reach(self, curve: GuidingCurve, before: Pass, tilt: float) -> FloatArray:
+        """Return how far the next pass cuts towards each scallop point, shape (n,) [m]."""
+        s = nearest_places(curve, before.right)
+        n = len(s)
+        postures = resting(
+            self.cutter, curve.frames(s), np.full(n, tilt), np.full(n, self.options.yaw)
+        )
+        left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
+        return plane_distance(postures, left, self.normal)
+
+    def continued(self, before: Pass, distance: float, number: int) -> Pass:
+        """Fit the postures of the next pass to the scallop points of the previous pass."""
+        o = self.options
+        curve = self.planes.curve(before.plane + distance)
+        fixed = o.yaw if o.freedom == 'tilt' else o.tilt
+        fit = fit_postures(curve, self.cutter, before.right, o.scallop_height, o.freedom, fixed)
+        low, high = o.tilt_limits
+        slack = 1e-6
+        fits = fit.found & (fit.tilt >= low - slack) & (fit.tilt <= high + slack)
+        places = nearest_places(curve, before.right)
+        kept = kept_places(curve, places, np.abs(distance - before.reach), o.overrun)
+        if np.any(kept & ~fits) or not fits.any():
+            raise NoPassError(*self.diagnosis(before, curve, fit, fits | ~kept, distance, number))
+        run = places_around(fits, kept)
+        if np.any(np.diff(fit.s[run]) <= 0.0):
+            i = run[int(np.argmax(np.diff(fit.s[run]) <= 0.0))]
+            raise NoPassError(
+                f'pass {number} would run backwards at {place(before.right.position[i])}',
+                'take fewer points or a smaller plane distance',
+            )
+        angles = Angles(fit.s[run], fit.tilt[run], fit.yaw[run])
+        postures = angles.postures(curve, self.cutter, fit.s)
+        self.check_strip(before, postures, kept, number)
+        return self.finished(curve, angles, fit.iterations[run], fresh=False, number=number)
+
+    def check_strip(self, before: Pass, postures: Postures, kept: BoolArray, number: int) -> None:
+        """Refuse a pass whose strip ends before the scallop to which the pass was fitted."""
+        left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
+        gap = norm(left.position - before.right.position)
+        wrong = kept & ~(gap < HIDDEN)
+        wrong[:ENDS] = wrong[-ENDS:] = False
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise NoPassError(
+                f'pass {number}, point {i + 1} at {place(before.right.position[i])}: the mill '
+                'leaves a higher ridge before it reaches the scallop of the pass before',
+                'take a smaller plane distance, a larger tilt or the tilt as the free angle',
+            )
+
+    def finished(
+        self, curve: GuidingCurve, angles: Angles, iterations: IntArray, fresh: bool, number: int
+    ) -> Pass:
+        """
+        Spread the angles evenly, find the scallop points on the right, and check the pass.
+
+        Only the places that are milled may refuse the pass. Beyond them it ends where the mill
+        leaves no scallop.
+        """
+        s = evenly(curve, self.count(curve))
+        postures = angles.postures(curve, self.cutter, s)
+        right = scallop_points(self.surface, postures, self.options.scallop_height)
+        kept = kept_places(
+            curve, s, plane_distance(postures, right, self.normal), self.options.overrun
+        )
+        missing = kept & ~right.found
+        if missing.any() or not right.found.any():
+            i = int(np.argmax(missing))
+            raise NoPassError(
+                f'pass {number}, point {i + 1} at {place(postures.contact[i])}: the mill '
+                f'leaves no scallop of {self.options.scallop_height / UM:g} um within its width',
+                'take a larger tilt, a smaller scallop height or a smaller plane distance',
+            )
+        if not right.found.all():
+            run = places_around(right.found, kept)
+            s, kept = s[run], kept[run]
+            postures = angles.postures(curve, self.cutter, s)
+            right = scallop_points(self.surface, postures, self.options.scallop_height)
+        made = Pass(curve, angles, s, postures, right, iterations, fresh, kept)
+        self.check_heel(made, number)
+        return made
+
+    def check_heel(self, made: Pass, number: int) -> None:
+        """Refuse a pass whose mill enters the surface where it is milled."""
+        parts = kept_ranges(made.curve, made.s, made.reach, self.options.overrun)
+        if not parts:
+            return
+        tool = made.tool(finely(made.s, parts))
+        depth = gouge_depth(self.surface, tool)
+        if float(depth.max()) > self.options.gouge:
+            i = int(np.argmax(depth))
+            raise HeelError(
+                f'pass {number} at {place(tool.contact[i])}: the bottom of the mill enters the '
+                f'surface by {depth[i] / UM:.0f} um; the surface is hollow there',
+                'take a larger tilt or a smaller mill',
+            )
+
+    def diagnosis(
+        self, before: Pass, curve: GuidingCurve, fit: Fit, fits: BoolArray, distance: float,
+        number: int,
+    ) -> tuple[str, str]:  # fmt: skip
+        """Say where no posture was found, and which plane distances are possible there."""
+        o = self.options
+        low, high = o.tilt_limits
+        i = int(np.argmin(fits))
+        where = f'pass {number}, point {i + 1} at {place(before.right.position[i])}'
+        if o.freedom == 'yaw':
+            return (
+                f'{where}: no yaw at a tilt of {o.tilt / DEG:g} deg fits {distance / MM:.3f} mm',
+                'take a smaller tilt for a wider strip',
+            )
+        wide, narrow = (before.reach + self.left_reach(curve, before, x) for x in (low, high))
+        found = f'{fit.tilt[i] / DEG:.2f} deg' if fit.found[i] else 'none'
+        return (
+            f'{where}: the tilt would have to be {found}, the limits are {low / DEG:g} to '
+            f'{high / DEG:g} deg',
+            f'a plane distance of {distance / MM:.3f} mm does not fit, there '
+            f'it can be {narrow[i] / MM:.3f} to {wide[i] / MM:.3f} mm, along the whole pass '
+            f'{np.nanmax(narrow) / MM:.3f} to {np.nanmin(wide) / MM:.3f} mm',
+        )
+
+
+@dataclass(frozen=True)
+class IsoScallopOptions:
+    """The user's choices."""
+
+    scallop_height: float = 10.0 * UM  #: S_h [m].
+    #: Distance d of the guiding planes [m]. By default every pass has the largest distance that
+    #: its tilts allow.
+    stepover: float | None = None
+    #: Tilt of a first pass with constant tilt. Without a stepover, the tilt that determines the
+    #: distance of the planes [rad].
+    tilt: float = 5.0 * DEG
+    tilt_limits: tuple[float, float] = (0.5 * DEG, 60.0 * DEG)  #: Smallest and largest tilt [rad].
+    yaw: float = 0.0  #: Yaw of all passes; the first guess if the yaw is the free angle [rad].
+    freedom: Freedom = 'tilt'  #: The angle that determines the width.
+    #: The first pass has the constant half width d/2, or the constant tilt, as in the paper.
+    start: Literal['width', 'tilt'] = 'width'
+    points: int | None = None  #: Number of scallop points along a pass.
+    #: A pass starts afresh if the half width differs from d/2 by more than this share [-]. None is
+    #: the recursion of the paper: a pass that cannot be found is then an error.
+    stray: float | None = 0.25
+    #: Largest depth at which the bottom of the mill may enter the surface [m].
+    gouge: float = 1.0 * UM
+    #: Length that is milled beyond the border at both ends of a pass [m].
+    overrun: float = 0.5 * MM
+
+    def __post_init__(self) -> None:
+        low, high = self.tilt_limits
+        if not 0.0 < low <= self.tilt <= high <= 0.5 * np.pi:
+            raise InterpError(
+                f'tilts of {low / DEG:g} <= {self.tilt / DEG:g} <= {high / DEG:g} deg do not make '
+                'sense; they must rise and lie between 0 and 90 deg'
+            )
+        if not self.scallop_height > 0.0 or (self.stepover is not None and self.stepover <= 0.0):
+            raise InterpError('scallop height and plane distance must be positive')
+        if self.points is not None and self.points < 8:
+            raise InterpError(f'{self.points} points along a pass are too few; give at least 8')
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.cam.guiding import GuidingCurve
-from cnc_interp.cam.surface_curve import SurfaceCurve
+from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
 from cnc_interp.cam.vectors import scaled
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import MM

@@ -16,10 +16,9 @@ from typing import Literal
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.height_figures import Figures, deviations, is_cut
+from cnc_interp.cam.heights import Figures, deviations, is_cut
 from cnc_interp.cam.needle_cuts import TOP, cut
-from cnc_interp.cam.needles import Needles, patches
-from cnc_interp.cam.sweep import Sweep
+from cnc_interp.cam.needles import Needles, Sweep, patches
 from cnc_interp.core.arrays import BoolArray, FloatArray
 
 #: What cuts: numba on the processor, or Warp on the processor or on a graphics card.

@@ -14,16 +14,14 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from cnc_interp.cam.height_figures import Figures
-from cnc_interp.cam.height_store import TILE, HeightStore
+from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.nbuffer import Device, cut_part
-from cnc_interp.cam.needles import NeedleGrid, Needles, patches
-from cnc_interp.cam.sweep import Sweep
+from cnc_interp.cam.needles import NeedleGrid, Needles, Sweep, patches
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
 #: Files whose text decides the heights of a tile.
-ENGINE = ('needle_cuts.py', 'nbuffer.py', 'height_figures.py', 'sweep.py', 'warp_cuts.py')
+ENGINE = ('needle_cuts.py', 'nbuffer.py', 'heights.py', 'needles.py', 'warp_cuts.py')
 
 
 @dataclass(frozen=True)

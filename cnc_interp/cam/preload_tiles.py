@@ -11,9 +11,8 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.needle_cuts import TOP
 from cnc_interp.cam.needle_tiles import TileTask, cut_tile
-from cnc_interp.cam.needles import NeedleGrid
+from cnc_interp.cam.needles import NeedleGrid, Sweep
 from cnc_interp.cam.shapes import Plane
-from cnc_interp.cam.sweep import Sweep
 from cnc_interp.core.units import MM
 
 axis = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])

@@ -14,11 +14,11 @@ from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.spline_pass import ARM, chord_error
 from cnc_interp.cam.surface import Surface
 from cnc_interp.cam.vectors import norm
-from cnc_interp.convert import with_chords
+from cnc_interp.convert.dialects import with_chords
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.tool_error import SETTLING
-from cnc_interp.machine.simulated import simulate
+from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program

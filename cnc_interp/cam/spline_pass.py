@@ -9,11 +9,10 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from cnc_interp.cam.guiding import GuidingCurve
+from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
 from cnc_interp.cam.milled import kept_ranges
 from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.surface_curve import SurfaceCurve
 from cnc_interp.cam.vectors import dot, norm, scaled, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM

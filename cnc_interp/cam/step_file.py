@@ -1,22 +1,302 @@
 """
 Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md).
 
-The package ``cadquery-ocp-novtk`` (module ``OCP``) is optional.
+Planes, cylinders, spheres and tori become our own shapes. B-splines keep their knots, weights and
+control points. Other surfaces are converted exactly to rational B-splines. The package
+``cadquery-ocp-novtk`` (module ``OCP``) is optional.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.step_face import StepFace
-from cnc_interp.cam.step_part import Part
-from cnc_interp.cam.surface import SurfaceError
+from cnc_interp.cam.shapes import Cylinder, Plane, Torus
+from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
+from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
+from cnc_interp.cam.trimmed import Trimmed, joined, within
+from cnc_interp.cam.vectors import norm
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM
+
+#: OpenCASCADE's classes of surfaces and their names in lists and messages.
+SPLINE, BEZIER = 'Geom_BSplineSurface', 'Geom_BezierSurface'
+ANALYTIC = {
+    'Geom_Plane': 'plane',
+    'Geom_CylindricalSurface': 'cylinder',
+    'Geom_SphericalSurface': 'sphere',
+    'Geom_ToroidalSurface': 'torus',
+}
+CONVERTED = {
+    BEZIER: 'Bezier patch',
+    'Geom_ConicalSurface': 'cone',
+    'Geom_SurfaceOfLinearExtrusion': 'extrusion',
+    'Geom_SurfaceOfRevolution': 'surface of revolution',
+}
+NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'offset surface'}
+#: A boundary within this distance of the rectangle of parameters is the rectangle [m].
+ON_BORDER = 10e-6
+#: Points along an edge that are compared with the rectangle.
+EDGE_POINTS = 65
+#: Largest distance of the polylines from the edges [m], and the smallest and largest number of
+#: pairs of their pieces.
+CHORD, EDGE_PIECES, MOST_PIECES = 2e-6, 8, 2048
+#: Sizes of shapes before those of the face are known.
+ANY = 1.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """Faces to machine, and the other faces of the part."""
+
+    #: Surfaces by the number of their face, in the order in which they are machined.
+    surfaces: dict[int, Surface]
+    #: Points of all faces, also of those that are machined; none for a single face.
+    neighbours: Neighbours | None = None
+
+
+class StepFace:
+    """One face of a file."""
+
+    def __init__(self, shape: Any):
+        from OCP.BRep import BRep_Tool
+        from OCP.BRepTools import BRepTools
+        from OCP.Geom import Geom_RectangularTrimmedSurface
+        from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+        from OCP.TopoDS import TopoDS
+
+        self.shape = TopoDS.Face(shape)
+        self.flip = self.shape.Orientation() == TopAbs_Orientation.TopAbs_REVERSED
+        self.geometry = BRep_Tool.Surface_s(self.shape)
+        while isinstance(self.geometry, Geom_RectangularTrimmedSurface):
+            self.geometry = self.geometry.BasisSurface()
+        self.kind = type(self.geometry).__name__
+        self.loops = len(_parts(self.shape, TopAbs_ShapeEnum.TopAbs_WIRE))
+        #: Smallest and largest u, smallest and largest v of the boundary [mm, rad].
+        self.bounds: tuple[float, float, float, float] = BRepTools.UVBounds_s(self.shape)
+
+    def description(self) -> str:
+        """Return the name of the kind and the size, or why the face cannot be used."""
+        name = NAMES.get(self.kind, self.kind)
+        try:
+            return f'{name}, {extent(self.surface())}'
+        except SurfaceError as error:
+            return f'{name}, cannot be used: {error}'
+
+    def surface(self) -> Surface:
+        """Make the surface."""
+        surface: Surface
+        if self.kind == SPLINE:
+            surface = _patch(self.geometry, self.flip)
+        elif self.kind in ANALYTIC:
+            surface = self._analytic()
+        elif self.kind in CONVERTED:
+            surface = self._converted()
+        else:
+            *first, last = [NAMES[kind] for kind in (SPLINE, *ANALYTIC, *CONVERTED)]
+            raise SurfaceError(
+                f'a surface of the kind {NAMES.get(self.kind, self.kind)} is not supported; '
+                f'use one of {", ".join(first)} or {last}'
+            )
+        if self.loops <= 1 and self._distance_inside(surface) < ON_BORDER:
+            return surface
+        return Trimmed(surface, [self._own_parameters(surface, edge) for edge in self.edges()])
+
+    def edges(self) -> list[FloatArray]:
+        """Return the edges of outer loop and holes as polylines."""
+        from OCP.BRepAdaptor import BRepAdaptor_Curve2d
+        from OCP.TopAbs import TopAbs_ShapeEnum
+        from OCP.TopoDS import TopoDS
+
+        found = []
+        for edge in _parts(self.shape, TopAbs_ShapeEnum.TopAbs_EDGE):
+            curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape)
+            first, last, count = curve.FirstParameter(), curve.LastParameter(), EDGE_PIECES
+            while True:
+                places = np.linspace(first, last, 2 * count + 1).tolist()
+                uv = np.array([(p.X(), p.Y()) for p in (curve.Value(t) for t in places)])
+                chord = 0.5 * (uv[:-2:2] + uv[2::2])
+                away = norm(self.points(uv[1::2]) - self.points(chord))
+                if float(away.max()) < CHORD or count >= MOST_PIECES:
+                    break
+                count *= 2
+            found.append(uv)
+        return found
+
+    def points(self, uv: FloatArray) -> FloatArray:
+        """Return points of the surface, shape (n, 3) [m], at u and v of OpenCASCADE, (n, 2)."""
+        return np.array([_vector(self.geometry.Value(u, v)) for u, v in uv.tolist()]) * MM
+
+    def samples(self, spacing: float, most: int) -> FloatArray:
+        """Return points within the boundary and along it, (n, 3) [m]."""
+        edges = joined(self.edges())
+        corners = np.concatenate(edges)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        u, v = np.meshgrid(*np.linspace(low, high, 9).T, indexing='ij')
+        rough = self.points(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(9, 9, 3)
+        sizes = [float(norm(np.diff(rough, axis=k)).sum(axis=k).max()) for k in (0, 1)]
+        spacing = max(spacing, float(np.sqrt(sizes[0] * sizes[1] / most)))
+        count = [max(2, int(np.ceil(size / spacing)) + 1) for size in sizes]
+        u, v = (x.ravel() for x in np.meshgrid(*map(np.linspace, low, high, count)))
+        pieces = np.concatenate([np.hstack([e[:-1], e[1:]]) for e in edges])
+        inside = within(pieces, u, v)
+        lines = []
+        for edge in edges:
+            way = np.concatenate([[0.0], np.cumsum(norm(np.diff(self.points(edge), axis=0)))])
+            at = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / spacing)) + 1))
+            lines.append(np.stack([np.interp(at, way, x) for x in edge.T], axis=1))
+        return self.points(np.concatenate([np.stack([u, v], axis=1)[inside], *lines]))
+
+    def _own_parameters(self, surface: Surface, uv: FloatArray) -> FloatArray:
+        """Return u and v of our surface for those of OpenCASCADE, shape (n, 2)."""
+        low, high = np.transpose(surface.domain)
+        if self.kind == SPLINE:
+            # A patch that closes on itself may have edges in its next turn.
+            if (uv < low - 1e-6 * (high - low)).any() or (uv > high + 1e-6 * (high - low)).any():
+                raise SurfaceError('the face crosses the seam; split it in the CAD system')
+            return uv
+        (u0, u1), (v0, v1) = np.reshape(self.bounds, (2, 2)).tolist()
+        share = (uv - [u0, v0]) / [u1 - u0, v1 - v0]
+        guess = low + share * (high - low)
+        if self.kind in ANALYTIC:
+            return np.asarray(guess)
+        u, v, away = surface.project(self.points(uv), guess[:, 0], guess[:, 1])
+        if not np.all(np.abs(away) < ON_BORDER):
+            raise SurfaceError('the boundary does not lie on the surface')
+        return np.stack([u, v], axis=1)
+
+    def _analytic(self) -> Surface:
+        """Make a plane, cylinder, sphere or torus over the rectangle of the boundary."""
+        u, v = self._limits()
+        position = self.geometry.Position()
+        x, y, z = (
+            _vector(direction)
+            for direction in (position.XDirection(), position.YDirection(), position.Direction())
+        )
+        shape: Surface
+        axes, top = np.stack([y, z, x]), 0.0
+        if self.kind == 'Geom_Plane':
+            shape, axes = Plane((ANY, ANY)), np.stack([x, y, z])
+            u = u[0] * MM, u[1] * MM
+        elif self.kind == 'Geom_CylindricalSurface':
+            top = self.geometry.Radius() * MM
+            shape = Cylinder(top, ANY, ANY)
+        elif self.kind == 'Geom_SphericalSurface':
+            top = self.geometry.Radius() * MM
+            shape = Torus(0.0, top, ANY, ANY)
+        else:
+            ring, radius = self.geometry.MajorRadius() * MM, self.geometry.MinorRadius() * MM
+            shape, top = Torus(ring, radius, ANY, ANY), ring + radius
+        if self.kind in ('Geom_Plane', 'Geom_CylindricalSurface'):
+            v = v[0] * MM, v[1] * MM
+        # Our round shapes turn about y, and their highest point u = v = 0 is the origin.
+        origin = _vector(position.Location()) * MM + top * x
+        return Placed(shape, axes.T, origin, (u, v), self.flip)
+
+    def _converted(self) -> Surface:
+        """Convert the rectangle of the boundary exactly to a rational B-spline surface."""
+        from OCP.Geom import Geom_RectangularTrimmedSurface
+        from OCP.GeomConvert import GeomConvert
+
+        u, v = self._limits()
+        trimmed = self.geometry
+        if self.kind != BEZIER:
+            trimmed = Geom_RectangularTrimmedSurface(self.geometry, *u, *v)
+        return _patch(GeomConvert.SurfaceToBSplineSurface_s(trimmed), self.flip)
+
+    def _limits(self) -> Domain:
+        """Return the ranges of u and v of the boundary [mm, rad]."""
+        u0, u1, v0, v1 = self.bounds
+        # Either kind of parameter: 1e-7 mm or 1e-7 rad.
+        if u1 - u0 < 1e-7 or v1 - v0 < 1e-7:
+            raise SurfaceError('the boundary spans no rectangle of parameters')
+        round_u, round_v = self.geometry.IsUPeriodic(), self.geometry.IsVPeriodic()
+        if (round_u and u1 - u0 > self.geometry.UPeriod() - 1e-6) or (
+            round_v and v1 - v0 > self.geometry.VPeriod() - 1e-6
+        ):
+            raise SurfaceError('the face goes all the way round; split it in the CAD system')
+        return (u0, u1), (v0, v1)
+
+    def _distance_inside(self, surface: Surface) -> float:
+        """Return how far the boundary lies inside the border of the surface at most [m]."""
+        from OCP.BRepAdaptor import BRepAdaptor_Curve2d
+        from OCP.TopAbs import TopAbs_ShapeEnum
+        from OCP.TopoDS import TopoDS
+
+        if self.kind == SPLINE:
+            low, high = (np.array(ends) for ends in zip(*surface.domain, strict=True))
+        else:
+            low, high = np.array(self.bounds).reshape(2, 2).T
+        scale = np.array([
+            b - a for a, b in surface.domain
+        ]) / (np.array(surface.growth(1.0)) * (high - low))  # fmt: skip
+        farthest = 0.0
+        for edge in _parts(self.shape, TopAbs_ShapeEnum.TopAbs_EDGE):
+            curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape)
+            places = np.linspace(curve.FirstParameter(), curve.LastParameter(), EDGE_POINTS)
+            uv = np.array([(p.X(), p.Y()) for p in (curve.Value(t) for t in places.tolist())])
+            inside = np.min(np.minimum(uv - low, high - uv) * scale, axis=1)
+            farthest = max(farthest, float(inside.max()))
+        return farthest
+
+
+def _parts(shape: Any, kind: Any) -> list[Any]:
+    """List the parts of a kind of a TopoDS shape."""
+    from OCP.TopExp import TopExp_Explorer
+
+    found, explorer = [], TopExp_Explorer(shape, kind)
+    while explorer.More():
+        found.append(explorer.Current())
+        explorer.Next()
+    return found
+
+
+def _vector(one: Any) -> FloatArray:
+    """Return a point or a direction of OpenCASCADE as an array, shape (3,) [mm or 1]."""
+    return np.array([one.X(), one.Y(), one.Z()])
+
+
+def _patch(geometry: Any, flip: bool) -> Surface:
+    """Make our surface of a Geom_BSplineSurface; a direction of degree 1 is raised to 2."""
+    spline = geometry.Copy()
+    if spline.IsUPeriodic():
+        spline.SetUNotPeriodic()
+    if spline.IsVPeriodic():
+        spline.SetVNotPeriodic()
+    rows, columns = range(1, spline.NbUPoles() + 1), range(1, spline.NbVPoles() + 1)
+    points = np.array([[_vector(spline.Pole(i, j)) for j in columns] for i in rows]) * MM
+    weights = np.array([[spline.Weight(i, j) for j in columns] for i in rows])
+    net = np.concatenate([points * weights[..., None], weights[..., None]], axis=2)
+    knots = [
+        np.repeat([value(k) for k in numbers], [count(k) for k in numbers])
+        for value, count, numbers in (
+            (spline.UKnot, spline.UMultiplicity, range(1, spline.NbUKnots() + 1)),
+            (spline.VKnot, spline.VMultiplicity, range(1, spline.NbVKnots() + 1)),
+        )
+    ]
+    degree = [spline.UDegree(), spline.VDegree()]
+    for axis in (0, 1):
+        if degree[axis] == 1 and net.shape[axis] == 2:  # a straight line is a parabola too
+            net = np.insert(net, 1, net.mean(axis=axis), axis=axis)
+            degree[axis], knots[axis] = 2, np.repeat(knots[axis][1:3], 3)
+    points, weights = net[..., :3] / net[..., 3:], net[..., 3]
+    both, degrees = (knots[0], knots[1]), (degree[0], degree[1])
+    if np.ptp(weights) == 0.0:
+        return BSplineSurface(both, points, degrees, flip)
+    return RationalSurface(both, points, weights, degrees, flip)
+
+
+def extent(surface: Surface) -> str:
+    """Return the lengths of the middle lines of a surface as text."""
+    s = surface.at(*surface.grid(101, 101)).position
+    along = norm(np.diff(s[:, 50], axis=0)).sum(), norm(np.diff(s[50], axis=0)).sum()
+    return f'{along[0] / MM:.4g} x {along[1] / MM:.4g} mm'
+
 
 #: What to do where the optional package is missing.
 INSTALL = 'reading STEP needs OpenCASCADE: pip install cadquery-ocp-novtk'

@@ -17,8 +17,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cnc_interp.cam.step_file import read_step_part
-from cnc_interp.cam.step_part import Part
+from cnc_interp.cam.step_file import Part, read_step_part
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.core.bounded_memory import BoundedMemory
 

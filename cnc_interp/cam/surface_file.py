@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Plane, Torus
 from cnc_interp.cam.spline_surfaces import BSplineSurface
-from cnc_interp.cam.step_part import Part
+from cnc_interp.cam.step_file import Part
 from cnc_interp.cam.step_process import read_step_safely
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface import Placed, Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.small_files import UnreadableError, read_json
 from cnc_interp.core.units import DEG, MM

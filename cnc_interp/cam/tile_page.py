@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.cam.height_figures import CLASS, Figures
-from cnc_interp.cam.height_store import TILE, HeightStore
+from cnc_interp.cam.heights import CLASS, TILE, Figures, HeightStore
 from cnc_interp.cam.needles import NeedleGrid
 from cnc_interp.cam.summary import heights_in_words
 from cnc_interp.cam.vectors import norm

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.height_figures import CLASS, Figures
-from cnc_interp.cam.height_store import HeightStore
+from cnc_interp.cam.heights import CLASS, Figures, HeightStore
 from cnc_interp.cam.needle_tiles import TileCutter, TileProgress, TileWorkers
-from cnc_interp.cam.needles import NeedleGrid
+from cnc_interp.cam.needles import NeedleGrid, Sweep
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import ridges_of
 from cnc_interp.cam.surface import SAMPLES, Surface
-from cnc_interp.cam.sweep import Sweep
 from cnc_interp.cam.tile_page import TilePage
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar

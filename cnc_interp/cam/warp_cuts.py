@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam import needle_cuts
-from cnc_interp.cam.sweep import Sweep
+from cnc_interp.cam.needles import Sweep
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 

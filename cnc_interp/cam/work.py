@@ -14,15 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop import IsoScallopPaths, iso_scallop_paths
-from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.machined_face import MachinedFace, cut_back
 from cnc_interp.cam.nbuffer import Heights, cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.pole_turn import pole_turn
-from cnc_interp.cam.program_text import write_tool_path
 from cnc_interp.cam.simulation import (
     Motion,
     Section,
@@ -32,12 +29,12 @@ from cnc_interp.cam.simulation import (
     programmed,
 )
 from cnc_interp.cam.spline_pass import Strips
-from cnc_interp.cam.step_part import Part
+from cnc_interp.cam.step_file import Part
 from cnc_interp.cam.summary import describe, face_facts, facts_of, heights_in_words, results
-from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
+from cnc_interp.cam.surface import SAMPLES, Placed, Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
-from cnc_interp.cam.tool_path import UPRIGHT, LinkOptions, link
+from cnc_interp.cam.tool_path import UPRIGHT, LinkOptions, link, write_tool_path
 from cnc_interp.cam.vectors import cross, norm, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.progress_bar import ProgressBar
@@ -101,7 +98,7 @@ def make_program(options: argparse.Namespace) -> int:
     figures = _drawn(faces, motions, cutter, summary, options)
     (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     text = describe(summary)
-    from cnc_interp.cam.page import page
+    from cnc_interp.cam.program_page import page
 
     (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
@@ -238,7 +235,7 @@ def simulate_motion(options: argparse.Namespace) -> int:
     heights, section = _cut(surface, cutter, motion, normal, options)
     summary = {motion.name: results(heights, section)}
     if options.out:
-        from cnc_interp.cam.page import page
+        from cnc_interp.cam.program_page import page
 
         figures = _height_figures(motion, heights, section, options.scallop * UM)
         text = page(str(options.motion), describe(summary), figures)
@@ -281,7 +278,7 @@ def _cut(
 
 
 def _path_figures(paths: Strips) -> list[tuple[str, str, Any]]:
-    from cnc_interp.cam.page import path_figure, tilt_figure
+    from cnc_interp.cam.program_page import path_figure, tilt_figure
 
     figures = [('Passes', 'Contact lines and tool axes.', path_figure(paths))]
     if isinstance(paths, IsoScallopPaths):
@@ -292,7 +289,7 @@ def _path_figures(paths: Strips) -> list[tuple[str, str, Any]]:
 def _height_figures(
     motion: Motion, heights: Heights, section: Section, scallop: float
 ) -> list[tuple[str, str, Any]]:
-    from cnc_interp.cam.page import map_figure, section_figure
+    from cnc_interp.cam.program_page import map_figure, section_figure
 
     words = heights_in_words(results(heights, section))
     return [

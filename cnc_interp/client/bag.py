@@ -41,7 +41,7 @@ from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.message_seal import opened
+from cnc_interp.nodes.streams import opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {

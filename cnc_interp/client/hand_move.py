@@ -18,8 +18,7 @@ from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
-from cnc_interp.machine_model.axes import Axis, place_text
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Axis, Machine, place_text
 
 #: Longest wait for the nodes [s].
 PATIENCE = 10.0

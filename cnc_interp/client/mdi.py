@@ -11,8 +11,7 @@ from cnc_interp.client.hand_move import await_machine
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.units import MM_PER_MIN
-from cnc_interp.machine_model.axes import place_text
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Machine, place_text
 
 #: Unit of the feedrate with G95, as it is shown [m].
 PER_TURN = 1e-3

@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp.client.bag import Bag
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 
 
 @dataclass(frozen=True)

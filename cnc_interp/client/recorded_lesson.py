@@ -12,8 +12,15 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_feedback import RecordedFeedback, recorded_feedback
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.compensation import Compensation, compensated_model
-from cnc_interp.drives.learning import learnt_rates, measured_error, start_of, with_hold
-from cnc_interp.drives.learnt_motion import LearntMotion, hash_of, learnt_for
+from cnc_interp.drives.learning import (
+    LearntMotion,
+    hash_of,
+    learnt_for,
+    learnt_rates,
+    measured_error,
+    start_of,
+    with_hold,
+)
 from cnc_interp.machine_model.machine import Machine
 
 #: States of a run that goes on without a stop.

@@ -28,7 +28,7 @@ from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
 
 #: Segments taken over together.

@@ -34,7 +34,7 @@ from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
 
 #: Topics that are published again. The streams are left out: a live machine would follow them.

@@ -16,7 +16,7 @@ from cnc_interp.core.differences import excesses
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
-from cnc_interp.machine_model.axes import error_text
+from cnc_interp.machine_model.machine import error_text
 from cnc_interp.processes.node_processes import Children, load_nodes
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.command_line import settings_from

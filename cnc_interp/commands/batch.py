@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import FAILED, FINE, command, count, positive
+from cnc_interp.commands.options import FAILED, FINE, command, count, positive
 from cnc_interp.core.units import HOUR, MINUTE
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings, settings_from
@@ -64,13 +64,10 @@ def batch_command(options: argparse.Namespace) -> int:
     """Plan and prove programs; write the tables and the page."""
     import json
 
-    from cnc_interp.batch.jobs import Jobs
-    from cnc_interp.batch.page import write_page
-    from cnc_interp.batch.run import Progress, run_batch
-    from cnc_interp.batch.store import Store
+    from cnc_interp.batch.batch_page import write_page
+    from cnc_interp.batch.run import Progress, Store, run_batch, workers_of
     from cnc_interp.batch.table import write_tables
-    from cnc_interp.batch.task import Verdict
-    from cnc_interp.batch.workers import workers_of
+    from cnc_interp.batch.task import Jobs, Verdict
     from cnc_interp.core.progress_bar import ProgressBar
 
     plans = options.out / 'plans' if options.keep_plans else None
@@ -103,3 +100,48 @@ def batch_command(options: argparse.Namespace) -> int:
         print(f'page           {options.out / "batch.html"}')
         print(f'tables         {", ".join(str(file) for file in files)}')
     return FINE if counts[Verdict.PROVEN] == len(results) else FAILED
+
+
+def add_cluster_command(commands: Any) -> None:
+    """Declare `cluster`."""
+    cluster = command(
+        commands, 'cluster', cluster_command,
+        'plan batches on several computers: a scheduler and workers, or further workers',
+        'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
+        'tcp://192.168.1.10:8786',
+    )  # fmt: skip
+    cluster.add_argument(
+        '--join', metavar='ADDRESS', help='work for the scheduler there, start none here'
+    )
+    cluster.add_argument(
+        '--workers', type=int, default=len(os.sched_getaffinity(0)), metavar='N',
+        help='programs that are planned here at the same time, 0: a scheduler only (one for '
+        'each processor)',
+    )  # fmt: skip
+    cluster.add_argument(
+        '--host', default='127.0.0.1',
+        help='address of the scheduler; whoever reaches it can run any code here (127.0.0.1)',
+    )  # fmt: skip
+    cluster.add_argument('--port', type=int, default=8786, help='its port, 0 for any (8786)')
+    cluster.add_argument(
+        '--dashboard', type=int, default=8787, metavar='PORT', help='port of its page (8787)'
+    )
+
+
+def cluster_command(options: argparse.Namespace) -> int:
+    """Be a part of a cluster until the process is interrupted."""
+    from cnc_interp.batch.run import dask_workers
+    from cnc_interp.core.errors import InterpError
+
+    if options.workers < (1 if options.join else 0):
+        raise InterpError('--workers must be 1 or more')
+    cluster = dask_workers()
+
+    def say(text: str) -> None:
+        print(text, flush=True)
+
+    if options.join:
+        cluster.join(options.join, options.workers, say)
+    else:
+        cluster.serve(options.host, options.port, options.dashboard, options.workers, say)
+    return FINE

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import FINE, command, number, program_options, tell
+from cnc_interp.commands.options import FINE, command, number, program_options, tell
 from cnc_interp.core.units import MM
 from cnc_interp.settings.command_line import settings_from
 
@@ -34,7 +34,7 @@ def add_convert_command(commands: Any) -> None:
 
 def convert_command(options: argparse.Namespace) -> int:
     """Write a program in another dialect."""
-    from cnc_interp.convert import convert
+    from cnc_interp.convert.dialects import convert
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform import Transform
     from cnc_interp.program import read_program
@@ -52,4 +52,28 @@ def convert_command(options: argparse.Namespace) -> int:
         options.out.write_text(made.text, encoding='utf-8')
         print(f'program        {options.out}')
     tell(made.notes)
+    return FINE
+
+
+def add_urdf_command(commands: Any) -> None:
+    """Declare `urdf`."""
+    urdf = command(
+        commands, 'urdf', urdf_command,
+        'write a machine as URDF, for robot_state_publisher, RViz and Foxglove',
+        'cnc-interp urdf xyzac --out xyzac.urdf',
+    )  # fmt: skip
+    urdf.add_argument('machine', metavar='M', help='bundled machine or YAML file')
+    urdf.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
+
+
+def urdf_command(options: argparse.Namespace) -> int:
+    """Write a machine as URDF."""
+    from cnc_interp.description.urdf import urdf_of
+    from cnc_interp.machine_model.machine import Machine
+
+    text = urdf_of(Machine.load(options.machine))
+    if options.out is None:
+        print(text, end='')
+    else:
+        options.out.write_text(text, encoding='utf-8')
     return FINE

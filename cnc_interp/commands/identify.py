@@ -6,8 +6,9 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import FINE, command, machine_option
+from cnc_interp.commands.options import FINE, command, machine_option
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import UM
 
 
 def add_identify_commands(commands: Any) -> None:
@@ -37,7 +38,7 @@ def add_identify_commands(commands: Any) -> None:
 
 def excite_command(options: Namespace) -> int:
     """Write the program that excites all axes."""
-    from cnc_interp.machine.excitation import excitation
+    from cnc_interp.drives.excitation import excitation
     from cnc_interp.machine_model.machine import Machine
 
     options.out.write_text(excitation(Machine.load(options.machine)), encoding='utf-8')
@@ -48,8 +49,7 @@ def identify_command(options: Namespace) -> int:
     """Fit the drives of a recorded run."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_feedback import recorded_feedback
-    from cnc_interp.machine.identification import identify_axis
-    from cnc_interp.machine_model.drive_text import with_drives
+    from cnc_interp.drives.identification import identify_axis, with_drives
     from cnc_interp.machine_model.machine import Machine, find_machine_file
     from cnc_interp.report.identified import identified_lines, write_identified
 
@@ -87,4 +87,36 @@ def identify_command(options: Namespace) -> int:
     write_identified(machine, found, run.period, page)
     print(f'machine file   {options.out}')
     print(f'page           {page}')
+    return FINE
+
+
+def add_learn_command(commands: Any) -> None:
+    """Declare `learn`."""
+    learn = command(
+        commands, 'learn', learn_command,
+        'learn from a recorded, compensated run how to follow the same program better',
+        'cnc-interp learn out/bag --out out/learnt.npz',
+    )  # fmt: skip
+    learn.add_argument(
+        'bag', type=Path, metavar='BAG', help='bag of a run with --compensate, with its feedback'
+    )
+    learn.add_argument(
+        '--out', type=Path, required=True, metavar='FILE',
+        help='file to write, for `run PROGRAM --compensate MODEL --learnt FILE`',
+    )  # fmt: skip
+
+
+def learn_command(options: Namespace) -> int:
+    """Learn from a recorded run."""
+    from cnc_interp.client.bag import Bag
+    from cnc_interp.client.recorded_lesson import recorded_lesson
+
+    with Bag(options.bag) as bag:
+        lesson = recorded_lesson(bag)
+    lesson.motion.save(options.out)
+    print('run   tip, largest   tip, mean')
+    for number, (largest, mean) in enumerate(lesson.motion.error / UM, 1):
+        print(f'{number:3d}   {largest:9.1f} um   {mean:6.2f} um')
+    print(f'runs learnt    {len(lesson.motion.error)}')
+    print(f'written        {options.out}')
     return FINE

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import (
+from cnc_interp.commands.options import (
     FAILED,
     FINE,
     command,
@@ -17,7 +17,6 @@ from cnc_interp.command_options import (
     page_options,
     program_options,
 )
-from cnc_interp.processes.process_start import process_start
 
 
 def add_run_command(commands: Any) -> None:
@@ -74,7 +73,7 @@ def add_panel_command(commands: Any) -> None:
 
 def run_command(options: argparse.Namespace) -> int:
     """Stream one or more programs through the nodes."""
-    from cnc_interp.processes.node_processes import load_nodes
+    from cnc_interp.processes.node_processes import load_nodes, process_start
 
     load_nodes()  # in another process, while this one imports the rest
     from cnc_interp.client.session import RunRequest, run_session

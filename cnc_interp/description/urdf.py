@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from cnc_interp.description.links import Description, Joint, describe_machine
-from cnc_interp.description.shapes import Shape
+from cnc_interp.description.links import Description, Joint, Shape, describe_machine
 from cnc_interp.machine_model.machine import Machine
 
 HEADER = '<?xml version="1.0"?>\n'

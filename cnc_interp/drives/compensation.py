@@ -31,8 +31,7 @@ from numba import carray, cfunc, njit, types
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.native import call_drives, pointer
-from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
-from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
 #: Setpoints to each side of the one that is sent: time [s], and their least number.

@@ -26,8 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
-from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
 #: Terms of the series: 1, s, s^2.

@@ -24,9 +24,12 @@ from cnc_interp.drives.compensation import (
     Compensation,
     compensate_once,
 )
-from cnc_interp.drives.learnt_motion import LearntMotion
+from cnc_interp.drives.drive_model import follow_all, lag_of, words_of
+from cnc_interp.drives.learning import LearntMotion
+from cnc_interp.machine.axis_motion import ContourErrors
 from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 
 class CompensatedDrives:
@@ -82,3 +85,42 @@ class CompensatedDrives:
     def fault(self, number: int) -> str:
         """Say what a fault number of the drives means."""
         return self._inner.fault(number)
+
+
+class Uncompensated:
+    """
+    Drives of a model beside those of the machine, which get the setpoints as they are.
+
+    Parameters
+    ----------
+    period : float
+        Interpolation period [s].
+    position : ndarray, shape (n_axes,)
+        Where the axes stand [m, rad].
+
+    """
+
+    def __init__(self, model: Machine, period: float, position: FloatArray):
+        self._words = words_of(model, period, position)
+        self._transform = Transform.of(model)
+        at_rest = self._transform.forward(position[None, :])[0]
+        self._contour = ContourErrors(period, lag_of(model), at_rest[0])
+
+    def contour_errors(self, positions: FloatArray, velocities: FloatArray) -> FloatArray:
+        """
+        Take the next setpoints; return the distances of the tip from the commanded path.
+
+        Parameters
+        ----------
+        positions, velocities : ndarray, shape (K, n_axes)
+            Setpoints [m, rad, per s].
+
+        Returns
+        -------
+        ndarray, shape (K,)
+            Distances from the path of the commanded tips, those of a few periods before [m].
+
+        """
+        x, _ = follow_all(self._words, positions, velocities)
+        commanded, tips = (self._transform.forward(at)[0] for at in (positions, x))
+        return self._contour.push(commanded, tips)

@@ -13,6 +13,7 @@ Each ring has one writer and one reader.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from typing import NamedTuple
@@ -46,7 +47,7 @@ from cnc_interp.machine.cycle_kernels import (
     advance,
     run_periods,
 )
-from cnc_interp.machine.realtime import RECORD, Lateness
+from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
 from cnc_interp.run.chunk import Chunk
 
 #: Time for which records are kept until they are read [s]; longer than any buffer and stop tail.
@@ -213,3 +214,30 @@ class Cycle:
     def forget_lateness(self) -> None:
         """Reset the figures of the clock."""
         self._control[FORGET] += 1
+
+
+class MachineClock:
+    """Runs the cycle in a thread of its own, which never needs the interpreter."""
+
+    def __init__(self, cycle: Cycle, priority: int):
+        self._cycle, self._priority = cycle, priority
+        self._thread: threading.Thread | None = None
+        #: How the thread is scheduled; empty before the start.
+        self.scheduling = ''
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._cycle.quit(False)
+        self._thread = threading.Thread(target=self._run, name='drives', daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread, if it runs."""
+        self._cycle.quit()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _run(self) -> None:
+        self.scheduling = ask_for_priority(self._priority)
+        self._cycle.run()

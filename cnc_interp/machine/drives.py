@@ -3,9 +3,10 @@ The port to the drives: what a drive must be able to do. The rest of the machine
 
 Drives come in two kinds. ``CycleDrives`` bring a compiled step, which the cycle of the machine
 calls itself: nothing of Python lies between clock and drive. ``DelayedDrives`` are told in Python
-what the cycle has played, some milliseconds later, and execute it after a delay. ``simulated.py``
-and ``hal.py`` have drives of the first kind, ``trajectory_drives.py`` those of the second. The
-buffer, the cycle and the states do not know which drives there are.
+what the cycle has played, some milliseconds later, and execute it after a delay.
+``simulated_drives.py`` and ``hal_drives.py`` have drives of the first kind,
+``trajectory_drives.py`` those of the second. The buffer, the cycle and the states do
+not know which drives there are.
 """
 
 from __future__ import annotations

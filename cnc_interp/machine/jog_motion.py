@@ -22,8 +22,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.tool_line import tool_line
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, tool_line
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
-from cnc_interp.machine.axis_motion import AxisMotion
+from cnc_interp.machine.axis_motion import AxisMotion, refuse_setpoints
 from cnc_interp.machine.buffer import Buffer, BufferedChunk, Rows
 from cnc_interp.machine.cycle import Cycle, Records
 from cnc_interp.machine.cycle_kernels import (
@@ -34,7 +34,6 @@ from cnc_interp.machine.cycle_kernels import (
     follow_ideally,
 )
 from cnc_interp.machine.drives import AxisRows, CycleDrives, DelayedDrives, DriveFaultError, Drives
-from cnc_interp.machine.setpoint_checks import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -267,3 +268,31 @@ def rotated(u: FloatArray, angle: FloatArray, v: FloatArray) -> FloatArray:
     """Rotate vectors, shape (n, 3), about a unit axis by angles, shape (n,) [rad]."""
     s, c = np.sin(angle)[:, None], np.cos(angle)[:, None]
     return np.asarray(v * c + np.cross(u, v) * s + u * ((v @ u)[:, None] * (1.0 - c)))
+
+
+#: Smaller components of the tool's direction are rounding [-].
+NO_PART = 1e-12
+
+
+class ToolLine(NamedTuple):
+    """Axis positions ``q + x direction`` move the tip by x along the tool axis."""
+
+    direction: FloatArray  #: (n_axes,): Direction in the axes, away from the workpiece [-].
+    travel: FloatArray  #: (2,): Range of x within the travel of the axes [m].
+
+
+def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
+    """
+    Return the line along the tool through axis positions, shape (n_axes,) [m, rad].
+
+    The tip is an affine function of X Y Z, so its differences over 1 m are exact.
+    """
+    n = len(stands)
+    tip, axis = transform.forward(stands + np.eye(4, n, -1))
+    direction = np.zeros(n)
+    direction[:3] = np.linalg.solve((tip[1:] - tip[0]).T, axis[0])
+    direction[np.abs(direction) < NO_PART] = 0.0
+    moves = direction != 0.0
+    ends = (transform.machine.travel[moves] - stands[moves, None]) / direction[moves, None]
+    ends = np.sort(ends, axis=1)
+    return ToolLine(direction, np.array([ends[:, 0].max(), ends[:, 1].min()]))

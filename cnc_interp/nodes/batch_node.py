@@ -15,13 +15,11 @@ from cnc_interp_msgs.action import PlanBatch
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
-from cnc_interp.batch.jobs import Jobs
-from cnc_interp.batch.page import write_page
+from cnc_interp.batch.batch_page import write_page
 from cnc_interp.batch.processes import Processes, total_memory
-from cnc_interp.batch.run import Progress, run_batch
-from cnc_interp.batch.store import Store
+from cnc_interp.batch.run import Progress, Store, run_batch
 from cnc_interp.batch.table import write_tables
-from cnc_interp.batch.task import Verdict
+from cnc_interp.batch.task import Jobs, Verdict
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters

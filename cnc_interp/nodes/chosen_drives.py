@@ -9,10 +9,10 @@ import numpy as np
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.compensation import compensated_model
-from cnc_interp.drives.learnt_motion import LearntMotion, learnt_for
+from cnc_interp.drives.learning import LearntMotion, learnt_for
 from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.drives import CycleDrives, Drives
-from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOptions
 from cnc_interp.machine_model.machine import Machine
 
@@ -31,7 +31,7 @@ def chosen_drives(node: Any, values: dict[str, Any], machine: Machine, period: f
     refuse_switches(machine)
     errors = values['following_error_limit'], values['following_angle_limit']
     if kind == 'hal':
-        from cnc_interp.machine.hal import HalDrives, HalOptions
+        from cnc_interp.machine.hal_drives import HalDrives, HalOptions
 
         return HalDrives(machine, period, HalOptions(values['hal_depth'], *errors))
     from cnc_interp.nodes.controller_link import ControllerLink

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from importlib import import_module
 from operator import attrgetter
+from threading import Thread
 from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, PathSegment, PathSegmentBatch, SetpointChunk
@@ -22,19 +26,16 @@ from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.controls import OperatorInputs
 from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
-from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
-from cnc_interp.nodes.operator_settings import OperatorInputs
-from cnc_interp.nodes.pace import Pace
+from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
 from cnc_interp.nodes.peers import SenderWatch
-from cnc_interp.nodes.planning_thread import PlanningThread
 from cnc_interp.nodes.qos import SETPOINTS, STATE
-from cnc_interp.nodes.stream_inlet import Inlet
-from cnc_interp.nodes.stream_outlet import Outlet
+from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import Activity, ChunkSender, PlanningSession, Received
+from cnc_interp.run.planning_session import Activity, ChunkSender, PlanningSession, Received, Task
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.smoothing.segments import PathSegments
@@ -42,8 +43,52 @@ from cnc_interp.wire.chunk_messages import chunk_message
 from cnc_interp.wire.machine_report import machine_report
 from cnc_interp.wire.message_checks import check_segment
 from cnc_interp.wire.path_messages import segments_from
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
+
+#: Longest time that the sending thread waits for the planning thread [s].
+SWITCH = 5e-4
+
+
+class PlanningThread:
+    """A thread that does one task after another, and the task submitted last."""
+
+    def __init__(self) -> None:
+        sys.setswitchinterval(SWITCH)
+        self.longest = 0.0  # time of the longest task since the last reading [s]
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
+        self._job: tuple[Task, Future[Any], float] | None = None
+        self._loads_rest = False
+
+    def load_rest(self) -> None:
+        """
+        Import toppra in a thread of its own, unless that has begun.
+
+        It takes a third of a second and is needed where a window is tried again. To be called when
+        the machine moves, so that the first motion does not wait for it.
+        """
+        if not self._loads_rest:
+            self._loads_rest = True
+            rest = 'cnc_interp.feedrate.time_bound'
+            Thread(target=import_module, args=[rest], daemon=True).start()
+
+    def submit(self, task: Task) -> None:
+        """Submit a task, which is done after those submitted before."""
+        self._job = task, self._executor.submit(task.work), time.monotonic()
+
+    def done(self) -> tuple[Task, Callable[[], Any]] | None:
+        """Return the last task and its outcome once; None while it is under way."""
+        if self._job is None or not self._job[1].done():
+            return None
+        task, future, submitted = self._job
+        self._job = None
+        self.longest = max(self.longest, time.monotonic() - submitted)
+        return task, future.result
+
+    def close(self) -> None:
+        """Start no further task."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
 
 #: Time between checks of the planning thread [s].
 WORK_PERIOD = 0.005

@@ -22,7 +22,7 @@ from cnc_interp.feedrate.window import FeedPlanner, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine.playback import Playback
-from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

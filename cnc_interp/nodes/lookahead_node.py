@@ -14,11 +14,9 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_lookahead
-from cnc_interp.nodes.node_main import run_node
-from cnc_interp.nodes.pace import Pace
+from cnc_interp.nodes.node_main import Pace, run_node
 from cnc_interp.nodes.peers import SenderWatch
-from cnc_interp.nodes.stream_inlet import Inlet
-from cnc_interp.nodes.stream_outlet import Outlet
+from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.path_messages import blocks_of

@@ -11,28 +11,24 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.machine.cycle import MachineClock
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.chosen_drives import chosen_drives
-from cnc_interp.nodes.controls import Controls
+from cnc_interp.nodes.controls import Controls, JogCommands, Overrides
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from cnc_interp.nodes.jog_commands import JogCommands
 from cnc_interp.nodes.kernel_warmup import warm_machine
-from cnc_interp.nodes.machine_clock import MachineClock
 from cnc_interp.nodes.machine_reports import MachineReports
-from cnc_interp.nodes.node_main import run_node, start_lifecycle, transition
-from cnc_interp.nodes.overrides import Overrides
-from cnc_interp.nodes.pace import Pace
-from cnc_interp.nodes.stream_inlet import Inlet
+from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
+from cnc_interp.nodes.streams import Inlet
 from cnc_interp.run.chunk import Chunk
 from cnc_interp.run.run_planner import JOIN_RESERVE
 from cnc_interp.run.run_state import State
-from cnc_interp.wire.chunk_messages import chunk_from
-from cnc_interp.wire.join_gate import JoinGate
+from cnc_interp.wire.chunk_messages import JoinGate, chunk_from
 from cnc_interp.wire.message_checks import check_chunk
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Time between two looks at what was played, while something is under way [s].

@@ -11,12 +11,12 @@ import numpy as np
 from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
+from cnc_interp.machine.compensated_drives import Uncompensated
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
-from cnc_interp.machine.uncompensated import Uncompensated
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
-from cnc_interp.nodes.overrides import Overrides
 from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from cnc_interp.convert import with_poses
+from cnc_interp.convert.dialects import with_poses
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

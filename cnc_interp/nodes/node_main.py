@@ -119,3 +119,35 @@ def start_lifecycle(node: Any) -> None:
     if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
         raise InterpError(f'{node.get_name()} cannot be configured: {node.problem}')
     node.trigger_activate()
+
+
+#: Time between two calls at rest [s].
+REST = 0.05
+#: Time after the last need for work until the node rests [s].
+CALM = 1.0
+
+
+class Pace:
+    """Calls the work of a node at intervals."""
+
+    def __init__(self, node: Any, period: float, work: Callable[[], bool]):
+        self._work, self._period, self._needed = work, period, time.monotonic()
+        self._slow = False
+        self._timer = node.create_timer(period, self._call)
+
+    def wake(self) -> None:
+        """Work at the short intervals from now on; to be called with every command or message."""
+        self._needed = time.monotonic()
+        if self._slow:
+            self._set(False)
+
+    def _call(self) -> None:
+        if self._work():
+            self.wake()
+        elif not self._slow and time.monotonic() - self._needed > CALM:
+            self._set(True)
+
+    def _set(self, slow: bool) -> None:
+        self._slow = slow
+        self._timer.timer_period_ns = round((REST if slow else self._period) * 1e9)
+        self._timer.reset()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core.errors import BlockError, InterpError, ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.active_modes import ModesOfBlocks
@@ -20,6 +21,7 @@ from cnc_interp.program.source import Source
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
+from cnc_interp.run.run_phase import Code, Outcome
 from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
@@ -190,3 +192,45 @@ def checked(part: PathPart, tolerances: ToleranceUse, length: float) -> float:
     """Check the tolerances of a further part of the path; return the length so far [m]."""
     tolerances.require(part.segments)
     return length if part.path is None else float(part.path.s[-1])
+
+
+class Preparation:
+    """The check of a program in a thread, and its result."""
+
+    def __init__(self) -> None:
+        self.future: Future[Prepared] | None = None
+        self.prepared: Prepared | None = None
+        self.checked = 0.0  # share of the text that is read and checked
+        self.cancelled = False
+
+    def has_checked(self, share: float) -> None:
+        """Record the progress of the check, or end it if the user has cancelled."""
+        self.checked = share
+        if self.cancelled:
+            raise BlockError('cancelled before anything moved')
+
+    def look(self) -> Outcome | None:
+        """Return the outcome if the program was refused; store it when it is checked."""
+        if self.prepared is not None or self.future is None or not self.future.done():
+            return None
+        try:
+            self.prepared = self.future.result()
+        except ProgramError as problem:
+            return Outcome(Code.BAD_PROGRAM, str(problem))
+        except Exception as problem:
+            known = isinstance(problem, InterpError)
+            text = str(problem) if known else f'{type(problem).__name__}: {problem}'
+            return Outcome(Code.CANCELED if self.cancelled else Code.REFUSED, text)
+        return None
+
+    def again(self, future: Future[Prepared]) -> None:
+        """Drop the result and wait for another check."""
+        if self.prepared is not None:
+            self.prepared.blocks.close()
+        self.prepared, self.future, self.checked = None, future, 0.0
+
+    def close(self) -> None:
+        """Drop the program and end a check that is under way."""
+        self.cancelled = True
+        if self.prepared is not None:
+            self.prepared.blocks.close()

@@ -18,20 +18,17 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.active_modes import ActiveModesTopic
-from cnc_interp.nodes.block_feed import BlockFeed
 from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
-from cnc_interp.nodes.mdi import Mdi
-from cnc_interp.nodes.node_main import run_node
-from cnc_interp.nodes.pace import Pace
+from cnc_interp.nodes.mdi_lines import ActiveModesTopic, Mdi
+from cnc_interp.nodes.node_main import Pace, run_node
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Prepared, prepare
 from cnc_interp.nodes.program_queue import ProgramQueue, answer
-from cnc_interp.nodes.program_run import ProgramRun
+from cnc_interp.nodes.program_run import BlockFeed, ProgramRun
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.nodes.setup_services import SetupServices
-from cnc_interp.nodes.stream_outlet import Outlet
+from cnc_interp.nodes.streams import Outlet
 from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
 from cnc_interp.wire.run_messages import add_executed, run_feedback

@@ -9,21 +9,22 @@ from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import LoadedProgram
+from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import Refusal
+from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
-from cnc_interp.nodes.preparation import Preparation
-from cnc_interp.nodes.program_check import Prepared
+from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.program import JobSetup
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.machine_report import LossRecovery, MachineReport
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, Step, refused
 from cnc_interp.run.run_state import State
+from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_messages import run_result
-from cnc_interp.wire.settings_messages import loaded_program
+from cnc_interp.wire.settings_messages import loaded_program, pairs_of
+from cnc_interp.wire.window_protocol import WindowedSender
 
 #: How long look-ahead and planner may take to accept a run when all nodes answer [s].
 PATIENCE = 10.0
@@ -263,3 +264,54 @@ class ProgramRun:
         program = self.preparation.prepared
         notices = program.notices if program is not None else ()
         return run_result(outcome, self.run_id.program_id, notices)
+
+
+#: Blocks queued for sending at a time; not the whole program.
+MOST_QUEUED = 512
+#: Most blocks in one message.
+MOST_TOGETHER = 64
+
+
+class BlockFeed:
+    """Queue the rows of one program after the other, and make their messages."""
+
+    def __init__(self) -> None:
+        self._prepared: Prepared | None = None
+        self._run_id, self._continue_at = NO_RUN, 0.0
+        self._queued = 0
+
+    def begin(
+        self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[slice]
+    ) -> None:
+        """Begin a run, or begin it again."""
+        self._prepared, self._run_id, self._continue_at = prepared, run_id, continue_at
+        self._queued = 0
+        sender.begin(run_id)
+
+    def fill(self, sender: WindowedSender[slice]) -> None:
+        """Queue the next rows."""
+        rows = 0 if self._prepared is None else len(self._prepared.blocks)
+        while self._queued < rows and sender.unsent < MOST_QUEUED:
+            after = min(self._queued + MOST_TOGETHER, rows)
+            sender.put(slice(self._queued, after), after - self._queued)
+            self._queued = after
+
+    def end(self, sender: WindowedSender[slice]) -> None:
+        """Stop sending blocks of the run."""
+        self._prepared = None
+        sender.begin(NO_RUN)
+
+    def message(self, rows: slice, first: int) -> G1BlockBatch:
+        """Make the message of some rows; ``first`` is their number in the stream, too."""
+        prepared = self._prepared
+        if prepared is None:
+            raise StreamError('a block was asked for after its run')
+        blocks = prepared.blocks
+        made = block_messages(
+            prepared[rows], self._run_id, first, prepared.settings.flank_height,
+            end=rows.stop == len(blocks),
+        )  # fmt: skip
+        if first == 0:
+            made[0].continue_at = self._continue_at
+            made[0].settings = pairs_of(prepared.settings)
+        return G1BlockBatch(blocks=made)

@@ -22,7 +22,7 @@ from cnc_interp.program.setup_requests import (
     values_by_axis,
 )
 from cnc_interp.program.setup_table import SetupTable
-from cnc_interp.wire.setup_messages import setup_table
+from cnc_interp.wire.run_messages import setup_table
 
 #: The machine's last word on its axes must not be older than this for a touch-off [s].
 FRESH = 1.0

@@ -23,8 +23,7 @@ from nicegui import events, ui
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.core.units import MM
 from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
-from cnc_interp.machine_model.axes import Axis
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Axis, Machine
 from cnc_interp.page.contact import act_on_shown
 
 #: Arrow keys of the keyboard: axis and direction.

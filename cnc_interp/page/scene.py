@@ -16,10 +16,11 @@ from cnc_interp.description.links import (
     BASE,
     TOOL_TIP,
     WORKPIECE,
+    Colour,
     Description,
     Joint,
+    Shape,
 )
-from cnc_interp.description.shapes import Colour, Shape
 from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import Way
 

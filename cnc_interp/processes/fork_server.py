@@ -19,7 +19,7 @@ from typing import Any
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 #: What every child needs: multiprocessing imports the command in it.
-COMMAND = 'cnc_interp.cli'
+COMMAND = 'cnc_interp.commands.cli'
 #: When the fork server is ended, in the order of multiprocessing: after all children.
 AFTER_CHILDREN = -50
 #: Where multiprocessing has its sockets.

@@ -11,9 +11,14 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import ARCSEC, UM
-from cnc_interp.machine.identification import IdentifiedAxis
-from cnc_interp.machine_model.axis_drives import ENTRIES, AxisDrive, key_and_unit
-from cnc_interp.machine_model.drive_loads import LINEAR_KEYS, ROTARY_KEYS
+from cnc_interp.drives.identification import IdentifiedAxis
+from cnc_interp.machine_model.axis_drives import (
+    ENTRIES,
+    LINEAR_KEYS,
+    ROTARY_KEYS,
+    AxisDrive,
+    key_and_unit,
+)
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.report.html import document, drawing, section
 from cnc_interp.report.plot_style import (

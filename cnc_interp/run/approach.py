@@ -12,8 +12,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_checks import check_travel
-from cnc_interp.machine_model.tool_line import ToolLine, tool_line
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import ToolLine, Transform, tool_line
 
 #: Axes nearer than this to the next point stay where they are [m, rad].
 THERE = 1e-12

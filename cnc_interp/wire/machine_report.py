@@ -7,7 +7,7 @@ from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_state import State
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 
 #: The number of each state in ``MachineState``.
 NUMBERS = {

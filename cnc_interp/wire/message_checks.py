@@ -10,7 +10,7 @@ from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import SettingsError, StreamError
-from cnc_interp.machine.setpoint_checks import refuse_setpoints
+from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE

@@ -11,7 +11,7 @@ from cnc_interp.run.run_id import RunId
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.path_messages import blocks_from, segment_messages
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 
 BATCH = 256
 """Blocks smoothed together."""

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cnc_interp.cli import BAD_INPUT, FINE, main
+from cnc_interp.commands.cli import BAD_INPUT, FINE, main
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 

@@ -20,10 +20,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from nodes_under_test import hear_ctrl_c
 
 from cnc_interp import page
-from cnc_interp.cli import main
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.operator_client import SWITCHES
 from cnc_interp.client.shared_value import SharedValue
+from cnc_interp.commands.cli import main
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

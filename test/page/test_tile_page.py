@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from browser import Browser, found
 
-from cnc_interp.cam.height_figures import Figures
-from cnc_interp.cam.height_store import TILE, HeightStore
+from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.needles import NeedleGrid, patches
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.cam.tile_page import TilePage

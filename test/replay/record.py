@@ -17,7 +17,7 @@ from relay import ARGUMENTS, SENT, Relay
 
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.message_seal import sealed
+from cnc_interp.nodes.streams import sealed
 
 HERE = Path(__file__).resolve().parent
 #: Chunks as long as they may be: fewer tails, smaller bags.

@@ -22,12 +22,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from record import PARAMETERS, record
 from rosbags.rosbag2 import Reader
 
-from cnc_interp.cli import main
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
+from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.nodes.message_seal import sealed
+from cnc_interp.nodes.streams import sealed
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.interpolator import Setpoints
 

@@ -4,10 +4,10 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.cli import main
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_feedback import recorded_feedback
 from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.commands.cli import main
 from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 

@@ -21,8 +21,9 @@ IMPORT = b'import time:'
 @pytest.mark.parametrize(
     'module',
     [
-        'numpy.core.multiarray', 'numba', 'cnc_interp.cli', 'rclpy', 'cnc_interp.client.session',
-        'cnc_interp.client.operator_client', 'cnc_interp.nodes.preload_nodes',
+        'numpy.core.multiarray', 'numba', 'cnc_interp.commands.cli', 'rclpy',
+        'cnc_interp.client.session', 'cnc_interp.client.operator_client',
+        'cnc_interp.nodes.preload_nodes',
     ],
 )  # fmt: skip
 @pytest.mark.thorough

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64
 from cnc_interp.nodes import qos
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 
 Result = RunProgram.Result
 

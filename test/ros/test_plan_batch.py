@@ -16,7 +16,7 @@ from cnc_interp_msgs.action import PlanBatch
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 
 PATIENCE = 300.0
 LINE = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X{}\nM30\n'

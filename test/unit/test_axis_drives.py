@@ -14,9 +14,8 @@ from cnc_interp.core.errors import MachineError
 from cnc_interp.core.small_files import read_yaml
 from cnc_interp.core.units import ARCSEC, MM, UM
 from cnc_interp.machine.cycle import Cycle
-from cnc_interp.machine.simulated import SimulatedDrives, simulate
-from cnc_interp.machine_model.axis_drives import AxisDrive
-from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
+from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.interpolator import Setpoints

@@ -16,14 +16,12 @@ import numpy as np
 import pytest
 
 from cnc_interp.batch import processes
-from cnc_interp.batch.jobs import Jobs, programs_of
 from cnc_interp.batch.processes import PROCESS_NAME, Loss, Processes
-from cnc_interp.batch.run import run_batch
-from cnc_interp.batch.store import Store
-from cnc_interp.batch.task import Outcome, Row, Task, Verdict
+from cnc_interp.batch.run import Store, run_batch
+from cnc_interp.batch.task import Jobs, Outcome, Row, Task, Verdict, programs_of
 from cnc_interp.batch.work import carry_out, tiny_task
-from cnc_interp.cli import main
-from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
 from cnc_interp.settings.choices import Settings
 

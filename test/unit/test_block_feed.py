@@ -10,8 +10,8 @@ from cnc_interp_msgs.msg import G1Block
 from cnc_interp.core.errors import StreamError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.nodes.block_feed import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.nodes.program_check import Prepared
+from cnc_interp.nodes.program_run import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.program import JobSetup, read_text
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.run.run_id import RunId

@@ -9,11 +9,11 @@ import pytest
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
-from cnc_interp.cam.placed import Placed
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import programmed
-from cnc_interp.cli import main
-from cnc_interp.command_options import BAD_INPUT, FINE
+from cnc_interp.cam.surface import Placed
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

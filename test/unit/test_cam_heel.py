@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.gouge import gouge_depth
+from cnc_interp.cam.gouge import finely, gouge_depth, smooth_cover
 from cnc_interp.cam.guiding import GuidingPlanes
-from cnc_interp.cam.heel import finely, smooth_cover
-from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.iso_scallop import HeelError, IsoScallopOptions, PassRecursion
 from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
-from cnc_interp.cam.pass_recursion import HeelError, PassRecursion
 from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.shapes import Bumps, Plane
 from cnc_interp.cam.spline_surfaces import BSplineSurface
@@ -91,6 +89,6 @@ def test_yaw_and_tilt_together_where_each_alone_does_not_fit(monkeypatch):
     # Yaw alone: at the tilt that was chosen the heel enters the bump.
     alone = constant_tilt(made.curve, 5 * DEG, float(yaw[0]), 25)
     assert gouge_depth(surface, alone.postures(made.curve, mill, places)).max() > 1 * UM
-    monkeypatch.setattr('cnc_interp.cam.pass_recursion.TURNS', ())
+    monkeypatch.setattr('cnc_interp.cam.iso_scallop.TURNS', ())
     with pytest.raises(HeelError, match='enters the surface'):
         recursion.closer_pass(before, -1 * MM, 2, reason)

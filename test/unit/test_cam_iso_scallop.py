@@ -7,8 +7,7 @@ from scipy.optimize import brentq
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import GuidingPlanes
-from cnc_interp.cam.iso_scallop import iso_scallop_paths
-from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.next_posture import fit_postures
 from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.scallop import scallop_points

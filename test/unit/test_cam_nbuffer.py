@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop import iso_scallop_paths
-from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.nbuffer import TOP, Heights, cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus

@@ -15,17 +15,15 @@ from tiers import few_of
 from cnc_interp.batch.processes import Ended, Loss
 from cnc_interp.cam import needle_cuts, warp_cuts
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.height_figures import Figures, deviations
-from cnc_interp.cam.height_store import KINDS, TILE, HeightStore
+from cnc_interp.cam.heights import KINDS, TILE, Figures, HeightStore, deviations
 from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part
 from cnc_interp.cam.needle_tiles import TileCutter
-from cnc_interp.cam.needles import PATCH, NeedleGrid, Needles
-from cnc_interp.cam.placed import Placed
+from cnc_interp.cam.needles import PATCH, NeedleGrid, Needles, Sweep
 from cnc_interp.cam.shapes import Bumps
-from cnc_interp.cam.sweep import Sweep
+from cnc_interp.cam.surface import Placed
 from cnc_interp.cam.tile_page import STEP, ZERO, TilePage
-from cnc_interp.cli import main
-from cnc_interp.command_options import BAD_INPUT, FINE
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import BAD_INPUT, FINE
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 

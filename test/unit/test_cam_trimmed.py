@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.iso_scallop import iso_scallop_paths
-from cnc_interp.cam.iso_scallop_options import IsoScallopOptions
+from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.neighbours import Neighbours

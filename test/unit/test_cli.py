@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.cli import main
-from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform import Transform

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cnc_interp.cli import main
-from cnc_interp.convert import convert
+from cnc_interp.commands.cli import main
+from cnc_interp.convert.dialects import convert
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine

@@ -17,9 +17,9 @@ from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import evaluate
+from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import JogMotion, Slides
-from cnc_interp.machine.setpoint_checks import refuse_setpoints
-from cnc_interp.machine_model.drive_loads import DriveLoad
+from cnc_interp.machine_model.axis_drives import DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program

@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from cnc_interp.command_options import DRIVES, drives
+from cnc_interp.commands.options import DRIVES, drives
 
 
 def test_drives_with_their_parameters():

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from plan_directories import stroke
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.machine.excitation import excitation
-from cnc_interp.machine.identification import identify_axis, resolution_of
-from cnc_interp.machine.simulated import simulate
-from cnc_interp.machine_model.axis_drives import AxisDrive
-from cnc_interp.machine_model.drive_loads import DriveLoad
-from cnc_interp.machine_model.drive_text import with_drives
+from cnc_interp.drives.excitation import excitation
+from cnc_interp.drives.identification import identify_axis, resolution_of, with_drives
+from cnc_interp.machine.simulated_drives import simulate
+from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.report.identified import identified_lines, transfer, write_identified
 

@@ -10,7 +10,7 @@ from cnc_interp.core.errors import StreamError
 from cnc_interp.machine.jog import AHEAD, LATE, PIECE, Jog
 from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine.playback import Playback
-from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chunk import Wait

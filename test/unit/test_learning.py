@@ -11,13 +11,20 @@ from plan_directories import stroke
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 from cnc_interp.drives.compensation import FADE, HEAD, LEFT, ROW, Compensation, compensate_all
-from cnc_interp.drives.drive_kernels import follow_all
-from cnc_interp.drives.drive_model import words_of
-from cnc_interp.drives.learning import HELD, learnt_rates, measured_error, start_of, with_hold
-from cnc_interp.drives.learnt_motion import LearntMotion, hash_of, learnt_for
+from cnc_interp.drives.drive_model import follow_all, words_of
+from cnc_interp.drives.learning import (
+    HELD,
+    LearntMotion,
+    hash_of,
+    learnt_for,
+    learnt_rates,
+    measured_error,
+    start_of,
+    with_hold,
+)
 from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.cycle import Cycle
-from cnc_interp.machine.simulated import SimulatedDrives, simulate
+from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.run.chunk import Chunk, Wait

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from cnc_interp.cli import main
-from cnc_interp.convert import convert
+from cnc_interp.commands.cli import main
+from cnc_interp.convert.dialects import convert
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate

@@ -15,7 +15,7 @@ from cnc_interp.drives.drive_model import discretise
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.cycle_kernels import REFUSED, REST
-from cnc_interp.machine.simulated import SimulatedDrives, simulate
+from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -14,7 +14,7 @@ import yaml
 from plan_directories import PERIOD, files, stroke, turned_tip, write
 from tiers import few_of
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine, machines_directory

@@ -27,7 +27,7 @@ from cnc_interp.smoothing.segments import CORNER
 from cnc_interp.wire import chunk_messages
 from cnc_interp.wire import message_checks as soundness
 from cnc_interp.wire import path_messages as messages
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / 'shared' / 'programs'

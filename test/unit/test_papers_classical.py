@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.guiding import GuidingPlanes
+from cnc_interp.cam.guiding import GuidingPlanes, SurfaceCurve, crossing
 from cnc_interp.cam.shapes import Bumps, Cap, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.cam.surface_curve import SurfaceCurve, crossing
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.papers.classical import classical_paths

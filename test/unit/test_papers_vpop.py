@@ -11,8 +11,8 @@ from cnc_interp_msgs.action import RunProgram
 from diagnostic_msgs.msg import KeyValue
 from feedrate_paths import XYZAC, line_path, polyline_path, random_polyline, sampled_ratios
 
-from cnc_interp.cli import main
-from cnc_interp.command_options import FINE
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import FINE
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.window import DIVIDED, PlannedPiece, plan_path

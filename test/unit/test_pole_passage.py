@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from programs import blocks_of
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import BlockError, TravelError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate

@@ -6,7 +6,7 @@ import time
 
 ASK = (
     'import time; time.sleep(0.3)\n'
-    'from cnc_interp.processes.process_start import process_start as s'
+    'from cnc_interp.processes.node_processes import process_start as s'
 )
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.proof import linuxcnc_reader

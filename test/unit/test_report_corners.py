@@ -11,7 +11,7 @@ import pytest
 from packed_page import PACKED, unpacked
 from plan_directories import line_x, write
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.machine_model.machine import Machine

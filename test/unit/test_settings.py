@@ -13,7 +13,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1Block
 from diagnostic_msgs.msg import KeyValue
 
-from cnc_interp.cli import parser
+from cnc_interp.commands.cli import parser
 from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.core.units import DEG
 from cnc_interp.nodes import parameters
@@ -47,7 +47,7 @@ class Settings(place.Settings):
 
 place.Settings = Settings
 
-from cnc_interp.cli import parser
+from cnc_interp.commands.cli import parser
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import command_words, settings_from
 from cnc_interp.settings.form import filled_in, offered, settings_filled_in

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.report.sketch import EIGHTHS, MARGIN, ROWS, feed_sketch
 

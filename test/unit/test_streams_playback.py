@@ -11,9 +11,9 @@ from cnc_interp.core.errors import Refusal, StreamError, TravelError
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.playback import Playback
-from cnc_interp.machine.setpoint_checks import refuse_setpoints
-from cnc_interp.machine.simulated import SimulatedDrives
+from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
@@ -24,7 +24,7 @@ from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.wire.machine_messages import executed_setpoints
-from cnc_interp.wire.run_id_messages import run_id_of
+from cnc_interp.wire.run_messages import run_id_of
 
 T = 0.001
 P, Q = RunId('p'), RunId('q')

@@ -17,8 +17,8 @@ from cnc_interp.batch.sweep import (
     shares_at_limits,
     without_effect,
 )
-from cnc_interp.cli import main
-from cnc_interp.command_options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.cli import main
+from cnc_interp.commands.cli import main
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.error_series import error_series
 from cnc_interp.drives.tool_error import tool_error
@@ -17,7 +17,7 @@ from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
 from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
-from cnc_interp.machine.simulated import simulate
+from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program

@@ -17,9 +17,9 @@ from cnc_interp.machine.trajectory_drives import (
     TrajectoryOptions,
 )
 from cnc_interp.nodes.chosen_drives import joints_of
+from cnc_interp.nodes.controller_link import joint_report, joint_trajectory
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
-from cnc_interp.wire.trajectories import joint_report, joint_trajectory
 
 PERIOD = round(T * SECOND)
 OPTIONS = TrajectoryOptions(delay=0.1)

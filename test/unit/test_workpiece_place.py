@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from cnc_interp.cli import main
-from cnc_interp.command_options import BAD_INPUT, FINE
+from cnc_interp.commands.cli import main
+from cnc_interp.commands.options import BAD_INPUT, FINE
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.workpiece_place import placed_machine

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.convert_joins import Joins
-from cnc_interp.convert_splines import SplineMoves
+from cnc_interp.convert.joins import Joins
+from cnc_interp.convert.splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
@@ -74,7 +74,7 @@ def convert(
     fit_tolerance : float
         Largest distance of cubic curves from the smooth path [m].
     slide : bool
-        Whether native curves are first joined by parametrization splines (``convert_joins.py``).
+        Whether native curves are first joined by parametrization splines (``convert/joins.py``).
 
     Raises
     ------

@@ -7,27 +7,26 @@ import contextlib
 import signal
 import sys
 from collections.abc import Sequence
+from functools import partial
 from types import FrameType
 
 from cnc_interp import __version__
-from cnc_interp.cam.command import add_cam_commands
-from cnc_interp.command_options import BAD_INPUT, FINE, CommandParser
 from cnc_interp.commands.bags import add_bag_commands
-from cnc_interp.commands.batch import add_batch_command
+from cnc_interp.commands.batch import add_batch_command, add_cluster_command
+from cnc_interp.commands.cam import add_cam_commands
 from cnc_interp.commands.check import add_check_command, add_report_command
-from cnc_interp.commands.cluster import add_cluster_command
-from cnc_interp.commands.convert import add_convert_command
-from cnc_interp.commands.home import add_home_command
-from cnc_interp.commands.identify import add_identify_commands
-from cnc_interp.commands.jog import add_jog_command
-from cnc_interp.commands.learn import add_learn_command
-from cnc_interp.commands.mdi import add_mdi_command
+from cnc_interp.commands.convert import add_convert_command, add_urdf_command
+from cnc_interp.commands.identify import add_identify_commands, add_learn_command
+from cnc_interp.commands.operate import (
+    add_home_command,
+    add_jog_command,
+    add_mdi_command,
+    add_setup_commands,
+)
+from cnc_interp.commands.options import BAD_INPUT, FINE, CommandParser
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
-from cnc_interp.commands.setup import add_setup_commands
 from cnc_interp.commands.sweep import add_sweep_command
-from cnc_interp.commands.tile_workers import tile_workers
-from cnc_interp.commands.urdf import add_urdf_command
 from cnc_interp.core.errors import InterpError
 
 
@@ -81,26 +80,12 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--version', action='version', version=f'cnc-interp {__version__}')
     commands = top.add_subparsers(required=True, metavar='COMMAND')
 
-    add_run_command(commands)
-    add_plan_command(commands)
-    add_batch_command(commands)
-    add_cluster_command(commands)
-    add_sweep_command(commands, main)
-    add_convert_command(commands)
-    add_check_command(commands)
-    add_report_command(commands)
-    add_panel_command(commands)
-    add_jog_command(commands)
-    add_setup_commands(commands)
-    add_home_command(commands)
-    add_mdi_command(commands)
-    add_urdf_command(commands)
-    add_bag_commands(commands)
-    add_identify_commands(commands)
-    add_learn_command(commands)
-    add_cam_commands(commands, tile_workers)
+    for add in (
+        add_run_command, add_plan_command, add_batch_command, add_cluster_command,
+        partial(add_sweep_command, main=main), add_convert_command, add_check_command,
+        add_report_command, add_panel_command, add_jog_command, add_setup_commands,
+        add_home_command, add_mdi_command, add_urdf_command, add_bag_commands,
+        add_identify_commands, add_learn_command, add_cam_commands,
+    ):  # fmt: skip
+        add(commands)
     return top
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from cnc_interp_msgs.msg import ModalState
+from cnc_interp_msgs.msg import MachineState, ModalState
 
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.peers import Peers
@@ -62,3 +62,23 @@ class Mdi:
             self._reader.keep(prepared.line)
             self._told = None
             self.tell()
+
+
+class ActiveModesTopic:
+    """Tells the modal state of a run where it changes."""
+
+    def __init__(self, node: Any):
+        self._publisher = node.create_publisher(ModalState, 'active_modes', LOADED)
+        self._told = ('', -1)
+
+    def tell(self, program: Prepared, state: MachineState) -> None:
+        """Publish the modal state of the block that is executed, if it is another one."""
+        change = program.modes.change_before(state.sequence)
+        told = (str(state.program_id), change)
+        if told == self._told:
+            return
+        self._told = told
+        if (modes := program.modes.after(change)) is None:
+            self._publisher.publish(ModalState(program_id=state.program_id))
+        else:
+            self._publisher.publish(modal_state(modes, state.program_id))

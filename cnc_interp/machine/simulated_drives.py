@@ -6,8 +6,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.drives.compensation import Compensation, compensate_all
-from cnc_interp.drives.drive_kernels import RING, follow_all, follow_once
-from cnc_interp.drives.drive_model import lag_of, words_of
+from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of, words_of
 from cnc_interp.machine.axis_motion import AxisMotion, Recording
 from cnc_interp.machine_model.machine import Machine
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import DEG, MINUTE, MM
-from cnc_interp.machine_model.axes import Axis
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Axis, Machine
 
 #: Largest feed of the program, as a share of the axis' velocity, and the least one of the sweep.
 FASTEST, SLOWEST = 0.2, 0.0005

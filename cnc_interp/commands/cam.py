@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.command_options import command, machine_option, number, positive
-
-#: Returns who cuts tiles; see ``tile_work.Pool``.
-Pool = Callable[[str | None, int], Any]
+from cnc_interp.commands.options import command, machine_option, number, positive
+from cnc_interp.core.units import HOUR
 
 
-def add_cam_commands(commands: Any, pool: Pool) -> None:
-    """
-    Declare `cam` and its commands.
-
-    Parameters
-    ----------
-    commands : argparse subparsers
-        Where they are added.
-    pool : callable
-        Returns who cuts tiles of needles: address of a scheduler, or number of processes here.
-
-    """
+def add_cam_commands(commands: Any) -> None:
+    """Declare `cam` and its commands."""
     cam = commands.add_parser(
         'cam',
         help='5-axis iso-scallop programs from surfaces, and the simulated surface',
@@ -121,11 +108,11 @@ def add_cam_commands(commands: Any, pool: Pool) -> None:
     )
     simulate.add_argument('--out', '--html', type=Path, metavar='FILE', help='page to write')
     _cutting(simulate)
-    _tiles(simulate, pool)
+    _tiles(simulate)
     simulate.add_argument('--json', action='store_true', help='print the figures as JSON')
 
 
-def _tiles(added: argparse.ArgumentParser, pool: Pool) -> None:
+def _tiles(added: argparse.ArgumentParser) -> None:
     """Add the options for many needles."""
     added.add_argument(
         '--tiles', type=Path, metavar='DIR',
@@ -143,7 +130,7 @@ def _tiles(added: argparse.ArgumentParser, pool: Pool) -> None:
         '--device', choices=('cpu', 'warp-cpu', 'cuda'), default='cpu',
         help='what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
     )  # fmt: skip
-    added.set_defaults(pool=pool)
+    added.set_defaults(pool=tile_workers)
 
 
 def _mill(added: argparse.ArgumentParser) -> None:
@@ -191,3 +178,15 @@ def _simulate(options: argparse.Namespace) -> int:
     from cnc_interp.cam.work import simulate_motion
 
     return simulate_motion(options)
+
+
+#: Longest time of a tile [s].
+LONGEST = 24.0 * HOUR
+
+
+def tile_workers(scheduler: str | None, workers: int) -> Any:
+    """Return workers that have the kernel in memory, of a cluster or of this computer."""
+    from cnc_interp.batch.processes import TILES_PRELOADED
+    from cnc_interp.batch.run import workers_of
+
+    return workers_of(scheduler, workers, None, LONGEST, TILES_PRELOADED)

@@ -1,0 +1,221 @@
+"""`cnc-interp jog`: move axes of a running machine by a distance or to a position."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE, command, nodes_options, positive
+from cnc_interp.core.errors import InterpError
+from cnc_interp.core.units import MM
+
+
+def add_jog_command(commands: Any) -> None:
+    """Declare `jog`."""
+    jog = command(
+        commands, 'jog', jog_command,
+        'move axes of a running machine by hand, by a distance or to a position',
+        'cnc-interp jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0; '
+        'cnc-interp jog --pose X 0 Y 0 Z 50 I 0 J 0 K 1',
+    )  # fmt: skip
+    jog.add_argument(
+        'words', nargs='*', metavar='AXIS VALUE',
+        help='letter of an axis, and distance or position [mm, deg]; may be repeated',
+    )  # fmt: skip
+    jog.add_argument('--to', action='store_true', help='the values are positions of the axes')
+    jog.add_argument(
+        '--pose', action='store_true',
+        help='the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
+        'the tool axis; what is not named stays',
+    )  # fmt: skip
+    jog.add_argument(
+        '--tool', type=float, default=0.0, metavar='MM',
+        help='move along the tool instead, away from the workpiece where positive',
+    )  # fmt: skip
+    jog.add_argument(
+        '--speed', type=positive, default=100.0, metavar='PERCENT',
+        help='part of the largest velocities of the axes (100)',
+    )  # fmt: skip
+    jog.add_argument('--json', action='store_true', help='print the result as JSON')
+    nodes_options(jog)
+
+
+def pairs(words: list[str]) -> dict[str, float]:
+    """Return the value of each axis named."""
+    found: dict[str, float] = {}
+    for name, value in zip(words[::2], words[1::2], strict=False):
+        try:
+            found[name.upper()] = float(value)
+        except ValueError:
+            raise InterpError(
+                f'{name} {value}: write an axis and a number, such as X 10'
+            ) from None
+    if 2 * len(found) != len(words):
+        raise InterpError('write each axis once, with its value: X 10 Y -5')
+    return found
+
+
+def jog_command(options: argparse.Namespace) -> int:
+    """Move and wait for the end."""
+    values = pairs(options.words)
+    if bool(values) == bool(options.tool):
+        raise InterpError('name an axis and its value, such as X 10, or --tool and a distance')
+    if ((options.to or options.pose) and options.tool) or (options.to and options.pose):
+        raise InterpError('--to, --pose and --tool exclude each other')
+    if options.pose and (wrong := ' '.join(sorted(set(values) - set('XYZIJK')))):
+        raise InterpError(f'{wrong}: a pose has X Y Z [mm] and the tool axis I J K')
+    from cnc_interp.client.hand_move import HandMove, move_by_hand
+
+    relative = not (options.to or options.pose)
+    wanted = HandMove(values, relative, options.tool, options.speed / 100.0, options.pose)
+    ended = move_by_hand(wanted, options.namespace, options.domain)
+    if options.json:
+        print(json.dumps(ended.to_json(), indent=2))
+    else:
+        print(ended.text())
+    return FINE if ended.arrived else FAILED
+
+
+def add_home_command(commands: Any) -> None:
+    """Declare `home`."""
+    home = command(
+        commands, 'home', home_command,
+        'home axes of a running machine, all that have a reference switch or those named',
+        'cnc-interp home; cnc-interp home Z',
+    )  # fmt: skip
+    home.add_argument('axes', nargs='*', metavar='AXIS', help='letter of an axis')
+    nodes_options(home)
+
+
+def home_command(options: argparse.Namespace) -> int:
+    """Home and wait for the end."""
+    from cnc_interp.client.hand_move import home_axes
+
+    missing = home_axes([name.upper() for name in options.axes], options.namespace, options.domain)
+    print(f'not homed: {" ".join(missing)}' if missing else 'homed')
+    return FAILED if missing else FINE
+
+
+def add_mdi_command(commands: Any) -> None:
+    """Declare `mdi`."""
+    mdi = command(
+        commands, 'mdi', mdi_command,
+        'have lines of G-code executed by a running machine, from where it stands',
+        "cnc-interp mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
+    )  # fmt: skip
+    mdi.add_argument('lines', nargs='*', metavar='LINE', help='a line of G-code')
+    mdi.add_argument('--json', action='store_true', help='print the results as JSON')
+    nodes_options(mdi)
+
+
+def mdi_command(options: argparse.Namespace) -> int:
+    """Give the lines and wait for the end of each; the first one refused ends it."""
+    from cnc_interp.client.mdi import give_lines
+
+    ends = []
+    for end in give_lines(options.lines, options.namespace, options.domain):
+        ends.append(end)
+        if not options.json:
+            print(end.text(), flush=True)
+    if options.json:
+        print(json.dumps([end.to_json() for end in ends], indent=2))
+    else:
+        print(f'modes: {ends[-1].modes}')
+    return FINE if ends[-1].answer.ok else BAD_INPUT
+
+
+def add_setup_commands(commands: Any) -> None:
+    """Declare `offsets`, `tools` and `touch-off`."""
+    offsets = command(
+        commands, 'offsets', offsets_command,
+        'show or change the work offsets and G92 of a running machine',
+        'cnc-interp offsets; cnc-interp offsets G55 X 140 Y -70 --use',
+    )  # fmt: skip
+    offsets.add_argument('offset', nargs='?', default='', help='G54 to G59.3, or G92')
+    offsets.add_argument(
+        'words', nargs='*', metavar='AXIS VALUE',
+        help='letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
+        'offset about Z [deg]; may be repeated',
+    )  # fmt: skip
+    offsets.add_argument('--clear', action='store_true', help='remove the values it had before')
+    offsets.add_argument('--use', action='store_true', help='make it the active one')
+    tools = command(
+        commands, 'tools', tools_command, 'show or change the tool table of a running machine',
+        'cnc-interp tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load',
+    )  # fmt: skip
+    tools.add_argument('number', nargs='?', type=int, help='number of the tool')
+    tools.add_argument('--length', type=float, metavar='MM', help='its length')
+    tools.add_argument('--radius', type=float, metavar='MM', help='its radius')
+    tools.add_argument(
+        '--corner-radius', type=float, metavar='MM',
+        help='radius of its corner: 0 for a flat end, the radius for a ball',
+    )  # fmt: skip
+    tools.add_argument('--remark', metavar='TEXT', help='what tells it from others')
+    tools.add_argument('--remove', action='store_true', help='take it out of the table')
+    tools.add_argument('--load', action='store_true', help='it is in the spindle; 0: none is')
+    touch = command(
+        commands, 'touch-off', touch_off_command,
+        'set a work offset so that coordinates read given values where the axes stand',
+        'cnc-interp touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55',
+    )  # fmt: skip
+    touch.add_argument(
+        'words', nargs='+', metavar='AXIS VALUE',
+        help='letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated',
+    )  # fmt: skip
+    touch.add_argument('--offset', default='', metavar='G', help='the offset (the active one)')
+    for added in (offsets, tools, touch):
+        added.add_argument('--json', action='store_true', help='print the result as JSON')
+        nodes_options(added)
+
+
+def offsets_command(options: argparse.Namespace) -> int:
+    """Show or change offsets."""
+    words = pairs(options.words)
+    wanted = {'offset': options.offset.upper(), 'clear': options.clear, 'activate': options.use}
+    return _do(options, 'set_offset', wanted if any(wanted.values()) else None, words)
+
+
+def tools_command(options: argparse.Namespace) -> int:
+    """Show or change tools."""
+    names = ('length', 'radius', 'corner_radius', 'remark')
+    given = {name: getattr(options, name) for name in names}
+    given = {
+        name: value if name == 'remark' else value * MM
+        for name, value in given.items()
+        if value is not None
+    }
+    wanted: dict[str, Any] | None = None
+    if options.number is not None:
+        number = min(max(options.number, 0), 2**32 - 1)
+        wanted = {'number': number, 'fields': list(given), **given}
+        wanted |= {'remove': options.remove, 'load': options.load}
+    return _do(options, 'set_tool', wanted)
+
+
+def touch_off_command(options: argparse.Namespace) -> int:
+    """Set an offset from where the axes stand."""
+    return _do(options, 'touch_off', {'offset': options.offset.upper()}, pairs(options.words))
+
+
+def _do(
+    options: argparse.Namespace,
+    service: str,
+    wanted: dict[str, Any] | None,
+    words: dict[str, float] | None = None,
+) -> int:
+    """Ask for a change, or show the table where nothing is asked for."""
+    from cnc_interp.client.setup_console import SetupConsole
+
+    with SetupConsole(options.namespace, options.domain) as console:
+        told = ''
+        if wanted is not None:
+            fields = console.values(words) if words is not None else {}
+            told = console.ask(service, **wanted, **fields)
+        if options.json:
+            print(json.dumps({'changed': told} if wanted else console.to_json(), indent=2))
+        elif wanted is not None:
+            print(told)
+        else:
+            print(console.tools_text() if service == 'set_tool' else console.offsets_text())
+    return FINE

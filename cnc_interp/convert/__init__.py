@@ -1,0 +1,1 @@
+"""A part program in another dialect."""

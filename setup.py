@@ -37,14 +37,14 @@ setup(
         f'{NAME}.processes': ['*.xml'],
     },
     data_files=shared_files(),
-    python_requires='>=3.11,<3.13',
+    python_requires='>=3.11,<3.14',
     # Without ROS: plan, check, report, convert, cam. ROS 2 itself comes with its own installation.
     install_requires=[
         'PyYAML>=6,<7',
         'lark-parser>=0.12,<1',
         'matplotlib>=3.5,<4',
         'numba>=0.68,<1',
-        'numpy>=1.26,<2',
+        'numpy>=1.26,<2.3',
         'plotly>=5,<8',
         'ruckig>=0.9,<1',
         'scipy>=1.11,<2',

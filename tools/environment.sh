@@ -51,14 +51,14 @@ check_platform() {
 
 # --- system packages ---------------------------------------------------------------------------
 
-# Prints the real path of the first Python 3.11 or 3.12 that runs; a shim may exist and not run.
+# Prints the real path of the first Python 3.11 to 3.13 that runs; a shim may exist and not run.
 # With --complete, it can also make an environment and compile against its headers.
 find_python() {
   local candidate
-  for candidate in python3.12 python3.11 python3; do
+  for candidate in python3.12 python3.11 python3.13 python3; do
     "$candidate" -I - "${1-}" 2>/dev/null <<'PY' && return
 import pathlib, sys, sysconfig
-if sys.version_info[:2] not in ((3, 11), (3, 12)) or sys.implementation.name != 'cpython':
+if sys.version_info[:2] not in ((3, 11), (3, 12), (3, 13)) or sys.implementation.name != 'cpython':
     sys.exit(1)
 if '--complete' in sys.argv:
     import ensurepip, venv
@@ -77,7 +77,7 @@ packages_for() {
     version=${found##*/}
     printf '%s-venv %s-dev g++' "$version" "$version"
   elif version=$(python3 --version 2>/dev/null); then
-    fail "needs Python 3.11 or 3.12, and python3 is $version; install one of them beside it"
+    fail "needs Python 3.11, 3.12 or 3.13, and python3 is $version; install one of them beside it"
   else
     printf 'python3 python3-venv python3-dev g++'
   fi
@@ -88,8 +88,8 @@ check_offered_python() {
   local offered
   offered=$(apt-cache policy python3 | sed -n 's/^ *Candidate: *\([0-9]*\.[0-9]*\).*/\1/p')
   case $offered in
-    3.11 | 3.12 | '') ;;
-    *) fail "needs Python 3.11 or 3.12, and this system's packages have $offered; use Debian 12 or Ubuntu 24.04" ;;
+    3.11 | 3.12 | 3.13 | '') ;;
+    *) fail "needs Python 3.11, 3.12 or 3.13, and this system's packages have $offered; use Debian 12 or 13, or Ubuntu 24.04" ;;
   esac
 }
 
@@ -103,7 +103,7 @@ install_system_packages() {
   if [ -z "$(find_python --complete)" ] || ! command -v c++ >/dev/null || ! command -v cc >/dev/null
   then
     command -v apt-get >/dev/null \
-      || fail 'needs Python 3.11 or 3.12 with venv and headers, and g++; install them and try again'
+      || fail 'needs Python 3.11, 3.12 or 3.13 with venv and headers, and g++; install them and try again'
     packages=$(packages_for "$(find_python)") || exit 1
   fi
   if lacks_opengl "$@"; then packages+=' libgl1 libx11-6 libexpat1'; fi
@@ -125,7 +125,7 @@ install_system_packages() {
   logged "${apt[@]}" install -y --no-install-recommends $packages \
     || explain 'installing the system packages failed'
   [ -n "$(find_python --complete)" ] \
-    || fail "needs Python 3.11 or 3.12; this system has $(python3 --version 2>&1)"
+    || fail "needs Python 3.11, 3.12 or 3.13; this system has $(python3 --version 2>&1)"
 }
 
 # --- the environment ---------------------------------------------------------------------------

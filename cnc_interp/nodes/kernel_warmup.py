@@ -8,6 +8,8 @@ itself, at the same time as the others.
 
 from __future__ import annotations
 
+import signal
+import sys
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
@@ -207,7 +209,7 @@ def compile_feed_and_machine() -> None:
 
 def compile_kernels() -> None:
     """Compile the kernels of nodes and planning, in two processes; those of HAL wait for HAL."""
-    beside = get_context('fork').Process(target=compile_feed_and_machine)
+    beside = get_context('fork').Process(target=compile_feed_and_machine, daemon=True)
     beside.start()
     warm_shared()
     beside.join()
@@ -216,4 +218,5 @@ def compile_kernels() -> None:
 
 
 if __name__ == '__main__':
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the process beside ends, too
     compile_kernels()
